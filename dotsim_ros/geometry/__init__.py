@@ -1,0 +1,1 @@
+"""Shapes: poses, the sensor's body and camera, and the rigid indenters that press it."""

@@ -1,0 +1,92 @@
+"""Rigid poses and wrenches as plain arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+def _vector(value: ArrayLike, length: int, name: str) -> FloatArray:
+    array = np.array(value, dtype=np.float64).reshape(-1)
+    if array.shape != (length,):
+        raise ValueError(f"{name} needs {length} numbers, got {array.size}")
+    if not np.all(np.isfinite(array)):
+        raise ValueError(f"{name} holds a number that is not finite: {array.tolist()}")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A rigid pose, of a child frame in a parent frame.
+
+    Attributes:
+        position_m: (3,) origin of the child frame, in the parent frame.
+        quaternion_xyzw: (4,) rotation from child to parent, of unit length, scalar last (as in
+            geometry_msgs).
+
+    Raises:
+        ValueError: a number is not finite, or the quaternion's length differs from 1 by more than
+            1e-3 (a smaller difference is normalised away).
+    """
+
+    position_m: FloatArray = field(default_factory=lambda: np.zeros(3))
+    quaternion_xyzw: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 0.0, 1.0]))
+
+    def __post_init__(self) -> None:
+        position = _vector(self.position_m, 3, "position_m")
+        quaternion = _vector(self.quaternion_xyzw, 4, "quaternion_xyzw")
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1.0) > 1e-3:
+            raise ValueError(
+                f"quaternion_xyzw has length {length:.6g}, expected 1 within 1e-3; normalise it"
+            )
+        quaternion = quaternion / length
+        quaternion.setflags(write=False)
+        object.__setattr__(self, "position_m", position)
+        object.__setattr__(self, "quaternion_xyzw", quaternion)
+
+    def rotation(self) -> FloatArray:
+        """Return the (3, 3) rotation matrix from child to parent."""
+        x, y, z, w = self.quaternion_xyzw
+        return np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+
+    def apply(self, points: ArrayLike) -> FloatArray:
+        """Return points (..., 3) of the child frame in the parent frame."""
+        return np.asarray(points, dtype=np.float64) @ self.rotation().T + self.position_m
+
+
+def interpolate(start: Pose, end: Pose, fraction: float) -> Pose:
+    """Return the pose between two: linear in position, spherical-linear in rotation."""
+    a = start.quaternion_xyzw
+    b = end.quaternion_xyzw
+    cosine = float(a @ b)
+    if cosine < 0.0:
+        b, cosine = -b, -cosine
+    if cosine > 0.9995:
+        quaternion = a + fraction * (b - a)
+    else:
+        angle = np.arccos(cosine)
+        quaternion = (np.sin((1 - fraction) * angle) * a + np.sin(fraction * angle) * b) / np.sin(
+            angle
+        )
+    position = start.position_m + fraction * (end.position_m - start.position_m)
+    return Pose(position, quaternion / np.linalg.norm(quaternion))
+
+
+@dataclass(frozen=True)
+class Wrench:
+    """A force (N) and a torque (N m) about the origin of the frame that they are expressed in."""
+
+    force_n: FloatArray = field(default_factory=lambda: np.zeros(3))
+    torque_nm: FloatArray = field(default_factory=lambda: np.zeros(3))
