@@ -1,0 +1,1 @@
+"""ROS 2 executables, one a file: they translate, schedule and report; no numerics."""
