@@ -1,0 +1,65 @@
+"""Messages of ROS 2 as NumPy arrays and back: pure functions, no node, no copy where possible.
+
+Encoders make messages of the installed ROS by default, and of a bag's type store with
+`types=BagTypes(store.types)`. Decoders read both. Times are integers of nanoseconds. Bad input
+raises ValueError that says what was wrong and what was expected.
+"""
+
+from msg_adapters.camera_info import FisheyeIntrinsics, decode_camera_info, encode_camera_info
+from msg_adapters.cloud import Cloud, decode_cloud, decode_cloud_fields, encode_cloud
+from msg_adapters.diagnostics import Level, Status, decode_diagnostics, encode_diagnostics
+from msg_adapters.image import (
+    decode_compressed_image,
+    decode_image,
+    decode_rgb,
+    encode_compressed_image,
+    encode_image,
+)
+from msg_adapters.rigid import (
+    decode_pose_stamped,
+    decode_twist,
+    decode_twist_stamped,
+    decode_wrench_stamped,
+    encode_pose_stamped,
+    encode_twist,
+    encode_twist_stamped,
+    encode_wrench_stamped,
+)
+from msg_adapters.stamps import decode_stamp, encode_header, encode_stamp, message_stamp_ns
+from msg_adapters.types import ROS, BagTypes, Message, MessageTypes, RosTypes
+
+__all__ = [
+    "ROS",
+    "BagTypes",
+    "Cloud",
+    "FisheyeIntrinsics",
+    "Level",
+    "Message",
+    "MessageTypes",
+    "RosTypes",
+    "Status",
+    "decode_camera_info",
+    "decode_cloud",
+    "decode_cloud_fields",
+    "decode_compressed_image",
+    "decode_diagnostics",
+    "decode_image",
+    "decode_pose_stamped",
+    "decode_rgb",
+    "decode_stamp",
+    "decode_twist",
+    "decode_twist_stamped",
+    "decode_wrench_stamped",
+    "encode_camera_info",
+    "encode_cloud",
+    "encode_compressed_image",
+    "encode_diagnostics",
+    "encode_header",
+    "encode_image",
+    "encode_pose_stamped",
+    "encode_stamp",
+    "encode_twist",
+    "encode_twist_stamped",
+    "encode_wrench_stamped",
+    "message_stamp_ns",
+]

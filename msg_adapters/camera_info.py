@@ -1,0 +1,115 @@
+"""sensor_msgs/CameraInfo of a fisheye camera (REP 104, distortion model "equidistant")."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from msg_adapters.checks import finite_vector
+from msg_adapters.stamps import encode_header
+from msg_adapters.types import ROS, Message, MessageTypes
+
+EQUIDISTANT = "equidistant"
+
+
+@dataclass(frozen=True)
+class FisheyeIntrinsics:
+    """Intrinsics of an equidistant fisheye: r = f * theta * (1 + k1 theta^2 + ... + k4 theta^8).
+
+    Attributes:
+        width: image width in pixels.
+        height: image height in pixels.
+        focal_px: (2,) focal lengths fx, fy in pixels per radian.
+        principal_point_px: (2,) cx, cy.
+        distortion: (4,) k1 to k4.
+    """
+
+    width: int
+    height: int
+    focal_px: NDArray[np.float64]
+    principal_point_px: NDArray[np.float64]
+    distortion: NDArray[np.float64]
+
+
+def encode_camera_info(
+    *,
+    width: int,
+    height: int,
+    focal_px: ArrayLike,
+    principal_point_px: ArrayLike,
+    distortion: ArrayLike,
+    stamp_ns: int,
+    frame_id: str,
+    types: MessageTypes = ROS,
+) -> Message:
+    """Return a sensor_msgs/CameraInfo; arguments as `FisheyeIntrinsics`.
+
+    Raises:
+        ValueError: not exactly four coefficients, a size or focal length that is not positive, or
+            a number that is not finite.
+    """
+    focal = finite_vector(np.broadcast_to(np.asarray(focal_px, dtype=float), (2,)), 2, "focal_px")
+    centre = finite_vector(principal_point_px, 2, "principal_point_px")
+    coefficients = finite_vector(distortion, 4, "distortion")
+    if width <= 0 or height <= 0 or not (focal > 0.0).all():
+        raise ValueError(
+            f"camera of {width} x {height} pixels and focal length {focal.tolist()} px: all must "
+            "be positive"
+        )
+    camera_matrix = np.array([focal[0], 0.0, centre[0], 0.0, focal[1], centre[1], 0.0, 0.0, 1.0])
+    projection = np.insert(camera_matrix, [3, 6, 9], 0.0)
+    return types.make(
+        "sensor_msgs/msg/CameraInfo",
+        header=encode_header(stamp_ns, frame_id, types=types),
+        height=int(height),
+        width=int(width),
+        distortion_model=EQUIDISTANT,
+        d=types.doubles(coefficients),
+        k=types.doubles(camera_matrix),
+        r=types.doubles(np.eye(3).reshape(-1)),
+        p=types.doubles(projection),
+        binning_x=0,
+        binning_y=0,
+        roi=types.make(
+            "sensor_msgs/msg/RegionOfInterest",
+            x_offset=0,
+            y_offset=0,
+            height=0,
+            width=0,
+            do_rectify=False,
+        ),
+    )
+
+
+def decode_camera_info(message: Message) -> FisheyeIntrinsics:
+    """Return the intrinsics of a sensor_msgs/CameraInfo.
+
+    Raises:
+        ValueError: another distortion model, not exactly four coefficients, a matrix that is no
+            pinhole's, or a number that is not finite.
+    """
+    if message.distortion_model != EQUIDISTANT:
+        raise ValueError(
+            f"distortion model {message.distortion_model!r} is not supported; expected "
+            f"{EQUIDISTANT!r}"
+        )
+    coefficients = finite_vector(message.d, 4, "distortion")
+    matrix = finite_vector(message.k, 9, "camera matrix").reshape(3, 3)
+    focal = np.array([matrix[0, 0], matrix[1, 1]])
+    skew_and_last_row = [matrix[0, 1], matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1.0]
+    if not (focal > 0.0).all() or np.any(skew_and_last_row):
+        raise ValueError(
+            f"camera matrix {matrix.tolist()} is no [fx 0 cx; 0 fy cy; 0 0 1] with positive focal "
+            "lengths; a CameraInfo of zeros means an uncalibrated camera"
+        )
+    if message.width <= 0 or message.height <= 0:
+        raise ValueError(f"camera of {message.width} x {message.height} pixels is empty")
+    return FisheyeIntrinsics(
+        width=int(message.width),
+        height=int(message.height),
+        focal_px=focal,
+        principal_point_px=matrix[:2, 2].copy(),
+        distortion=coefficients,
+    )
