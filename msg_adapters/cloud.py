@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,7 +107,7 @@ def cloud_dtype(message: Message) -> np.dtype[Any]:
     Raises:
         ValueError: a field of unknown type, named twice, or that reaches beyond the point.
     """
-    order = ">" if message.is_bigendian else "<"
+    order: Literal["<", ">"] = ">" if message.is_bigendian else "<"
     names, formats, offsets = [], [], []
     for field in message.fields:
         if field.datatype not in FIELD_TYPES:
@@ -159,7 +160,7 @@ def decode_cloud_fields(message: Message) -> NDArray[Any]:
 
 
 def _vectors(points: NDArray[Any], names: tuple[str, str, str]) -> NDArray[Any] | None:
-    fields = points.dtype.fields or {}
+    fields: Mapping[str, Any] = points.dtype.fields or {}
     if not set(names) <= set(fields):
         return None
     kind, first = fields[names[0]][:2]
