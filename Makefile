@@ -1,0 +1,54 @@
+# Needs python3 (3.11 or 3.12) and make; everything else goes into $(VENV).
+PYTHON ?= python3
+VENV ?= .venv
+OUT ?= out
+
+# A sourced ROS 2 Jazzy is used as it is; otherwise ROS comes from wheels, into the same $(VENV).
+ifeq ($(ROS_DISTRO),jazzy)
+VENV_OPTIONS := --system-site-packages
+EXTRAS := test,dev
+else
+VENV_OPTIONS :=
+EXTRAS := ros,test,dev
+endif
+
+INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
+# Two numerical threads on two cores leave none for DDS and the executor.
+RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
+
+.PHONY: help setup demo test bench soak lint clean
+
+help:
+	@echo "make setup   everything into $(VENV)"
+	@echo "make demo    the node, real presses replayed into it, a bag and a video in $(OUT)/demo"
+	@echo "make test    all tests, with real nodes over real DDS"
+	@echo "make bench   frame rate, latency and their split"
+	@echo "make lint    ruff and mypy"
+
+setup: $(INSTALLED)
+
+$(INSTALLED): setup.py
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; v in ((3, 11), (3, 12)) or sys.exit("dotsim_ros needs Python 3.11 or 3.12, this is %d.%d: make PYTHON=python3.12" % v)'
+	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
+	$(VENV)/bin/python -m pip install --quiet --editable ".[$(EXTRAS)]"
+	@touch $@
+
+demo: setup
+	$(RUN) dotsim_ros demo --out $(OUT)/demo
+
+test: setup
+	$(RUN) python -m pytest $(PYTEST_OPTIONS)
+
+bench: setup
+	$(RUN) python benchmarks/realtime.py --seconds 60 --json $(OUT)/realtime.json
+
+soak: setup
+	$(RUN) python benchmarks/soak.py --minutes 30 --json $(OUT)/soak.json
+
+lint: setup
+	$(RUN) ruff check
+	$(RUN) ruff format --check
+	$(RUN) mypy
+
+clean:
+	rm -rf $(OUT) build install log

@@ -1,0 +1,90 @@
+"""Builds dotsim_ros: by pip as a library and a command, by colcon as a ROS 2 package."""
+
+import re
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "dotsim_ros"
+HERE = Path(__file__).parent
+VERSION = re.search(r'__version__ = "(.+)"', (HERE / NAME / "__init__.py").read_text()).group(1)
+
+PARAMETER_FILES = sorted(
+    path.relative_to(HERE).as_posix() for path in HERE.glob("params/**/*") if path.is_file()
+)
+LAUNCH_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("launch/*.launch.py"))
+
+ROS = [
+    "ros-jazzy-rclpy==7.1.6",
+    "ros-jazzy-common-interfaces==5.3.6",
+    "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
+]
+TEST = [
+    "cyclonedds>=0.10.5",
+    "hypothesis",
+    "psutil",
+    # pytest 9 breaks the launch_testing plugin of ROS 2 Jazzy
+    "pytest<9",
+]
+DEVELOPMENT = [
+    "colcon-common-extensions",
+    "mypy",
+    "ruff",
+    # colcon builds ament_python packages through setup.py commands that setuptools 80 removed
+    "setuptools<80",
+    "types-PyYAML",
+]
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """Return what ROS looks for below share/, one entry a folder."""
+    entries = {
+        "share/ament_index/resource_index/packages": [f"resource/{NAME}"],
+        f"share/{NAME}": ["package.xml"],
+    }
+    for path in [*PARAMETER_FILES, *LAUNCH_FILES]:
+        entries.setdefault(f"share/{NAME}/{Path(path).parent.as_posix()}", []).append(path)
+    return list(entries.items())
+
+
+setup(
+    name=NAME,
+    version=VERSION,
+    description="A simulated DenseTact 2.0 optical tactile sensor for ROS 2",
+    long_description=(HERE / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    maintainer="dotsim_ros maintainers",
+    maintainer_email="dotsim-ros@example.org",
+    license="Apache-2.0",
+    python_requires=">=3.11,<3.13",
+    packages=[*find_packages(include=[NAME, f"{NAME}.*", "msg_adapters*"]), f"{NAME}.params"],
+    package_dir={f"{NAME}.params": "params"},
+    package_data={
+        f"{NAME}.params": [path.removeprefix("params/") for path in PARAMETER_FILES],
+        NAME: ["py.typed"],
+        "msg_adapters": ["py.typed"],
+    },
+    data_files=shared_files(),
+    install_requires=[
+        "embreex>=2.17.7.post5",
+        "imageio>=2.22",
+        "imageio-ffmpeg>=0.4.9",
+        "matplotlib>=3.6",
+        "numpy>=1.26",
+        "opencv-python-headless>=4.6",
+        "PyYAML>=6.0",
+        "rosbags>=0.10.7",
+        "scipy>=1.11",
+        "trimesh>=4.0",
+        "warp-lang>=1.10",
+    ],
+    extras_require={"ros": ROS, "test": TEST, "dev": DEVELOPMENT},
+    entry_points={
+        "console_scripts": [
+            "dotsim_ros = dotsim_ros.cli.main:main",
+            "indenter_player = dotsim_ros.nodes.indenter_player:main",
+            "tactile_record = dotsim_ros.nodes.tactile_record:main",
+            "tactile_sim = dotsim_ros.nodes.tactile_sim:main",
+        ]
+    },
+)
