@@ -1,0 +1,1 @@
+"""Measured data: trajectories in ROS 2 bags, real presses, and the motions that replay them."""
