@@ -1,0 +1,479 @@
+"""Rigid indenters: exact primitives and closed meshes, each with a signed distance.
+
+The indenter's frame has its origin at the tip and +z pointing away from the gel: a sphere of
+radius r has its centre at (0, 0, r).
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import yaml
+from numpy.typing import ArrayLike, NDArray
+
+from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
+from dotsim_ros.resources import parameter_path
+
+MESH_SUFFIXES = (".stl", ".obj", ".ply")
+MAXIMUM_EXTENT_M = 0.2
+MINIMUM_EXTENT_M = 2.0e-4
+MAXIMUM_TRIANGLE_COUNT = 2_000_000
+GRID_MARGIN_M = 0.004
+
+AwayAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+
+
+class IndenterKind(IntEnum):
+    """The closed set of shapes; the numbers are those that the kernels switch on."""
+
+    SPHERE = 0
+    BOX = 1
+    CYLINDER = 2
+    CONE = 3
+    CAPSULE = 4
+    TORUS = 5
+    MESH = 6
+
+
+@dataclass(frozen=True, eq=False)
+class IndenterMesh:
+    """A closed surface: vertices_m (V, 3) in the indenter's frame, triangles (T, 3) int32,
+    counter-clockwise seen from outside."""
+
+    vertices_m: FloatArray
+    triangles: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Indenter:
+    """A rigid indenter; build one with `sphere`, `box`, `flat_punch`, `cone`, `lying_cylinder`,
+    `capsule`, `torus`, `load_mesh` or `load_indenter`.
+
+    Attributes:
+        kind: which shape.
+        parameters: the shape's numbers, metres and radians; sphere (radius), box (size x, y, z,
+            edge radius), cylinder (radius, length, edge radius), cone (half angle, height, tip
+            radius), capsule (radius, straight length), torus (major, minor radius), mesh ().
+        mount: pose of the shape's own frame (tip at the origin, axis of revolution +z) in the
+            indenter's frame.
+        mesh: the surface of a mesh, else None.
+        name: for logs and tables.
+    """
+
+    kind: IndenterKind
+    parameters: tuple[float, ...]
+    mount: Pose = field(default_factory=Pose, compare=False)
+    mesh: IndenterMesh | None = None
+    name: str = ""
+
+    def signed_distance(self, points_m: ArrayLike) -> FloatArray:
+        """Return the signed distance (N,) in metres at points (N, 3) of the indenter's frame.
+
+        Negative inside; exact for primitives, float32 for meshes.
+        """
+        points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
+        if self.mesh is not None:
+            # Loaded on use: primitives need no Warp.
+            from dotsim_ros.geometry.mesh_distance import mesh_signed_distance
+
+            return mesh_signed_distance(self.mesh.vertices_m, self.mesh.triangles, points)
+        local = (points - self.mount.position_m) @ self.mount.rotation()
+        return _PRIMITIVE_DISTANCE[self.kind](local, *self.parameters)
+
+    def bounds_m(self) -> FloatArray:
+        """Return the lower and upper corner (2, 3) of a box around the shape, indenter's frame."""
+        if self.mesh is not None:
+            return np.array([self.mesh.vertices_m.min(axis=0), self.mesh.vertices_m.max(axis=0)])
+        lower, upper = _primitive_bounds(self.kind, self.parameters)
+        corners = np.array(
+            [
+                [x, y, z]
+                for x in (lower[0], upper[0])
+                for y in (lower[1], upper[1])
+                for z in (lower[2], upper[2])
+            ]
+        )
+        corners = self.mount.apply(corners)
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+    def distance_grid(self, spacing_m: float | None = None) -> SignedDistanceGrid:
+        """Return the signed distance as a quadratic B-spline that reaches 4 mm beyond the shape.
+
+        Args:
+            spacing_m: distance between nodes; by default 1/128 of the shape's longest side,
+                between 0.1 and 0.4 mm. Edges are rounded over about one spacing.
+
+        Raises:
+            ValueError: the spacing is not positive or the grid too large.
+        """
+        bounds = self.bounds_m()
+        if spacing_m is None:
+            spacing_m = float(np.clip(np.max(bounds[1] - bounds[0]) / 128.0, 1.0e-4, 4.0e-4))
+        return _cached_grid(self, float(spacing_m))
+
+
+@functools.lru_cache(maxsize=8)
+def _cached_grid(indenter: Indenter, spacing_m: float) -> SignedDistanceGrid:
+    return sample_on_grid(
+        indenter.signed_distance,
+        indenter.bounds_m(),
+        spacing_m=spacing_m,
+        margin_m=GRID_MARGIN_M,
+    )
+
+
+def sphere(radius_m: float) -> Indenter:
+    """A ball of the given radius."""
+    _check_lengths(radius_m=radius_m)
+    return Indenter(IndenterKind.SPHERE, (radius_m,), name="sphere")
+
+
+def box(size_m: ArrayLike, edge_radius_m: float = 0.0) -> Indenter:
+    """A box standing on its lower face, size_m (3,) along x, y, z, with rounded edges."""
+    size = np.asarray(size_m, dtype=np.float64).reshape(-1)
+    if size.shape != (3,):
+        raise ValueError(f"size_m of a box needs 3 lengths, got {size.size}")
+    _check_lengths(size_x_m=size[0], size_y_m=size[1], size_z_m=size[2])
+    _check_rounding(edge_radius_m, float(size.min()) / 2.0)
+    return Indenter(IndenterKind.BOX, (*size.tolist(), edge_radius_m), name="box")
+
+
+def box_edge(size_m: ArrayLike, edge_radius_m: float = 0.0) -> Indenter:
+    """A box turned by 45 degrees about x, so that its edge along x is the tip."""
+    shape = box(size_m, edge_radius_m)
+    size = np.asarray(size_m, dtype=np.float64)
+    quaternion = np.array([np.sin(np.pi / 8), 0.0, 0.0, np.cos(np.pi / 8)])
+    # The axis of the rounding along the edge (y, z) = (-, -), which turns into the lowest one.
+    edge_axis = np.array([0.0, edge_radius_m - size[1] / 2.0, edge_radius_m])
+    tip = Pose(np.zeros(3), quaternion).apply(edge_axis) - [0.0, 0.0, edge_radius_m]
+    position = -tip
+    return Indenter(shape.kind, shape.parameters, Pose(position, quaternion), name="box_edge")
+
+
+def flat_punch(radius_m: float, length_m: float, edge_radius_m: float = 0.0) -> Indenter:
+    """An upright cylinder that presses with its flat face."""
+    _check_lengths(radius_m=radius_m, length_m=length_m)
+    _check_rounding(edge_radius_m, min(radius_m, length_m / 2.0))
+    parameters = (radius_m, length_m, edge_radius_m)
+    return Indenter(IndenterKind.CYLINDER, parameters, name="flat_punch")
+
+
+def lying_cylinder(radius_m: float, length_m: float, edge_radius_m: float = 0.0) -> Indenter:
+    """A cylinder whose axis lies along y."""
+    upright = flat_punch(radius_m, length_m, edge_radius_m)
+    mount = _lying(length_m, radius_m)
+    return Indenter(upright.kind, upright.parameters, mount, name="lying_cylinder")
+
+
+def capsule(radius_m: float, length_m: float) -> Indenter:
+    """A cylinder of `length_m` along y with half balls on its ends (so length + 2 radii long)."""
+    _check_lengths(radius_m=radius_m, length_m=length_m)
+    mount = _lying(length_m + 2.0 * radius_m, radius_m)
+    return Indenter(IndenterKind.CAPSULE, (radius_m, length_m), mount, name="capsule")
+
+
+def cone(half_angle_rad: float, height_m: float, tip_radius_m: float = 0.0) -> Indenter:
+    """A cone on its tip, whose tip and rim are rounded by the same radius.
+
+    Raises:
+        ValueError: the half angle is not between 1 and 89 degrees, or the tip's radius leaves
+            nothing of the cone.
+    """
+    _check_lengths(height_m=height_m)
+    if not np.radians(1.0) <= half_angle_rad <= np.radians(89.0):
+        raise ValueError(f"half_angle_rad must lie within 1 to 89 degrees, got {half_angle_rad}")
+    _check_rounding(tip_radius_m, height_m / 2.0)
+    return Indenter(IndenterKind.CONE, (half_angle_rad, height_m, tip_radius_m), name="cone")
+
+
+def torus(major_radius_m: float, minor_radius_m: float) -> Indenter:
+    """A ring lying on its side, touching with a circle of the major radius."""
+    _check_lengths(major_radius_m=major_radius_m, minor_radius_m=minor_radius_m)
+    if minor_radius_m >= major_radius_m:
+        raise ValueError(
+            f"minor_radius_m must be below major_radius_m = {major_radius_m}, got {minor_radius_m}"
+        )
+    return Indenter(IndenterKind.TORUS, (major_radius_m, minor_radius_m), name="torus")
+
+
+def load_mesh(
+    path: str | Path,
+    scale: float | None = None,
+    *,
+    away_axis: AwayAxis = "+z",
+    origin: Literal["file", "tip"] = "file",
+) -> Indenter:
+    """Load a closed mesh as an indenter.
+
+    Args:
+        path: an STL, OBJ or PLY file.
+        scale: metres per unit of the file (0.001 for millimetres); None: the file is in metres.
+        away_axis: the file's axis that points away from the gel, turned onto +z.
+        origin: "file" keeps the file's origin; "tip" moves the lowest point to z = 0.
+
+    Repairs that change no surface are tried (merging vertices, dropping empty and doubled
+    triangles, turning triangles outwards); holes are not filled.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: not a mesh, empty, not finite, not closed, too many triangles, or of a size
+            that cannot press a fingertip sensor (a file in millimetres read as metres, say).
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no mesh file {path}")
+    if path.suffix.lower() not in MESH_SUFFIXES:
+        raise ValueError(f"{path}: expected a mesh file of {', '.join(MESH_SUFFIXES)}")
+    if scale is not None and not (np.isfinite(scale) and scale > 0.0):
+        raise ValueError(f"scale must be a positive number, got {scale}")
+    if away_axis not in _TURN_TO_Z:
+        raise ValueError(f"away_axis must be one of {sorted(_TURN_TO_Z)}, got {away_axis!r}")
+    if origin not in ("file", "tip"):
+        raise ValueError(f"origin must be 'file' or 'tip', got {origin!r}")
+    vertices, triangles = _read_closed_surface(path)
+    vertices = (vertices * (1.0 if scale is None else scale)) @ _TURN_TO_Z[away_axis].T
+    _check_extent(path, float(np.ptp(vertices, axis=0).max()))
+    if origin == "tip":
+        vertices = vertices - np.array([0.0, 0.0, vertices[:, 2].min()])
+    mesh = IndenterMesh(np.ascontiguousarray(vertices), triangles)
+    return Indenter(IndenterKind.MESH, (), mesh=mesh, name=path.stem)
+
+
+def load_indenter(source: str | Path | Mapping[str, Any]) -> Indenter:
+    """Return an indenter from a definition.
+
+    Args:
+        source: a mapping (`kind` and the factory's arguments; for `kind: mesh` a `path`), the path
+            of a YAML file with such a mapping, the path of a mesh in metres, or the name of a file
+            in `params/indenters` without `.yaml`.
+
+    Raises:
+        FileNotFoundError: no such file or name.
+        ValueError: the definition is not valid; the message says what was expected.
+    """
+    if isinstance(source, Mapping):
+        return _from_mapping(source, "indenter definition", Path())
+    path = Path(source)
+    if path.suffix.lower() in MESH_SUFFIXES:
+        return load_mesh(path)
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        path = parameter_path(f"indenters/{source}.yaml")
+    elif not path.is_file():
+        raise FileNotFoundError(f"no indenter file {path}")
+    try:
+        definition = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: not a YAML file: {error}") from error
+    if not isinstance(definition, Mapping):
+        raise ValueError(f"{path}: expected a mapping with 'kind', got {type(definition).__name__}")
+    return _from_mapping(definition, str(path), path.parent)
+
+
+def _from_mapping(definition: Mapping[str, Any], where: str, folder: Path) -> Indenter:
+    arguments = dict(definition)
+    kind = arguments.pop("kind", None)
+    name = arguments.pop("name", None)
+    if kind == "mesh":
+        arguments["path"] = folder / str(arguments.get("path", ""))
+    elif kind not in _FACTORIES:
+        expected = ", ".join([*sorted(_FACTORIES), "mesh"])
+        raise ValueError(f"{where}: kind must be one of {expected}, got {kind!r}")
+    factory: Callable[..., Indenter] = load_mesh if kind == "mesh" else _FACTORIES[kind]
+    try:
+        indenter = factory(**arguments)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{where}: {error}") from error
+    return Indenter(
+        indenter.kind,
+        indenter.parameters,
+        indenter.mount,
+        indenter.mesh,
+        indenter.name if name is None else str(name),
+    )
+
+
+def _lying(full_length_m: float, radius_m: float) -> Pose:
+    # +z of the shape turned onto -y: a quarter turn about x.
+    sine = np.sqrt(0.5)
+    return Pose(np.array([0.0, full_length_m / 2.0, radius_m]), np.array([sine, 0.0, 0.0, sine]))
+
+
+def _check_lengths(**lengths: float) -> None:
+    for name, value in lengths.items():
+        if not isinstance(value, int | float):
+            raise ValueError(f"{name} must be a number of metres, got {value!r}")
+        if not (np.isfinite(value) and 0.0 < value <= MAXIMUM_EXTENT_M):
+            raise ValueError(
+                f"{name} must be a length above 0 and at most {MAXIMUM_EXTENT_M} m, got {value}"
+            )
+
+
+def _check_rounding(radius_m: float, largest_m: float) -> None:
+    if not (np.isfinite(radius_m) and 0.0 <= radius_m <= largest_m):
+        raise ValueError(f"the rounding must lie within 0 to {largest_m:.6g} m, got {radius_m}")
+
+
+def _check_extent(path: Path, extent_m: float) -> None:
+    if extent_m > MAXIMUM_EXTENT_M:
+        raise ValueError(
+            f"{path}: the mesh is {extent_m:.4g} m long, at most {MAXIMUM_EXTENT_M} m expected; "
+            "is it in millimetres? Then load it with scale=0.001"
+        )
+    if extent_m < MINIMUM_EXTENT_M:
+        raise ValueError(
+            f"{path}: the mesh is {extent_m:.4g} m long, at least {MINIMUM_EXTENT_M} m expected; "
+            "is it in metres, and scaled once too often?"
+        )
+
+
+def _read_closed_surface(path: Path) -> tuple[FloatArray, NDArray[np.int32]]:
+    import trimesh  # half a second, and primitives do without
+
+    try:
+        mesh: Any = trimesh.load(path, force="mesh", process=True)
+    except Exception as error:  # the readers raise whatever their parsers meet
+        raise ValueError(f"{path}: not a readable mesh: {error}") from error
+    faces = getattr(mesh, "faces", None)
+    if faces is None or len(faces) == 0:
+        raise ValueError(f"{path}: the mesh has no triangles")
+    if len(faces) > MAXIMUM_TRIANGLE_COUNT:
+        raise ValueError(
+            f"{path}: {len(faces)} triangles, at most {MAXIMUM_TRIANGLE_COUNT} expected; "
+            "simplify it"
+        )
+    if not np.all(np.isfinite(mesh.vertices)):
+        raise ValueError(f"{path}: a vertex is not finite")
+    if not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0):
+        mesh.update_faces(mesh.nondegenerate_faces())
+        mesh.update_faces(mesh.unique_faces())
+        trimesh.repair.fix_normals(mesh, multibody=True)
+    if len(mesh.faces) == 0:
+        raise ValueError(f"{path}: every triangle of the mesh is empty")
+    if not mesh.is_watertight:
+        raise ValueError(
+            f"{path}: the mesh is not closed ({_open_edge_count(mesh)} edges do not join exactly "
+            "two triangles); close its holes in a mesh editor, they are not filled here"
+        )
+    if not mesh.is_winding_consistent or not mesh.volume > 0.0:
+        raise ValueError(f"{path}: the mesh's triangles do not enclose a volume; check its normals")
+    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int32)
+
+
+def _open_edge_count(mesh: Any) -> int:
+    _, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    return int(np.sum(count != 2))
+
+
+def _turn(away: str) -> FloatArray:
+    axis = np.zeros(3)
+    axis["xyz".index(away[1])] = 1.0 if away[0] == "+" else -1.0
+    up = np.array([0.0, 0.0, 1.0])
+    if away == "-z":
+        return np.diag([1.0, -1.0, -1.0])
+    cross = np.cross(axis, up)
+    skew = np.array(
+        [[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]]
+    )
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1.0 + axis @ up))
+
+
+_TURN_TO_Z = {name: _turn(name) for name in ("+x", "-x", "+y", "-y", "+z", "-z")}
+
+
+def _rounded(inner: FloatArray, radius: float) -> FloatArray:
+    outside = np.linalg.norm(np.maximum(inner, 0.0), axis=1)
+    return np.asarray(outside + np.minimum(inner.max(axis=1), 0.0) - radius)
+
+
+def _meridian(points: FloatArray) -> FloatArray:
+    return np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=1)
+
+
+def _sphere_distance(points: FloatArray, radius: float) -> FloatArray:
+    return np.asarray(np.linalg.norm(points - [0.0, 0.0, radius], axis=1) - radius)
+
+
+def _box_distance(
+    points: FloatArray, size_x: float, size_y: float, size_z: float, edge: float
+) -> FloatArray:
+    half = np.array([size_x, size_y, size_z]) / 2.0
+    return _rounded(np.abs(points - [0.0, 0.0, half[2]]) - (half - edge), edge)
+
+
+def _cylinder_distance(points: FloatArray, radius: float, length: float, edge: float) -> FloatArray:
+    inner = _meridian(points) - [0.0, length / 2.0]
+    inner[:, 1] = np.abs(inner[:, 1])
+    return _rounded(inner - [radius - edge, length / 2.0 - edge], edge)
+
+
+def _cone_distance(points: FloatArray, half_angle: float, height: float, tip: float) -> FloatArray:
+    # A sharp cone from z = tip to height - tip, grown by the tip's radius.
+    rho, z = _meridian(points).T
+    inner_height = height - 2.0 * tip
+    sine, cosine = np.sin(half_angle), np.cos(half_angle)
+    up = z - tip
+    along = np.clip(rho * sine + up * cosine, 0.0, inner_height / cosine)
+    flank = np.hypot(rho - along * sine, up - along * cosine)
+    face = np.hypot(rho - np.clip(rho, 0.0, inner_height * sine / cosine), up - inner_height)
+    inside = (rho * cosine < up * sine) & (up < inner_height)
+    return np.asarray(np.where(inside, -1.0, 1.0) * np.minimum(flank, face) - tip)
+
+
+def _capsule_distance(points: FloatArray, radius: float, length: float) -> FloatArray:
+    rho, z = _meridian(points).T
+    return np.asarray(np.hypot(rho, z - np.clip(z, radius, radius + length)) - radius)
+
+
+def _torus_distance(points: FloatArray, major: float, minor: float) -> FloatArray:
+    rho, z = _meridian(points).T
+    return np.asarray(np.hypot(rho - major, z - minor) - minor)
+
+
+def _primitive_bounds(
+    kind: IndenterKind, parameters: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
+    match kind:
+        case IndenterKind.SPHERE:
+            half, height = (parameters[0],) * 2, 2.0 * parameters[0]
+        case IndenterKind.BOX:
+            half, height = (parameters[0] / 2.0, parameters[1] / 2.0), parameters[2]
+        case IndenterKind.CYLINDER:
+            half, height = (parameters[0],) * 2, parameters[1]
+        case IndenterKind.CONE:
+            angle, height, tip = parameters
+            half = ((height - 2.0 * tip) * np.tan(angle) + tip,) * 2
+        case IndenterKind.CAPSULE:
+            half, height = (parameters[0],) * 2, parameters[1] + 2.0 * parameters[0]
+        case IndenterKind.TORUS:
+            half, height = (parameters[0] + parameters[1],) * 2, 2.0 * parameters[1]
+        case _:
+            raise ValueError(f"{kind!r} is no primitive")
+    return np.array([-half[0], -half[1], 0.0]), np.array([half[0], half[1], height])
+
+
+_PRIMITIVE_DISTANCE: dict[IndenterKind, Callable[..., FloatArray]] = {
+    IndenterKind.SPHERE: _sphere_distance,
+    IndenterKind.BOX: _box_distance,
+    IndenterKind.CYLINDER: _cylinder_distance,
+    IndenterKind.CONE: _cone_distance,
+    IndenterKind.CAPSULE: _capsule_distance,
+    IndenterKind.TORUS: _torus_distance,
+}
+
+_FACTORIES: dict[str, Callable[..., Indenter]] = {
+    "sphere": sphere,
+    "box": box,
+    "box_edge": box_edge,
+    "flat_punch": flat_punch,
+    "lying_cylinder": lying_cylinder,
+    "capsule": capsule,
+    "cone": cone,
+    "torus": torus,
+}

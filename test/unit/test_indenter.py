@@ -1,0 +1,365 @@
+"""Indenters: exact distances, grids, kernels, meshes that must be refused, definitions."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+import warp as wp
+from numpy.typing import NDArray
+
+from dotsim_ros.gel.distance_field import IndenterField, indenter_distance, indenter_field
+from dotsim_ros.geometry.indenter import (
+    Indenter,
+    box,
+    box_edge,
+    capsule,
+    cone,
+    flat_punch,
+    load_indenter,
+    load_mesh,
+    lying_cylinder,
+    sphere,
+    torus,
+)
+
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+STAND_IN_MESHES = sorted((SHARED / "measured/sensor_a/indenters").glob("*.stl"))
+REAL_MESHES = sorted((SHARED / "real/indenters").glob("*.stl"))
+
+PRIMITIVES = {
+    "sphere": sphere(0.004),
+    "sharp_box": box([0.006, 0.004, 0.005]),
+    "box": box([0.006, 0.004, 0.005], 0.0005),
+    "box_edge": box_edge([0.008, 0.006, 0.005], 0.0003),
+    "flat_punch": flat_punch(0.003, 0.008, 0.0005),
+    "lying_cylinder": lying_cylinder(0.002, 0.006, 0.0002),
+    "cone": cone(np.radians(36.0), 0.009, 0.001),
+    "sharp_cone": cone(np.radians(50.0), 0.006),
+    "capsule": capsule(0.002, 0.004),
+    "torus": torus(0.0028, 0.0015),
+}
+CORNER = 0.0005 * (np.sqrt(3.0) - 1.0)
+
+
+@wp.kernel
+def evaluate(
+    field: IndenterField,
+    points: wp.array(dtype=wp.vec3),
+    distance: wp.array(dtype=float),
+    gradient: wp.array(dtype=wp.vec3),
+    hessian: wp.array(dtype=wp.mat33),
+):
+    i = wp.tid()
+    d, g, h = indenter_distance(field, points[i])
+    distance[i] = d
+    gradient[i] = g
+    hessian[i] = h
+
+
+def run_kernel(indenter: Indenter, points: NDArray[np.float64]) -> tuple[wp.array, ...]:
+    count = len(points)
+    inputs = wp.array(points, dtype=wp.vec3, device="cpu", requires_grad=True)
+    outputs = (
+        wp.zeros(count, dtype=float, device="cpu", requires_grad=True),
+        wp.zeros(count, dtype=wp.vec3, device="cpu"),
+        wp.zeros(count, dtype=wp.mat33, device="cpu"),
+    )
+    field = indenter_field(indenter, device="cpu")
+    tape = wp.Tape()
+    with tape:
+        wp.launch(evaluate, count, inputs=[field, inputs], outputs=list(outputs), device="cpu")
+    tape.backward(grads={outputs[0]: wp.ones(count, dtype=float, device="cpu")})
+    return (*outputs, inputs.grad)
+
+
+def points_around(indenter: Indenter, count: int = 4000) -> NDArray[np.float64]:
+    bounds = indenter.bounds_m()
+    return np.random.default_rng(1).uniform(bounds[0] - 0.002, bounds[1] + 0.002, (count, 3))
+
+
+def numerical_gradient(indenter: Indenter, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    step = 1e-7
+    return np.stack(
+        [
+            (
+                indenter.signed_distance(points + step * axis)
+                - indenter.signed_distance(points - step * axis)
+            )
+            / (2 * step)
+            for axis in np.eye(3)
+        ],
+        axis=1,
+    )
+
+
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_tip_is_the_lowest_point(name: str) -> None:
+    indenter = PRIMITIVES[name]
+    tip = [0.0028, 0.0, 0.0] if name == "torus" else [0.0, 0.0, 0.0]
+    assert indenter.signed_distance([tip])[0] == pytest.approx(0.0, abs=1e-12)
+    plane = points_around(indenter)
+    plane[:, 2] = -1e-9
+    assert indenter.signed_distance(plane).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("indenter", "point", "expected"),
+    [
+        (sphere(0.004), [0.0, 0.0, 0.004], -0.004),
+        (sphere(0.004), [0.003, 0.0, 0.0], 0.001),
+        (box([0.006, 0.004, 0.005]), [0.0, 0.0, 0.0025], -0.002),
+        (box([0.006, 0.004, 0.005]), [0.006, 0.006, 0.0025], 0.005),
+        (box([0.006, 0.004, 0.005], 0.0005), [0.003, 0.002, 0.0], CORNER),
+        (flat_punch(0.003, 0.008), [0.006, 0.0, -0.004], 0.005),
+        (flat_punch(0.003, 0.008), [0.0, 0.002, 0.004], -0.001),
+        (lying_cylinder(0.002, 0.006), [0.0, 0.004, 0.002], 0.001),
+        (lying_cylinder(0.002, 0.006), [0.005, 0.0, 0.002], 0.003),
+        (cone(np.pi / 4, 0.01), [0.001, 0.0, 0.0], 0.001 * np.sqrt(0.5)),
+        (cone(np.pi / 4, 0.01), [0.0, 0.0, -0.001], 0.001),
+        (cone(np.pi / 4, 0.01), [0.0, 0.0, 0.012], 0.002),
+        (capsule(0.002, 0.004), [0.0, 0.005, 0.002], 0.001),
+        (torus(0.003, 0.001), [0.0, 0.0, 0.001], 0.002),
+    ],
+)
+def test_distance_equals_the_value_by_hand(
+    indenter: Indenter, point: list[float], expected: float
+) -> None:
+    assert indenter.signed_distance([point])[0] == pytest.approx(expected, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_gradient_has_unit_length_away_from_the_medial_axis(name: str) -> None:
+    indenter = PRIMITIVES[name]
+    points = points_around(indenter)
+    length = np.linalg.norm(numerical_gradient(indenter, points), axis=1)
+    outside = indenter.signed_distance(points) > 0.0
+    if name == "torus":
+        outside &= np.hypot(points[:, 0], points[:, 1]) > 1e-5
+    assert np.abs(length[outside] - 1.0).max() < 1e-5
+    assert np.mean(np.abs(length - 1.0) < 1e-5) > 0.99
+
+
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_distance_is_that_to_the_nearest_surface_point(name: str) -> None:
+    indenter = PRIMITIVES[name]
+    points = points_around(indenter)
+    gradient = numerical_gradient(indenter, points)
+    smooth = np.abs(np.linalg.norm(gradient, axis=1) - 1.0) < 1e-6
+    foot = points - indenter.signed_distance(points)[:, None] * gradient
+    assert np.abs(indenter.signed_distance(foot[smooth])).max() < 1e-8
+
+
+@pytest.mark.parametrize("name", PRIMITIVES)
+def test_kernel_agrees_with_the_double_precision_distance(name: str) -> None:
+    indenter = PRIMITIVES[name]
+    points = points_around(indenter).astype(np.float32).astype(np.float64)
+    distance, gradient, hessian, taped = (array.numpy() for array in run_kernel(indenter, points))
+    numerical = numerical_gradient(indenter, points)
+    # Within a micrometre of a crease of the distance either side's gradient is right.
+    smooth = np.abs(np.linalg.norm(numerical, axis=1) - 1.0) < 1e-5
+    assert np.abs(distance - indenter.signed_distance(points)).max() < 1e-8
+    assert np.quantile(np.abs(gradient - numerical)[smooth], 0.999) < 1e-4
+    assert np.quantile(np.abs(taped - numerical)[smooth], 0.999) < 1e-3
+
+    far = smooth & (indenter.signed_distance(points) > 5e-4)
+    direction = np.array([0.36, -0.48, 0.8])
+    step = 1e-6
+    ahead = numerical_gradient(indenter, points + step * direction)
+    behind = numerical_gradient(indenter, points - step * direction)
+    change = (ahead - behind) / (2 * step)
+    error = np.abs(hessian @ direction - change)[far]
+    assert np.quantile(error, 0.99) < 1e-2 * np.abs(change[far]).max()
+
+
+@pytest.fixture(scope="module")
+def ball(tmp_path_factory: pytest.TempPathFactory) -> Indenter:
+    path = tmp_path_factory.mktemp("mesh") / "ball.ply"
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=4.0)
+    mesh.apply_translation([0.0, 0.0, 4.0])
+    mesh.export(path)
+    return load_mesh(path, 0.001)
+
+
+def test_mesh_of_a_sphere_agrees_with_the_sphere(ball: Indenter) -> None:
+    points = points_around(ball)
+    error = ball.signed_distance(points) - sphere(0.004).signed_distance(points)
+    assert np.abs(error).max() < 3e-6  # the facets' sagitta: 2.4 um
+
+
+def test_distance_grid_is_as_exact_as_the_mesh_near_the_surface(ball: Indenter) -> None:
+    grid = ball.distance_grid(2e-4)
+    points = points_around(ball)
+    exact = sphere(0.004).signed_distance(points)
+    near = np.abs(exact) < 1e-3
+    assert np.abs(grid.sample(points) - exact)[near].max() < 5e-6
+    far = np.array([[0.05, 0.0, 0.0], [0.0, 0.0, -0.05]])
+    assert np.all(grid.sample(far) > 0.035)
+
+
+def test_kernel_samples_the_grid_with_a_continuous_gradient(ball: Indenter) -> None:
+    points = points_around(ball)
+    distance, gradient, _, taped = (array.numpy() for array in run_kernel(ball, points))
+    assert np.abs(distance - ball.distance_grid().sample(points)).max() < 1e-7
+    assert np.abs(taped - gradient).max() < 1e-3
+    near = np.abs(distance) < 1e-3
+    assert np.abs(np.linalg.norm(gradient, axis=1) - 1.0)[near].max() < 0.02
+    line = np.linspace([0.0, -0.006, 0.001], [0.0003, 0.006, 0.0011], 20001)
+    _, along, _, _ = (array.numpy() for array in run_kernel(ball, line))
+    assert np.linalg.norm(np.diff(along, axis=0), axis=1).max() < 5e-3
+
+
+def test_kernel_continues_outside_of_the_grid(ball: Indenter) -> None:
+    points = np.array([[1.0, -2.0, 3.0], [0.0, 0.0, -0.1], [np.float32(1e6), 0.0, 0.0]])
+    distance, gradient, _, _ = (array.numpy() for array in run_kernel(ball, points))
+    assert np.all(distance > 0.5 * np.linalg.norm(points, axis=1))
+    assert np.all(np.isfinite(gradient))
+
+
+def closed_mesh() -> trimesh.Trimesh:
+    mesh = trimesh.creation.box(extents=[0.004, 0.004, 0.004])
+    mesh.apply_translation([0.0, 0.0, 0.002])
+    return mesh
+
+
+def test_mesh_with_a_hole_is_refused(tmp_path: Path) -> None:
+    mesh = closed_mesh()
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    mesh.export(tmp_path / "hole.stl")
+    with pytest.raises(ValueError, match=r"not closed \(3 edges"):
+        load_mesh(tmp_path / "hole.stl")
+
+
+def test_mesh_in_millimetres_is_refused_with_advice(tmp_path: Path) -> None:
+    mesh = closed_mesh()
+    mesh.apply_scale(1000.0)
+    mesh.export(tmp_path / "millimetres.stl")
+    with pytest.raises(ValueError, match=r"scale=0\.001"):
+        load_mesh(tmp_path / "millimetres.stl")
+    loaded = load_mesh(tmp_path / "millimetres.stl", 0.001)
+    assert loaded.signed_distance([[0.0, 0.0, 0.002]])[0] == pytest.approx(-0.002, abs=1e-8)
+    with pytest.raises(ValueError, match="scaled once too often"):
+        load_mesh(tmp_path / "millimetres.stl", 1e-6)
+
+
+@pytest.mark.parametrize("content", [b"", b"solid nothing\nendsolid nothing\n", b"\x00\xff" * 90])
+def test_broken_file_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "broken.stl").write_bytes(content)
+    with pytest.raises(ValueError, match=r"broken\.stl"):
+        load_mesh(tmp_path / "broken.stl")
+
+
+def test_inverted_and_doubled_triangles_are_repaired(tmp_path: Path) -> None:
+    mesh = closed_mesh()
+    mesh.invert()
+    mesh = trimesh.Trimesh(mesh.vertices, np.vstack([mesh.faces, mesh.faces[:2]]), process=False)
+    mesh.export(tmp_path / "inverted.ply")
+    loaded = load_mesh(tmp_path / "inverted.ply")
+    assert loaded.signed_distance([[0.0, 0.0, 0.001]])[0] == pytest.approx(-0.001, abs=1e-8)
+
+
+def test_mesh_is_turned_and_moved_to_its_tip(tmp_path: Path) -> None:
+    mesh = trimesh.creation.cone(radius=0.003, height=0.006)
+    mesh.export(tmp_path / "cone.obj")  # its apex points along +z
+    loaded = load_mesh(tmp_path / "cone.obj", away_axis="-z", origin="tip")
+    assert loaded.bounds_m()[0][2] == pytest.approx(0.0)
+    probe = np.array([[0.0, 0.0, 0.001], [0.002, 0.0, 0.001], [0.002, 0.0, 0.0055]])
+    assert np.sign(loaded.signed_distance(probe)).tolist() == [-1.0, 1.0, -1.0]
+
+
+def test_missing_file_and_unknown_format_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError):
+        load_mesh(tmp_path / "nothing.stl")
+    (tmp_path / "shape.step").write_text("ISO-10303-21;")
+    with pytest.raises(ValueError, match="expected a mesh file"):
+        load_mesh(tmp_path / "shape.step")
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: sphere(-0.004), "radius_m"),
+        (lambda: sphere(float("nan")), "radius_m"),
+        (lambda: sphere(4.0), r"at most 0\.2 m"),
+        (lambda: box([0.004, 0.004]), "3 lengths"),
+        (lambda: box([0.004, 0.004, 0.004], 0.003), "rounding"),
+        (lambda: torus(0.001, 0.002), "minor_radius_m"),
+        (lambda: cone(np.pi, 0.004), "half_angle_rad"),
+    ],
+)
+def test_impossible_primitives_are_refused(build: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        build()  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("path", STAND_IN_MESHES or [None])
+def test_stand_in_meshes_touch_at_the_origin_plane(path: Path | None) -> None:
+    if path is None:
+        pytest.skip("no measured data beside this checkout")
+    indenter = load_mesh(path)
+    assert indenter.bounds_m()[0][2] == pytest.approx(0.0, abs=2e-5)
+    middle = indenter.bounds_m().mean(axis=0)
+    assert np.all(np.isfinite(indenter.signed_distance([middle])))
+
+
+def test_stand_in_sphere_and_torus_agree_with_the_primitives() -> None:
+    if not STAND_IN_MESHES:
+        pytest.skip("no measured data beside this checkout")
+    for stem, primitive in (("1_sphere", sphere(0.004)), ("4_torus", torus(0.0028, 0.0015))):
+        path = next(path for path in STAND_IN_MESHES if path.stem == stem)
+        points = points_around(primitive, 500)
+        error = load_mesh(path).signed_distance(points) - primitive.signed_distance(points)
+        assert np.abs(error).max() < 3e-5
+
+
+@pytest.mark.parametrize("path", REAL_MESHES or [None])
+def test_real_meshes_load_in_millimetres_only(path: Path | None) -> None:
+    if path is None:
+        pytest.skip("no real indenters beside this checkout")
+    with pytest.raises(ValueError, match="millimetres"):
+        load_mesh(path)
+    indenter = load_mesh(path, 0.001, away_axis="-y", origin="tip")
+    assert indenter.mesh is not None
+    inside = indenter.signed_distance(indenter.mesh.vertices_m[::50] * [1.0, 1.0, 0.0] - 1e-4)
+    assert np.all(inside > 0.0)
+    assert np.abs(indenter.signed_distance(indenter.mesh.vertices_m[::50])).max() < 1e-6
+
+
+@pytest.mark.parametrize(
+    "name", ["sphere_4mm", "box_edge", "flat_punch", "cone", "lying_cylinder", "torus"]
+)
+def test_shipped_definitions_load(name: str) -> None:
+    indenter = load_indenter(name)
+    assert indenter.name == name
+    assert indenter.signed_distance([[0.0, 0.0, -0.001]])[0] >= 0.001 - 1e-12
+
+
+def test_definitions_of_every_form_load(tmp_path: Path) -> None:
+    closed_mesh().export(tmp_path / "cube.stl")
+    (tmp_path / "cube.yaml").write_text("kind: mesh\npath: cube.stl\nname: cube\n")
+    assert load_indenter(tmp_path / "cube.yaml").name == "cube"
+    assert load_indenter(tmp_path / "cube.stl").mesh is not None
+    assert load_indenter({"kind": "sphere", "radius_m": 0.003}).parameters == (0.003,)
+
+
+@pytest.mark.parametrize(
+    ("definition", "message"),
+    [
+        ("kind: pyramid\n", "kind must be one of"),
+        ("kind: sphere\nradius: 0.004\n", "radius"),
+        ("kind: sphere\nradius_m: four\n", "radius_m"),
+        ("- sphere\n", "expected a mapping"),
+        ("kind: [\n", "not a YAML file"),
+    ],
+)
+def test_bad_definitions_are_refused(tmp_path: Path, definition: str, message: str) -> None:
+    (tmp_path / "bad.yaml").write_text(definition)
+    with pytest.raises(ValueError, match=message):
+        load_indenter(tmp_path / "bad.yaml")
+
+
+def test_unknown_name_is_refused() -> None:
+    with pytest.raises(FileNotFoundError, match="no_such_indenter"):
+        load_indenter("no_such_indenter")
