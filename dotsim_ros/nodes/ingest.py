@@ -1,0 +1,104 @@
+"""Faults of what a node is told: their closed set, who may speak, and what is worth a log line.
+
+Needs no ROS.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from enum import StrEnum
+
+import numpy as np
+
+
+class Fault(StrEnum):
+    """Why an input was refused or taken as a new start; the value names its counter."""
+
+    NUMBERS = "invalid_numbers"
+    FRAME = "wrong_frame"
+    ORDER = "out_of_order"
+    BOTH = "both_inputs"
+    GEL = "refused_by_gel"
+    JUMP = "jumps"
+    RESTART = "time_restarts"
+
+
+class RefusedInputError(ValueError):
+    """An input that is not simulated.
+
+    Attributes:
+        fault: which of the closed set.
+    """
+
+    def __init__(self, fault: Fault, reason: str) -> None:
+        super().__init__(reason)
+        self.fault = fault
+
+
+class InputArbiter:
+    """Lets one input at a time move the indenter.
+
+    Args:
+        timeout_s: an input that is silent for so long gives way to the other.
+    """
+
+    def __init__(self, *, timeout_s: float) -> None:
+        self.timeout_s = timeout_s
+        self._speaker = ""
+        self._heard_s = -np.inf
+
+    def is_silent(self, now_s: float) -> bool:
+        """Return whether no input speaks at the moment."""
+        return now_s - self._heard_s > self.timeout_s
+
+    def silence_s(self, now_s: float) -> float | None:
+        """Return for how long no input has spoken; None before the first."""
+        return now_s - self._heard_s if self._speaker else None
+
+    def admit(self, name: str, now_s: float) -> bool:
+        """Hear an input; return whether it takes over from another one.
+
+        Raises:
+            RefusedInputError: the other one speaks.
+        """
+        if name != self._speaker and not self.is_silent(now_s):
+            raise RefusedInputError(
+                Fault.BOTH,
+                f"{name} comes while {self._speaker} moves the indenter: stop one of the two, or "
+                "set the parameter input",
+            )
+        takes_over = self._speaker not in ("", name)
+        self._speaker, self._heard_s = name, now_s
+        return takes_over
+
+
+class FaultLog:
+    """Counts faults and says which are worth a line in the log.
+
+    Args:
+        period_s: time between two lines about faults of one kind.
+
+    Attributes:
+        last_reason: of the newest fault, in words.
+        last_s: when that was.
+    """
+
+    def __init__(self, *, period_s: float = 5.0) -> None:
+        self._period_s = period_s
+        self._count: Counter[Fault] = Counter()
+        self._logged_s: dict[Fault, float] = {}
+        self.last_reason = ""
+        self.last_s = -np.inf
+
+    def note(self, fault: Fault, reason: str, now_s: float) -> bool:
+        """Count a fault; return whether to log it."""
+        self._count[fault] += 1
+        self.last_reason, self.last_s = reason, now_s
+        if now_s - self._logged_s.get(fault, -np.inf) < self._period_s:
+            return False
+        self._logged_s[fault] = now_s
+        return True
+
+    def counts(self) -> dict[Fault, int]:
+        """Return how often each fault has happened, all of them."""
+        return {fault: self._count[fault] for fault in Fault}

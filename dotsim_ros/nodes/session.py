@@ -1,0 +1,93 @@
+"""One sensor under a stream of motions: new starts, refusals, and the last valid frame.
+
+Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.nodes.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.motion import NANOSECONDS_PER_SECOND, Motion
+
+if TYPE_CHECKING:
+    from dotsim_ros.geometry.indenter import Indenter
+    from dotsim_ros.sensor import Frame, TactileSensor
+
+WARM_UP_DEPTH_M = 0.0005
+
+
+class SensorSession:
+    """Runs a sensor; after anything that breaks the motion it goes on as a fresh one would.
+
+    Args:
+        sensor: the sensor, at rest.
+        first_dt_s: the time step of a motion that nothing leads to.
+
+    Attributes:
+        frame: the last valid frame.
+    """
+
+    def __init__(self, sensor: TactileSensor, *, first_dt_s: float) -> None:
+        self._sensor = sensor
+        self._first_dt_s = first_dt_s
+        self._last_stamp_ns: int | None = None
+        self._is_broken = False
+        self.frame: Frame = sensor.step(None, first_dt_s)
+
+    def warm_up(self) -> float:
+        """Press once and forget it, so that no frame waits for a compiler; return the seconds."""
+        start_s = time.monotonic()
+        apex_m = self._sensor.skin.rest_position_m[:, 2].max()
+        self._sensor.step(Pose(np.array([0.0, 0.0, apex_m - WARM_UP_DEPTH_M])), self._first_dt_s)
+        self.reset()
+        return time.monotonic() - start_s
+
+    def follow(self, motion: Motion) -> Frame:
+        """Simulate a motion.
+
+        Raises:
+            RefusedInputError: the gel refuses the pose; the last frame stays, and the next motion
+                starts from rest.
+        """
+        if motion.new_start is not None or self._is_broken:
+            self._sensor.reset()
+            self._last_stamp_ns = None
+        try:
+            self.frame = self._sensor.step(motion.pose, self._step_s(motion.stamp_ns))
+        except ValueError as error:
+            self._is_broken = True
+            raise RefusedInputError(Fault.GEL, str(error)) from error
+        self._is_broken = False
+        self._last_stamp_ns = motion.stamp_ns
+        return self.frame
+
+    def _step_s(self, stamp_ns: int) -> float:
+        if self._last_stamp_ns is None or stamp_ns <= self._last_stamp_ns:
+            return self._first_dt_s
+        return (stamp_ns - self._last_stamp_ns) / NANOSECONDS_PER_SECOND
+
+    def reset(self) -> None:
+        """Bring the gel to rest, with no indenter near it."""
+        self._sensor.reset()
+        self._last_stamp_ns = None
+        self._is_broken = False
+        self.frame = self._sensor.step(None, self._first_dt_s)
+        self._sensor.reset()
+
+    def change_indenter(self, indenter: Indenter) -> None:
+        """Press with another indenter from now on, from rest.
+
+        Raises:
+            ValueError: the sensor refuses it; the one before stays.
+        """
+        self._sensor.set_indenter(indenter)
+        self.reset()
+
+    def is_touched(self) -> bool:
+        """Return whether the last frame shows a contact."""
+        return bool(np.any(self.frame.wrench.force_n != 0.0))

@@ -1,0 +1,256 @@
+"""`tactile_sim`: stands where an optical tactile sensor's driver would.
+
+An indenter's pose or velocity goes in; images, depth, the skin and the wrench come out.
+"""
+
+from __future__ import annotations
+
+import time
+from threading import Event, RLock, Thread
+from typing import Any
+
+import cv2
+import numpy as np
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from numpy.typing import NDArray
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from std_srvs.srv import SetBool, Trigger
+
+import msg_adapters
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.nodes.declare import declare, follow
+from dotsim_ros.nodes.frame_publishers import FramePublishers
+from dotsim_ros.nodes.health import Condition, FrameCounter, statuses
+from dotsim_ros.nodes.ingest import FaultLog
+from dotsim_ros.nodes.motion import Motion, NewestMotion
+from dotsim_ros.nodes.motion_input import MotionInput
+from dotsim_ros.nodes.pace import FramePace
+from dotsim_ros.nodes.session import SensorSession
+from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.static_frame import publish_static_frame
+from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
+from dotsim_ros.sensor import Frame, TactileSensor
+
+
+class TactileSim(Node):
+    """The node; parameters, topics and services as the README lists them."""
+
+    def __init__(self) -> None:
+        super().__init__("tactile_sim")
+        self._settings = declare(self, TactileSimParameters)
+        self._lock = RLock()
+        self._stop = Event()
+        self._failure: BaseException | None = None
+        self._is_enabled = True
+        self._is_realtime = self._settings.clock == REALTIME
+        sensor = self._make_sensor()
+        self._session = SensorSession(sensor, first_dt_s=1.0 / self._settings.rate_hz)
+        self.get_logger().info("warming up: the first start compiles the kernels")
+        warm_up_s = self._session.warm_up()
+        self._counter = FrameCounter()
+        self._faults = FaultLog()
+        self._newest = NewestMotion()
+        self._pace = self._new_pace()
+        self._outputs = FramePublishers(self, sensor, self._settings)
+        self._input = MotionInput(
+            self,
+            self._settings,
+            faults=self._faults,
+            on_motion=self._newest.put if self._is_realtime else self._lockstep_frame,
+        )
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        # A steady clock: also without /clock somebody must be told what is wrong.
+        self.create_timer(
+            self._settings.diagnostics_period_s,
+            self._report,
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
+        self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
+        follow(self, lambda: self._settings, self._change_parameters)
+        if self._settings.publish_tf:
+            self._static_frame = publish_static_frame(
+                self,
+                sensor.camera.pose,
+                parent=self._settings.base_frame,
+                child=self._settings.optical_frame,
+            )
+        self._thread = Thread(target=self._run_frames, name="frames", daemon=True)
+        if self._is_realtime:
+            self._thread.start()
+        self.get_logger().info(
+            f"ready: {self._settings.sensor}, {self._settings.indenter}, "
+            f"{self._settings.clock}, warmed up in {warm_up_s:.1f} s"
+        )
+
+    def destroy_node(self) -> None:
+        """Stop the frames, then the node."""
+        self._stop.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        super().destroy_node()
+
+    def _make_sensor(self) -> TactileSensor:
+        sensor = TactileSensor(
+            load_sensor(self._settings.sensor),
+            indenter=indenter_of(self._settings.indenter),
+            device=self._settings.device,
+        )
+        if self._settings.idle_image:
+            sensor.set_idle_image(read_rgb(self._settings.idle_image))
+        return sensor
+
+    def _new_pace(self) -> FramePace:
+        return FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
+
+    def _run_frames(self) -> None:
+        try:
+            while not self._stop.wait(max(0.0, self._pace.deadline_s() - time.monotonic())):
+                self._pace.begin(time.monotonic())
+                self._realtime_frame()
+        except Exception as error:
+            # Publishing into a context that a signal has shut down is how a run ends.
+            if self.context.ok():
+                self._failure = error
+
+    def _realtime_frame(self) -> None:
+        stamp_ns = self.get_clock().now().nanoseconds
+        if stamp_ns == 0:
+            return
+        with self._lock:
+            if not self._is_enabled:
+                return
+            self._input.integrate(stamp_ns, 1.0 / self._settings.rate_hz)
+            motion = self._newest.take()
+            if motion is not None:
+                self._input.guard(lambda: self._session.follow(motion))
+            self._publish(self._session.frame, stamp_ns)
+
+    def _lockstep_frame(self, motion: Motion) -> None:
+        with self._lock:
+            if self._is_enabled:
+                self._publish(self._session.follow(motion), motion.stamp_ns)
+
+    def _publish(self, frame: Frame, stamp_ns: int) -> None:
+        begun_s = time.monotonic()
+        self._outputs.publish(frame, stamp_ns)
+        now_s = time.monotonic()
+        self._counter.note(now_s, {**frame.timings_s, "publish": now_s - begun_s})
+
+    def _report(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+        if self.get_clock().now().nanoseconds == 0:
+            self.get_logger().warning(
+                "use_sim_time is set and /clock is silent: there is no time to stamp frames with",
+                throttle_duration_sec=5.0,
+            )
+        with self._lock:
+            condition = Condition(
+                is_enabled=self._is_enabled,
+                silence_s=self._input.silence_s(),
+                timeout_s=self._settings.input_timeout_s if self._is_realtime else np.inf,
+                is_realtime=self._is_realtime,
+                late=self._pace.late,
+                dropped=self._pace.dropped,
+            )
+            states = statuses(
+                self.get_name(),
+                self._settings.sensor,
+                condition=condition,
+                counter=self._counter,
+                faults=self._faults,
+                frame=self._session.frame,
+                effects=(),
+                now_s=time.monotonic(),
+            )
+        self._diagnostics.publish(
+            msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
+        )
+
+    def _start_anew(self) -> None:
+        self._newest.take()
+        self._input.forget()
+        self._session.reset()
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            self._start_anew()
+        response.success, response.message = True, "the gel is at rest"
+        return response
+
+    def _on_calibrate_idle(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            if self._session.is_touched():
+                response.success = False
+                response.message = "the indenter touches the gel: lift it, then calibrate"
+                return response
+            self._session.reset()
+            self._outputs.publish_idle(self._session.frame, self.get_clock().now().nanoseconds)
+        response.success = True
+        response.message = f"the image at rest is on {self.get_fully_qualified_name()}/idle_image"
+        return response
+
+    def _on_set_enabled(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            self._is_enabled = request.data
+            self._start_anew()
+        response.success = True
+        response.message = "enabled" if request.data else "disabled: no frames"
+        return response
+
+    def _change_parameters(self, changed: TactileSimParameters) -> None:
+        indenter = (
+            None if changed.indenter == self._settings.indenter else indenter_of(changed.indenter)
+        )
+        with self._lock:
+            self._outputs.configure(changed)
+            if indenter is not None:
+                self._session.change_indenter(indenter)
+                self._input.forget()
+            self._input.configure(changed)
+            has_new_rate = changed.rate_hz != self._settings.rate_hz
+            self._settings = changed
+            if has_new_rate:
+                self._pace = self._new_pace()
+
+
+def indenter_of(text: str) -> Indenter:
+    """Return the indenter of a name, a path, or a definition in braces.
+
+    Raises:
+        ValueError: no valid indenter.
+        FileNotFoundError: no such file or name.
+    """
+    if not text.lstrip().startswith("{"):
+        return load_indenter(text)
+    try:
+        definition = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError(f"indenter {text!r} is no definition in braces: {error}") from error
+    return load_indenter(definition)
+
+
+def read_rgb(path: str) -> NDArray[np.uint8]:
+    """Return an image file as (H, W, 3) uint8 RGB.
+
+    Raises:
+        ValueError: no file, or no image that OpenCV reads.
+    """
+    pixels = cv2.imread(path, cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise ValueError(f"{path}: no image that can be read; expected a PNG or JPEG file")
+    return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
+
+
+def main() -> int:
+    """Run the node until it is stopped; return the exit status."""
+    return run_node(TactileSim)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
