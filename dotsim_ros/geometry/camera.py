@@ -137,6 +137,11 @@ class FisheyeCamera:
         x, y = self.principal_point_px
         return np.array([[self.focal_px, 0.0, x], [0.0, self.focal_px, y], [0.0, 0.0, 1.0]])
 
+    @property
+    def widest_angle_rad(self) -> float:
+        """Return the largest angle from the axis that the distortion gives an image of its own."""
+        return _widest_angle(self.distortion)
+
     def scaled(self, width: int, height: int) -> FisheyeCamera:
         """Return the camera of the same view with another number of pixels.
 
@@ -169,7 +174,7 @@ class FisheyeCamera:
         points = np.asarray(points_optical_m, dtype=np.float64)
         across = np.hypot(points[..., 0], points[..., 1])
         angle = np.arctan2(across, points[..., 2])
-        seen = (angle <= _widest_angle(self.distortion)) & ((across > 0.0) | (points[..., 2] > 0.0))
+        seen = (angle <= self.widest_angle_rad) & ((across > 0.0) | (points[..., 2] > 0.0))
         radius = np.where(seen, self.focal_px * distorted_angle(angle, self.distortion), np.nan)
         direction = points[..., :2] / np.where(across > 0.0, across, 1.0)[..., None]
         return radius[..., None] * direction + self.principal_point_px

@@ -1,0 +1,199 @@
+"""What the camera sees of the deformed skin: depth, normals, and the material point of each pixel.
+
+The skin is a triangle mesh of fixed topology; its corners are carried by the gel. Within a
+triangle, depth is that of the plane, normals and material points are interpolated from the
+corners.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import warp as wp
+from numpy.typing import ArrayLike, NDArray
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.optics import kernels
+from dotsim_ros.optics.visibility import (
+    EmbreeFinder,
+    RasterFinder,
+    RayQueryFinder,
+    Visibility,
+    VisibilityFinder,
+    lens_of,
+)
+
+Float32Array = NDArray[np.float32]
+IntArray = NDArray[np.int32]
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class View:
+    """What the camera sees of one shape of the skin. Every array belongs to this view alone.
+
+    Attributes:
+        depth_m: (H, W) distance along the ray; NaN where no skin is seen.
+        normal: (H, W, 3) unit normal in the optical frame, on the camera's side; NaN where no
+            skin is seen.
+        material_point_m: (H, W, 3) where the skin point that is seen lies at rest, in the base
+            frame; NaN where no skin is seen.
+        mask: (H, W) whether skin is seen.
+        triangle: (H, W) the triangle that is seen, -1 for none.
+        barycentric: (H, W, 2) weights of that triangle's second and third corner.
+        vertex_position_m: (V, 3) the skin's vertices in the optical frame.
+        vertex_normal: (V, 3) unit normals out of the gel, in the optical frame.
+        vertex_pixel: (V, 2) the vertices' images, x then y.
+    """
+
+    depth_m: Float32Array
+    normal: Float32Array
+    material_point_m: Float32Array
+    mask: BoolArray
+    triangle: IntArray
+    barycentric: Float32Array
+    vertex_position_m: Float32Array
+    vertex_normal: Float32Array
+    vertex_pixel: Float32Array
+
+
+def faces_around_vertices(triangles: IntArray, vertex_count: int) -> tuple[IntArray, IntArray]:
+    """Return the faces at each vertex, (V + 1,) first entries and (3 T,) face numbers."""
+    corners = triangles.ravel()
+    first = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=vertex_count))])
+    faces = np.argsort(corners, kind="stable") // 3
+    return first.astype(np.int32), faces.astype(np.int32)
+
+
+class SkinRenderer:
+    """Renders shapes of one skin through one camera.
+
+    Args:
+        camera: the camera, fixed in the base frame.
+        skin_mesh: the skin at rest.
+        device: Warp's name of the device, such as "cpu" or "cuda:0".
+        visibility: how to find what a pixel sees; by default the rasteriser on a CPU and Warp's
+            ray query on CUDA.
+
+    Raises:
+        ValueError: the rasteriser or Embree is asked for on a device that is no CPU.
+    """
+
+    def __init__(
+        self,
+        camera: FisheyeCamera,
+        skin_mesh: SkinMesh,
+        *,
+        device: str = "cpu",
+        visibility: Visibility | None = None,
+    ) -> None:
+        self.camera = camera
+        self.skin_mesh = skin_mesh
+        self._device = wp.get_device(device)
+        if visibility is None:
+            visibility = Visibility.RASTER if self._device.is_cpu else Visibility.RAY_QUERY
+        if not self._device.is_cpu and visibility is not Visibility.RAY_QUERY:
+            raise ValueError(
+                f"visibility {visibility.value!r} works on a CPU only, the device is {device!r}; "
+                f"use {Visibility.RAY_QUERY.value!r}"
+            )
+        rays = camera.rays()[0].astype(np.float32)
+        first, faces = faces_around_vertices(skin_mesh.triangles, skin_mesh.vertex_count)
+        self._lens = lens_of(camera)
+        self._rays = self._upload(rays, wp.vec3)
+        self._triangles = self._upload(skin_mesh.triangles, wp.int32)
+        self._first_face = self._upload(first, wp.int32)
+        self._faces_around = self._upload(faces, wp.int32)
+        self._rest_position = self._upload(skin_mesh.rest_position_m.astype(np.float32), wp.vec3)
+        # A CPU kernel costs less when one thread does a whole row.
+        self._run = camera.width if self._device.is_cpu else 1
+        self._finder = self._make_finder(visibility, rays)
+
+    def _upload(self, array: NDArray[np.generic], dtype: type) -> wp.array:
+        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
+
+    def _make_finder(self, visibility: Visibility, rays: Float32Array) -> VisibilityFinder:
+        match visibility:
+            case Visibility.RASTER:
+                return RasterFinder(self.camera, self._rays, self._triangles)
+            case Visibility.EMBREE:
+                return EmbreeFinder(rays, self.skin_mesh.triangles)
+            case Visibility.RAY_QUERY:
+                vertices = self._optical(self.skin_mesh.rest_position_m)
+                return RayQueryFinder(self._rays, self._triangles, vertices)
+
+    def _optical(self, position_m: ArrayLike) -> wp.array:
+        return self._upload(self.camera.to_optical(position_m).astype(np.float32), wp.vec3)
+
+    def render(self, position_m: ArrayLike) -> View:
+        """Return what the camera sees.
+
+        Args:
+            position_m: (V, 3) the skin's vertices, in the base frame.
+
+        Raises:
+            ValueError: another number of vertices than the skin's, or one that is not finite.
+        """
+        position = np.asarray(position_m, dtype=np.float64)
+        if position.shape != (self.skin_mesh.vertex_count, 3):
+            raise ValueError(
+                f"position_m has shape {position.shape}, expected "
+                f"({self.skin_mesh.vertex_count}, 3) as the skin mesh"
+            )
+        if not np.all(np.isfinite(position)):
+            raise ValueError("position_m holds a vertex that is not finite")
+        vertices = self._optical(position)
+        count = len(position)
+        size = (self.camera.height, self.camera.width)
+        vertex_pixel = wp.empty(count, dtype=wp.vec2, device=self._device)
+        vertex_normal = wp.empty(count, dtype=wp.vec3, device=self._device)
+        triangle = wp.empty(size, dtype=wp.int32, device=self._device)
+        barycentric = wp.empty(size, dtype=wp.vec2, device=self._device)
+        depth = wp.empty(size, dtype=wp.float32, device=self._device)
+        normal = wp.empty(size, dtype=wp.vec3, device=self._device)
+        material_point = wp.empty(size, dtype=wp.vec3, device=self._device)
+        wp.launch(
+            kernels.project_vertices,
+            dim=count,
+            inputs=[vertices, self._lens],
+            outputs=[vertex_pixel],
+            device=self._device,
+        )
+        wp.launch(
+            kernels.vertex_normals,
+            dim=count,
+            inputs=[vertices, self._triangles, self._first_face, self._faces_around],
+            outputs=[vertex_normal],
+            device=self._device,
+        )
+        self._finder.find(vertices, vertex_pixel, triangle, barycentric, depth)
+        wp.launch(
+            kernels.fill_view,
+            dim=(self.camera.height, self.camera.width // self._run),
+            inputs=[
+                triangle,
+                barycentric,
+                self._rays,
+                self._triangles,
+                vertex_normal,
+                self._rest_position,
+                self._run,
+            ],
+            outputs=[normal, material_point],
+            device=self._device,
+        )
+        # On a CPU these share memory with Warp's arrays, which live as long as they do.
+        triangle_seen = triangle.numpy()
+        return View(
+            depth_m=depth.numpy(),
+            normal=normal.numpy(),
+            material_point_m=material_point.numpy(),
+            mask=triangle_seen != kernels.NO_TRIANGLE,
+            triangle=triangle_seen,
+            barycentric=barycentric.numpy(),
+            vertex_position_m=vertices.numpy(),
+            vertex_normal=vertex_normal.numpy(),
+            vertex_pixel=vertex_pixel.numpy(),
+        )
