@@ -1,8 +1,8 @@
 """Indenters: exact distances, grids, kernels, meshes that must be refused, definitions."""
 
-from __future__ import annotations
-
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.distance_field import IndenterField, indenter_distance, indenter_field
+from dotsim_ros.gel.distance_field import distance_functions, indenter_field
 from dotsim_ros.geometry.indenter import (
     Indenter,
     box,
@@ -44,35 +44,55 @@ PRIMITIVES = {
 CORNER = 0.0005 * (np.sqrt(3.0) - 1.0)
 
 
-@wp.kernel
-def evaluate(
-    field: IndenterField,
-    points: wp.array(dtype=wp.vec3),
-    distance: wp.array(dtype=float),
-    gradient: wp.array(dtype=wp.vec3),
-    hessian: wp.array(dtype=wp.mat33),
-):
-    i = wp.tid()
-    d, g, h = indenter_distance(field, points[i])
-    distance[i] = d
-    gradient[i] = g
-    hessian[i] = h
+@cache
+def evaluation_kernel(scalar: Any) -> wp.Kernel:
+    functions = distance_functions(scalar)
+    field_type = functions.IndenterField
+    indenter_distance = functions.indenter_distance
+    vec3 = wp.types.vector(3, scalar)
+    mat33 = wp.types.matrix((3, 3), scalar)
+
+    @wp.kernel
+    def evaluate(
+        field: field_type,  # type: ignore[valid-type]
+        points: wp.array(dtype=vec3),  # type: ignore[valid-type]
+        distance: wp.array(dtype=scalar),  # type: ignore[valid-type]
+        gradient: wp.array(dtype=vec3),  # type: ignore[valid-type]
+        hessian: wp.array(dtype=mat33),  # type: ignore[valid-type]
+    ) -> None:
+        i = wp.tid()
+        d, g, h = indenter_distance(field, points[i])
+        distance[i] = d
+        gradient[i] = g
+        hessian[i] = h
+
+    return evaluate
 
 
-def run_kernel(indenter: Indenter, points: NDArray[np.float64]) -> tuple[wp.array, ...]:
+def run_kernel(
+    indenter: Indenter, points: NDArray[np.float64], scalar: Any = wp.float32
+) -> tuple[NDArray[np.float64], ...]:
+    """Return distance, gradient, Hessian, and the gradient of the distance by the tape."""
     count = len(points)
-    inputs = wp.array(points, dtype=wp.vec3, device="cpu", requires_grad=True)
+    vec3 = wp.types.vector(3, scalar)
+    inputs: wp.array = wp.array(points, dtype=vec3, device="cpu", requires_grad=True)
     outputs = (
-        wp.zeros(count, dtype=float, device="cpu", requires_grad=True),
-        wp.zeros(count, dtype=wp.vec3, device="cpu"),
-        wp.zeros(count, dtype=wp.mat33, device="cpu"),
+        wp.zeros(count, dtype=scalar, device="cpu", requires_grad=True),
+        wp.zeros(count, dtype=vec3, device="cpu"),
+        wp.zeros(count, dtype=wp.types.matrix((3, 3), scalar), device="cpu"),
     )
-    field = indenter_field(indenter, device="cpu")
+    field = indenter_field(indenter, scalar=scalar, device="cpu")
     tape = wp.Tape()
     with tape:
-        wp.launch(evaluate, count, inputs=[field, inputs], outputs=list(outputs), device="cpu")
-    tape.backward(grads={outputs[0]: wp.ones(count, dtype=float, device="cpu")})
-    return (*outputs, inputs.grad)
+        wp.launch(
+            evaluation_kernel(scalar),
+            count,
+            inputs=[field, inputs],
+            outputs=list(outputs),
+            device="cpu",
+        )
+    tape.backward(grads={outputs[0]: wp.ones(count, dtype=scalar, device="cpu")})
+    return tuple(array.numpy() for array in (*outputs, inputs.grad))
 
 
 def points_around(indenter: Indenter, count: int = 4000) -> NDArray[np.float64]:
@@ -152,17 +172,18 @@ def test_distance_is_that_to_the_nearest_surface_point(name: str) -> None:
     assert np.abs(indenter.signed_distance(foot[smooth])).max() < 1e-8
 
 
+@pytest.mark.parametrize(("scalar", "tolerance"), [(wp.float32, 1e-4), (wp.float64, 1e-6)])
 @pytest.mark.parametrize("name", PRIMITIVES)
-def test_kernel_agrees_with_the_double_precision_distance(name: str) -> None:
+def test_kernel_agrees_with_the_host(name: str, scalar: Any, tolerance: float) -> None:
     indenter = PRIMITIVES[name]
     points = points_around(indenter).astype(np.float32).astype(np.float64)
-    distance, gradient, hessian, taped = (array.numpy() for array in run_kernel(indenter, points))
+    distance, gradient, hessian, taped = run_kernel(indenter, points, scalar)
     numerical = numerical_gradient(indenter, points)
-    # Within a micrometre of a crease of the distance either side's gradient is right.
+    # On a crease of the distance (the medial axis) either side's gradient is right.
     smooth = np.abs(np.linalg.norm(numerical, axis=1) - 1.0) < 1e-5
-    assert np.abs(distance - indenter.signed_distance(points)).max() < 1e-8
-    assert np.quantile(np.abs(gradient - numerical)[smooth], 0.999) < 1e-4
-    assert np.quantile(np.abs(taped - numerical)[smooth], 0.999) < 1e-3
+    assert np.abs(distance - indenter.signed_distance(points)).max() < 1e-4 * tolerance
+    assert np.quantile(np.abs(gradient - numerical)[smooth], 0.999) < tolerance
+    assert np.quantile(np.abs(taped - numerical)[smooth], 0.999) < 10 * tolerance
 
     far = smooth & (indenter.signed_distance(points) > 5e-4)
     direction = np.array([0.36, -0.48, 0.8])
@@ -201,19 +222,19 @@ def test_distance_grid_is_as_exact_as_the_mesh_near_the_surface(ball: Indenter) 
 
 def test_kernel_samples_the_grid_with_a_continuous_gradient(ball: Indenter) -> None:
     points = points_around(ball)
-    distance, gradient, _, taped = (array.numpy() for array in run_kernel(ball, points))
+    distance, gradient, _, taped = run_kernel(ball, points)
     assert np.abs(distance - ball.distance_grid().sample(points)).max() < 1e-7
     assert np.abs(taped - gradient).max() < 1e-3
     near = np.abs(distance) < 1e-3
     assert np.abs(np.linalg.norm(gradient, axis=1) - 1.0)[near].max() < 0.02
     line = np.linspace([0.0, -0.006, 0.001], [0.0003, 0.006, 0.0011], 20001)
-    _, along, _, _ = (array.numpy() for array in run_kernel(ball, line))
+    _, along, _, _ = run_kernel(ball, line)
     assert np.linalg.norm(np.diff(along, axis=0), axis=1).max() < 5e-3
 
 
 def test_kernel_continues_outside_of_the_grid(ball: Indenter) -> None:
     points = np.array([[1.0, -2.0, 3.0], [0.0, 0.0, -0.1], [np.float32(1e6), 0.0, 0.0]])
-    distance, gradient, _, _ = (array.numpy() for array in run_kernel(ball, points))
+    distance, gradient, _, _ = run_kernel(ball, points)
     assert np.all(distance > 0.5 * np.linalg.norm(points, axis=1))
     assert np.all(np.isfinite(gradient))
 
