@@ -1,0 +1,1 @@
+"""The gel: a total-Lagrangian Material Point Method pressed by rigid indenters."""

@@ -1,0 +1,240 @@
+"""What a sensor is, as data: read from a YAML file, checked, and frozen."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+
+from dotsim_ros.resources import parameter_path
+
+SHAPES = ("dome", "flat_pad")
+LAWS = ("neo_hookean", "mooney_rivlin", "yeoh")
+
+
+def _positive(section: str, **values: float) -> None:
+    for name, value in values.items():
+        if not value > 0.0:
+            raise ValueError(f"{section}.{name} is {value}, expected a positive number")
+
+
+@dataclass(frozen=True)
+class GelSpecification:
+    """Rest shape of the gel.
+
+    Attributes:
+        shape: "dome" or "flat_pad".
+        skin_spacing_m: largest distance between neighbouring skin markers.
+        outer_radius_m, core_radius_m: of a dome.
+        pad_size_m: lengths along x, y and the thickness along z of a flat pad.
+    """
+
+    shape: str = "dome"
+    skin_spacing_m: float = 0.5e-3
+    outer_radius_m: float = 0.01575
+    core_radius_m: float = 0.006
+    pad_size_m: tuple[float, float, float] = (0.02, 0.025, 0.004)
+
+    def __post_init__(self) -> None:
+        if self.shape not in SHAPES:
+            raise ValueError(f"gel.shape is {self.shape!r}, expected one of {SHAPES}")
+        _positive(
+            "gel", skin_spacing_m=self.skin_spacing_m, outer_radius_m=self.outer_radius_m
+        )
+        if not 0.0 <= self.core_radius_m < self.outer_radius_m:
+            raise ValueError(
+                f"gel.core_radius_m is {self.core_radius_m}, expected 0 or more and less than "
+                f"outer_radius_m ({self.outer_radius_m})"
+            )
+
+
+@dataclass(frozen=True)
+class MaterialSpecification:
+    """The gel's law: `neo_hookean` takes E and nu; the others take their constants and K.
+
+    Attributes:
+        prony_shares, prony_times_s: relaxation of the shape-changing stress, empty for none.
+    """
+
+    law: str = "neo_hookean"
+    youngs_modulus_pa: float = 3.0e5
+    poisson_ratio: float = 0.48
+    c10_pa: float = 0.0
+    c01_pa: float = 0.0
+    c20_pa: float = 0.0
+    c30_pa: float = 0.0
+    bulk_modulus_pa: float = 0.0
+    prony_shares: tuple[float, ...] = ()
+    prony_times_s: tuple[float, ...] = ()
+    density_kg_m3: float = 1070.0
+
+    def __post_init__(self) -> None:
+        if self.law not in LAWS:
+            raise ValueError(f"material.law is {self.law!r}, expected one of {LAWS}")
+        _positive("material", density_kg_m3=self.density_kg_m3)
+
+
+@dataclass(frozen=True)
+class ContactSpecification:
+    """Contact of the skin with the indenter.
+
+    Attributes:
+        friction_coefficient: mu of Coulomb's law.
+        stiffness: of the contact, in units of Young's modulus over 1.2 mm; the skin's penetration
+            is the pressure divided by it.
+        tangential_ratio: tangential over normal stiffness while sticking.
+    """
+
+    friction_coefficient: float = 0.4
+    stiffness: float = 60.0
+    tangential_ratio: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.friction_coefficient <= 5.0:
+            raise ValueError(
+                f"contact.friction_coefficient is {self.friction_coefficient}, expected 0 to 5"
+            )
+        _positive("contact", stiffness=self.stiffness, tangential_ratio=self.tangential_ratio)
+
+
+@dataclass(frozen=True)
+class SolverSpecification:
+    """Resolution and effort of the gel's solver.
+
+    Attributes:
+        grid_spacing_m: spacing h of the grid.
+        tolerance: of the residual force, relative to the contact force.
+        iterations: most Newton iterations of a step.
+        dynamic: backward Euler with inertia instead of quasi-static steps.
+    """
+
+    grid_spacing_m: float = 2.4e-3
+    tolerance: float = 1.0e-2
+    iterations: int = 12
+    dynamic: bool = False
+
+    def __post_init__(self) -> None:
+        _positive(
+            "solver",
+            grid_spacing_m=self.grid_spacing_m,
+            tolerance=self.tolerance,
+            iterations=self.iterations,
+        )
+
+
+@dataclass(frozen=True)
+class CameraSpecification:
+    """The camera: an equidistant fisheye in the optical frame of REP 103.
+
+    Attributes:
+        position_m, quaternion_xyzw: pose of the optical frame in the base frame.
+        half_height_angle_deg: angle from the axis that is seen at half the image's height.
+        principal_point_px: (cx, cy).
+        distortion: k1 to k4 of the equidistant model.
+        idle_image: file of the image without contact, below `params/` or absolute.
+    """
+
+    width: int = 640
+    height: int = 480
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0025)
+    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    half_height_angle_deg: float = 86.0
+    principal_point_px: tuple[float, float] = (319.5, 239.5)
+    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    idle_image: str = "images/densetact2_idle.png"
+
+    def __post_init__(self) -> None:
+        _positive(
+            "camera",
+            width=self.width,
+            height=self.height,
+            half_height_angle_deg=self.half_height_angle_deg,
+        )
+        if len(self.distortion) != 4:
+            raise ValueError(
+                f"camera.distortion has {len(self.distortion)} coefficients, expected 4"
+            )
+
+
+@dataclass(frozen=True)
+class SensorSpecification:
+    """A whole sensor."""
+
+    name: str = "densetact2"
+    gel: GelSpecification = field(default_factory=GelSpecification)
+    material: MaterialSpecification = field(default_factory=MaterialSpecification)
+    contact: ContactSpecification = field(default_factory=ContactSpecification)
+    solver: SolverSpecification = field(default_factory=SolverSpecification)
+    camera: CameraSpecification = field(default_factory=CameraSpecification)
+
+
+Section = TypeVar("Section")
+
+
+def _section(kind: type[Section], name: str, values: Any, source: str) -> Section:
+    if not isinstance(values, dict):
+        raise ValueError(f"{source}: section {name!r} is no mapping of names to values")
+    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    unknown = sorted(set(values) - set(fields))
+    if unknown:
+        raise ValueError(
+            f"{source}: section {name!r} has unknown entries {unknown}; known are {sorted(fields)}"
+        )
+    converted: dict[str, Any] = {}
+    for key, value in values.items():
+        default = fields[key].default
+        try:
+            if isinstance(default, tuple):
+                converted[key] = tuple(float(v) for v in value)
+            elif isinstance(default, bool):
+                if not isinstance(value, bool):
+                    raise ValueError("expected true or false")
+                converted[key] = value
+            elif isinstance(default, int):
+                converted[key] = int(value)
+            elif isinstance(default, float):
+                converted[key] = float(value)
+            else:
+                converted[key] = str(value)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{source}: {name}.{key} is {value!r}: {error}") from error
+    try:
+        return kind(**converted)
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+def load_sensor(source: str | Path) -> SensorSpecification:
+    """Read a sensor from a YAML file, or by name from `params/sensors/`.
+
+    Raises:
+        FileNotFoundError: no such file or name.
+        ValueError: an entry is unknown, of the wrong type or out of range; the message names it.
+    """
+    path = Path(source)
+    if path.suffix not in (".yaml", ".yml"):
+        path = parameter_path(f"sensors/{source}.yaml")
+    try:
+        document = yaml.safe_load(path.read_text())
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path} is not valid YAML: {error}") from error
+    if not isinstance(document, dict):
+        raise ValueError(f"{path} holds no mapping; see params/sensors/densetact2.yaml")
+    kinds: dict[str, type[Any]] = {
+        "gel": GelSpecification,
+        "material": MaterialSpecification,
+        "contact": ContactSpecification,
+        "solver": SolverSpecification,
+        "camera": CameraSpecification,
+    }
+    unknown = sorted(set(document) - set(kinds) - {"name"})
+    if unknown:
+        raise ValueError(f"{path}: unknown sections {unknown}; known are {sorted(kinds)}")
+    sections = {
+        name: _section(kind, name, document.get(name) or {}, str(path))
+        for name, kind in kinds.items()
+    }
+    return SensorSpecification(name=str(document.get("name", path.stem)), **sections)
