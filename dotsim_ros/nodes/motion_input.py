@@ -32,6 +32,8 @@ from dotsim_ros.nodes.tactile_parameters import (
 
 # Only the newest counts, and best effort hears both kinds of publishers.
 REALTIME_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# The middleware keeps the newest meanwhile, so a flood of poses cannot starve the frames.
+REALTIME_PAUSE_S = 0.002
 # Every one counts: nothing is overwritten before it is simulated.
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -119,10 +121,17 @@ class MotionInput:
         self._node.create_subscription(
             kind,
             topic,
-            lambda message: self.guard(lambda: callback(message)),
+            lambda message: self._hear(callback, message),
             REALTIME_QOS if self._is_realtime else LOCKSTEP_QOS,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
+
+    def _hear(
+        self, callback: Callable[[msg_adapters.Message], None], message: msg_adapters.Message
+    ) -> None:
+        self.guard(lambda: callback(message))
+        if self._is_realtime:
+            time.sleep(REALTIME_PAUSE_S)
 
     def _note(self, fault: Fault, reason: str) -> None:
         if self._faults.note(fault, reason, time.monotonic()):
