@@ -26,7 +26,7 @@ from msg_adapters.rigid import (
     encode_wrench_stamped,
 )
 from msg_adapters.stamps import decode_stamp, encode_header, encode_stamp, message_stamp_ns
-from msg_adapters.types import ROS, BagTypes, Message, MessageTypes, RosTypes
+from msg_adapters.types import ROS, BagTypes, Message, MessageTypes, RosTypes, message_class
 
 __all__ = [
     "ROS",
@@ -61,5 +61,6 @@ __all__ = [
     "encode_twist",
     "encode_twist_stamped",
     "encode_wrench_stamped",
+    "message_class",
     "message_stamp_ns",
 ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import array
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, Protocol
 
@@ -37,8 +37,17 @@ class MessageTypes(Protocol):
 
 
 @cache
-def _installed_class(name: str) -> Callable[..., Message]:
-    package, kind, class_name = name.split("/")
+def message_class(name: str) -> Any:
+    """Return the installed ROS 2 class of a message name such as "sensor_msgs/msg/Image".
+
+    Raises:
+        ImportError: its package is not installed.
+        ValueError: the name is of another form, or the package has no such message.
+    """
+    parts = name.split("/")
+    if len(parts) != 3:
+        raise ValueError(f"message type {name!r} is not of the form PACKAGE/msg/TYPE")
+    package, kind, class_name = parts
     try:
         module = importlib.import_module(f"{package}.{kind}")
     except ImportError as error:
@@ -46,8 +55,10 @@ def _installed_class(name: str) -> Callable[..., Message]:
             f"message package {package!r} is not installed: source a ROS 2 environment or install "
             "it, or give `types=BagTypes(...)` to make messages for a bag"
         ) from error
-    message_class: Callable[..., Message] = getattr(module, class_name)
-    return message_class
+    found = getattr(module, class_name, None)
+    if found is None:
+        raise ValueError(f"package {package!r} has no message {class_name!r}")
+    return found
 
 
 class RosTypes:
@@ -55,7 +66,7 @@ class RosTypes:
 
     def make(self, name: str, /, **fields: Any) -> Message:
         """See `MessageTypes.make`."""
-        return _installed_class(name)(**fields)
+        return message_class(name)(**fields)
 
     def octets(self, values: NDArray[Any]) -> array.array[int]:
         """See `MessageTypes.octets`.

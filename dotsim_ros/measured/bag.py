@@ -68,6 +68,7 @@ class BagFile:
             storage_plugin=StoragePlugin.MCAP,
         )
         self._connections: dict[str, Connection] = {}
+        self._is_discarded = False
 
     def __enter__(self) -> Self:
         self._writer.open()
@@ -81,10 +82,14 @@ class BagFile:
     ) -> None:
         try:
             self._writer.close()
-            if kind is None:
+            if kind is None and not self._is_discarded:
                 os.replace(self._folder / self.path.name, self.path)
         finally:
             shutil.rmtree(self._folder, ignore_errors=True)
+
+    def discard(self) -> None:
+        """Leave nothing at the path when the block ends."""
+        self._is_discarded = True
 
     def add_topic(self, topic: str, message_type: str) -> None:
         """Declare a topic, so that the bag names it even where no message comes.

@@ -29,15 +29,17 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
     Stops on SIGINT (once or more), on SIGTERM, and when any thread calls `rclpy.try_shutdown()`,
     which is how a node ends itself. A node that owns threads or files closes them in its
     `destroy_node`, which runs here with SIGINT ignored and, after a signal, with the ROS context
-    already shut down: it must not publish there.
+    already shut down: it must not publish there. What went wrong in its threads or while closing
+    it says by an attribute `exit_status` other than 0.
 
     Args:
         factory: makes the node; called after `rclpy.init`.
         arguments: the command line, `sys.argv` by default.
 
     Returns:
-        The exit status: 0 after a stop, `REFUSED` where the factory refused its parameters or
-        files (ValueError, OSError or a ROS parameter's exception), with one line that says why.
+        The exit status: 0 (or the node's `exit_status`) after a stop, `REFUSED` where the factory
+        refused its parameters or files (ValueError, OSError or a ROS parameter's exception), with
+        one line that says why.
     """
     signal.signal(signal.SIGINT, _interrupt_once)
     node: Node | None = None
@@ -56,4 +58,4 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
-    return 0
+    return int(getattr(node, "exit_status", 0))
