@@ -149,6 +149,7 @@ def cast_rays(
     y, x = wp.tid()
     direction = ray[y, x]
     triangle_seen[y, x] = _NO_TRIANGLE
+    barycentric[y, x] = wp.vec2(0.0, 0.0)
     depth[y, x] = _NAN
     if wp.isnan(direction[2]):
         return
@@ -194,3 +195,119 @@ def fill_view(
                 outward = -outward
         normal[y, x] = outward
         material_point[y, x] = rest
+
+
+@wp.struct
+class Led:
+    """A point light: its place in the optical frame, and its intensity for red, green, blue."""
+
+    position: wp.vec3
+    intensity: wp.vec3
+
+
+@wp.kernel
+def irradiate(
+    position: wp.array(dtype=wp.vec3),
+    outward: wp.array(dtype=wp.vec3),
+    leds: wp.array(dtype=Led),
+    irradiance: wp.array(dtype=wp.vec3),
+):
+    """Direct light on the inner side of every vertex: cosine over squared distance, summed."""
+    v = wp.tid()
+    total = wp.vec3(0.0, 0.0, 0.0)
+    for i in range(leds.shape[0]):
+        led = leds[i]
+        away = position[v] - led.position
+        square = wp.dot(away, away)
+        cosine = wp.max(wp.dot(outward[v], away), 0.0) / wp.sqrt(square)
+        total += led.intensity * (cosine / square)
+    irradiance[v] = total
+
+
+@wp.kernel
+def brightness_gain(
+    irradiance: wp.array(dtype=wp.vec3),
+    rest_irradiance: wp.array(dtype=wp.vec3),
+    ambient: wp.vec3,
+    exponent: float,
+    gain: wp.array(dtype=wp.vec3),
+):
+    """Brightness of every vertex over that at rest; ambient light does not change."""
+    v = wp.tid()
+    now = irradiance[v] + ambient
+    rest = rest_irradiance[v] + ambient
+    ratio = wp.cw_div(now, rest)
+    gain[v] = wp.vec3(
+        wp.pow(ratio[0], exponent), wp.pow(ratio[1], exponent), wp.pow(ratio[2], exponent)
+    )
+
+
+@wp.func
+def cubic_weights(t: float):
+    """Catmull-Rom weights of the four samples around a point; (0, 1, 0, 0) at t = 0 exactly."""
+    return wp.vec4(
+        ((-0.5 * t + 1.0) * t - 0.5) * t,
+        (1.5 * t - 2.5) * t * t + 1.0,
+        ((-1.5 * t + 2.0) * t + 0.5) * t,
+        (0.5 * t - 0.5) * t * t,
+    )
+
+
+@wp.kernel
+def carry_idle(
+    triangle_seen: wp.array2d(dtype=wp.int32),
+    barycentric: wp.array2d(dtype=wp.vec2),
+    triangles: wp.array2d(dtype=wp.int32),
+    pixel: wp.array(dtype=wp.vec2),
+    rest_pixel: wp.array(dtype=wp.vec2),
+    gain: wp.array(dtype=wp.vec3),
+    lit: wp.array2d(dtype=wp.uint8),
+    vignetting: wp.array2d(dtype=wp.float32),
+    flat: wp.array2d(dtype=wp.vec3),
+    idle: wp.array3d(dtype=wp.uint8),
+    run: int,
+    image: wp.array3d(dtype=wp.uint8),
+):
+    """Colour of `run` pixels: the idle frame where the material point lay, times its gain.
+
+    The idle pixel is the pixel plus the interpolated way back of the triangle's corners, which is
+    exactly zero at rest, and exact to first order in the size of a triangle elsewhere.
+    """
+    y, block = wp.tid()
+    height = flat.shape[0]
+    width = flat.shape[1]
+    for x in range(block * run, wp.min(block * run + run, width)):
+        face = triangle_seen[y, x]
+        if face == _NO_TRIANGLE or lit[y, x] == wp.uint8(0):
+            for channel in range(3):
+                image[y, x, channel] = idle[y, x, channel]
+        else:
+            b = barycentric[y, x][0]
+            c = barycentric[y, x][1]
+            a = 1.0 - b - c
+            i0 = triangles[face, 0]
+            i1 = triangles[face, 1]
+            i2 = triangles[face, 2]
+            back = (
+                a * (rest_pixel[i0] - pixel[i0])
+                + b * (rest_pixel[i1] - pixel[i1])
+                + c * (rest_pixel[i2] - pixel[i2])
+            )
+            from_x = wp.clamp(float(x) + back[0], 0.0, float(width - 1))
+            from_y = wp.clamp(float(y) + back[1], 0.0, float(height - 1))
+            column = int(from_x)
+            row = int(from_y)
+            weight_x = cubic_weights(from_x - float(column))
+            weight_y = cubic_weights(from_y - float(row))
+            colour = wp.vec3(0.0, 0.0, 0.0)
+            for j in range(4):
+                sample_y = wp.clamp(row + j - 1, 0, height - 1)
+                line = wp.vec3(0.0, 0.0, 0.0)
+                for i in range(4):
+                    sample_x = wp.clamp(column + i - 1, 0, width - 1)
+                    line += weight_x[i] * flat[sample_y, sample_x]
+                colour += weight_y[j] * line
+            brightness = a * gain[i0] + b * gain[i1] + c * gain[i2]
+            colour = wp.cw_mul(colour, brightness) * vignetting[y, x]
+            for channel in range(3):
+                image[y, x, channel] = wp.uint8(wp.clamp(colour[channel], 0.0, 255.0) + 0.5)

@@ -52,8 +52,8 @@ class VisibilityFinder(Protocol):
             position: (V,) vec3 vertices in the optical frame, metres.
             pixel: (V,) vec2 their images.
             triangle: (H, W) int32, written: the triangle, or NO_TRIANGLE.
-            barycentric: (H, W) vec2, written where a triangle is seen: the weights of its second
-                and third corner.
+            barycentric: (H, W) vec2, written: the weights of its second
+                and third corner; zero elsewhere.
             depth: (H, W) float32, written: metres along the ray, NaN where nothing is seen.
         """
 
@@ -85,6 +85,7 @@ class RasterFinder:
         depth: wp.array,
     ) -> None:
         triangle.fill_(kernels.NO_TRIANGLE)
+        barycentric.zero_()
         depth.fill_(np.nan)
         wp.launch(
             kernels.rasterize,
@@ -125,9 +126,8 @@ class EmbreeFinder:
     """Embree through embreex; the hierarchy is built anew for every shape."""
 
     def __init__(self, rays: Float32Array, triangles: IntArray) -> None:
-        self._shape = rays.shape[:2]
-        self._valid = np.isfinite(rays[..., 2]).ravel()
-        self._rays = np.ascontiguousarray(rays.reshape(-1, 3)[self._valid])
+        self._valid = np.isfinite(rays[..., 2])
+        self._rays = np.ascontiguousarray(rays[self._valid])
         self._origins = np.zeros_like(self._rays)
         self._triangles = triangles
 
@@ -147,10 +147,13 @@ class EmbreeFinder:
         scene = EmbreeScene()
         TriangleMesh(scene, np.ascontiguousarray(corners))
         hits = scene.run(self._origins, self._rays, output=True)
-        triangle.numpy().reshape(-1)[self._valid] = hits["primID"]
-        triangle.numpy().reshape(-1)[~self._valid] = kernels.NO_TRIANGLE
-        weights = np.stack([hits["u"], hits["v"]], axis=-1)
-        barycentric.numpy().reshape(-1, 2)[self._valid] = weights
-        distance = np.where(hits["primID"] >= 0, hits["tfar"] / _MILLIMETRES, np.nan)
-        depth.numpy().reshape(-1)[self._valid] = distance
-        depth.numpy().reshape(-1)[~self._valid] = np.nan
+        seen = hits["primID"] >= 0
+        distance = np.where(seen, hits["tfar"] / _MILLIMETRES, np.nan)
+        weights = np.where(seen[:, None], np.stack([hits["u"], hits["v"]], axis=-1), 0.0)
+        for array, nothing, found in (
+            (triangle.numpy(), kernels.NO_TRIANGLE, hits["primID"]),
+            (barycentric.numpy(), 0.0, weights),
+            (depth.numpy(), np.nan, distance),
+        ):
+            array[:] = nothing
+            array[self._valid] = found

@@ -1,0 +1,210 @@
+"""The image: the idle frame carried along by the skin, and shaded anew to first order.
+
+Every pixel shows the material point that it shows in the idle frame somewhere else; the colour is
+taken from there and multiplied by the change of the light that reaches the point: the sum over the
+LEDs of the cosine of incidence over the squared distance (a Lambertian coat), relative to that at
+rest. At rest the image is the idle frame, bit for bit. What this leaves out (gloss, shadows, light
+between parts of the dome) is left to a residual that may be learned.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import cv2
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.optics import kernels
+from dotsim_ros.optics.idle import BoolArray, ByteImage, check_image, lit_region
+from dotsim_ros.optics.lighting import Lighting
+from dotsim_ros.optics.renderer import SkinRenderer, View
+
+Float32Array = NDArray[np.float32]
+
+RIM_PX = 2
+"""Width of the soft rim of the lit disc, whose colours are not spread outwards."""
+
+
+class Residual(Protocol):
+    """What a learned model adds to the carried image."""
+
+    def __call__(self, view: View, carried: ByteImage) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
+
+
+@dataclass(frozen=True)
+class Vignetting:
+    """Loss of brightness towards the edge of the image, fixed to the camera.
+
+    Attributes:
+        falloff: c1, c2, ...: brightness is 1 + c1 s + c2 s^2 + ... with s the square of the
+            distance from the principal point over half the image's height.
+    """
+
+    falloff: tuple[float, ...] = ()
+
+    def brightness(self, camera: FisheyeCamera) -> Float32Array:
+        """Return (H, W) brightness relative to the principal point.
+
+        Raises:
+            ValueError: it is nowhere near positive: some pixel would get less than a thousandth.
+        """
+        x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        offset = np.stack([x, y], axis=-1) - camera.principal_point_px
+        square = np.sum((offset / (0.5 * camera.height)) ** 2, axis=-1)
+        brightness = np.polynomial.polynomial.polyval(square, [1.0, *self.falloff])
+        return np.maximum(brightness, 1e-3).astype(np.float32)
+
+
+def spread_outwards(image: Float32Array, region: BoolArray) -> Float32Array:
+    """Return the image (H, W, 3) with every pixel outside the region taken from the nearest pixel
+    well inside it, so that what moves in from beyond the rim has the rim's colour."""
+    kernel = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), dtype=np.uint8)
+    inside = cv2.erode(region.astype(np.uint8), kernel)
+    if not inside.any():
+        return image
+    _, labels = cv2.distanceTransformWithLabels(
+        1 - inside, cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    colour = np.zeros((int(labels.max()) + 1, 3), dtype=np.float32)
+    colour[labels[inside > 0]] = image[inside > 0]
+    return np.where(region[..., None], image, colour[labels])
+
+
+class ImageRenderer:
+    """Makes images of one skin from one idle frame.
+
+    Args:
+        camera: the camera, as of the renderer that makes the views.
+        skin_mesh: the skin, as of that renderer.
+        idle_image: (H, W, 3) uint8, of the camera's size (`fit_idle_image` brings any to it).
+        lighting: the LEDs.
+        vignetting: of the camera, which the pattern moves beneath.
+        residual: what to add to the carried image; None for nothing.
+        device: Warp's name of the device.
+
+    Raises:
+        ValueError: the idle image has another size than the camera, or is no colour image.
+    """
+
+    def __init__(
+        self,
+        camera: FisheyeCamera,
+        skin_mesh: SkinMesh,
+        idle_image: ByteImage,
+        *,
+        lighting: Lighting | None = None,
+        vignetting: Vignetting | None = None,
+        residual: Residual | None = None,
+        device: str = "cpu",
+    ) -> None:
+        check_image(idle_image)
+        if idle_image.shape[:2] != (camera.height, camera.width):
+            raise ValueError(
+                f"idle image is {idle_image.shape[1]}x{idle_image.shape[0]}, expected "
+                f"{camera.width}x{camera.height}; bring it to the camera with fit_idle_image"
+            )
+        self.residual = residual
+        self._camera = camera
+        self._lighting = lighting or Lighting()
+        self._device = wp.get_device(device)
+        self._run = camera.width if self._device.is_cpu else 1
+        self._leds = self._upload_leds()
+        self._triangles = self._upload(skin_mesh.triangles, wp.int32)
+        self._set_rest(SkinRenderer(camera, skin_mesh, device=device))
+        self._set_idle(idle_image, (vignetting or Vignetting()).brightness(camera))
+
+    def _upload(self, array: NDArray[np.generic], dtype: type) -> wp.array:
+        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
+
+    def _upload_leds(self) -> wp.array:
+        leds = []
+        for light in self._lighting.lights:
+            led = kernels.Led()
+            led.position = wp.vec3(*self._camera.to_optical(light.position_m))
+            led.intensity = wp.vec3(*light.intensity)
+            leds.append(led)
+        return wp.array(leds, dtype=kernels.Led, device=self._device)
+
+    def _set_rest(self, renderer: SkinRenderer) -> None:
+        view = renderer.render(renderer.skin_mesh.rest_position_m)
+        self._rest_pixel = self._upload(view.vertex_pixel, wp.vec2)
+        self._rest_irradiance = self._irradiance(view)
+        mean = self._rest_irradiance.numpy().mean(axis=0)
+        # A colour without any direct light keeps its brightness.
+        ambient = np.where(mean > 0.0, self._lighting.ambient_fraction * mean, 1.0)
+        self._ambient = wp.vec3(*ambient)
+
+    def _set_idle(self, idle_image: ByteImage, brightness: Float32Array) -> None:
+        lit = lit_region(idle_image)
+        flat = idle_image.astype(np.float32) / brightness[..., None]
+        self._idle = self._upload(idle_image, wp.uint8)
+        self._lit = self._upload(lit.astype(np.uint8), wp.uint8)
+        self._brightness = self._upload(brightness, wp.float32)
+        self._flat = self._upload(spread_outwards(flat, lit), wp.vec3)
+
+    def _irradiance(self, view: View) -> wp.array:
+        count = len(view.vertex_position_m)
+        irradiance = wp.empty(count, dtype=wp.vec3, device=self._device)
+        wp.launch(
+            kernels.irradiate,
+            dim=count,
+            inputs=[
+                self._upload(view.vertex_position_m, wp.vec3),
+                self._upload(view.vertex_normal, wp.vec3),
+                self._leds,
+            ],
+            outputs=[irradiance],
+            device=self._device,
+        )
+        return irradiance
+
+    def carry(self, view: View) -> ByteImage:
+        """Return the image (H, W, 3) without the residual."""
+        gain = wp.empty_like(self._rest_irradiance)
+        wp.launch(
+            kernels.brightness_gain,
+            dim=len(gain),
+            inputs=[
+                self._irradiance(view),
+                self._rest_irradiance,
+                self._ambient,
+                self._lighting.exponent,
+            ],
+            outputs=[gain],
+            device=self._device,
+        )
+        image = wp.empty(self._idle.shape, dtype=wp.uint8, device=self._device)
+        wp.launch(
+            kernels.carry_idle,
+            dim=(self._camera.height, self._camera.width // self._run),
+            inputs=[
+                self._upload(view.triangle, wp.int32),
+                self._upload(view.barycentric, wp.vec2),
+                self._triangles,
+                self._upload(view.vertex_pixel, wp.vec2),
+                self._rest_pixel,
+                gain,
+                self._lit,
+                self._brightness,
+                self._flat,
+                self._idle,
+                self._run,
+            ],
+            outputs=[image],
+            device=self._device,
+        )
+        return np.asarray(image.numpy(), dtype=np.uint8)
+
+    def render(self, view: View) -> ByteImage:
+        """Return the image (H, W, 3), red, green, blue, of what the camera sees."""
+        carried = self.carry(view)
+        if self.residual is None:
+            return carried
+        added = carried + self.residual(view, carried)
+        return np.clip(np.rint(added), 0.0, 255.0).astype(np.uint8)

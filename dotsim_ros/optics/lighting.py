@@ -1,0 +1,84 @@
+"""The lights of the sensor, and how much of their light reaches the skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+RED, GREEN, BLUE = np.eye(3)
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """One LED.
+
+    Attributes:
+        position_m: place in the base frame.
+        intensity: what it adds to red, green and blue, in any common unit.
+    """
+
+    position_m: tuple[float, float, float]
+    intensity: tuple[float, float, float]
+
+
+def led_ring(
+    *,
+    radius_m: float = 0.012,
+    height_m: float = 0.0005,
+    azimuth_deg: tuple[float, float, float] = (60.0, 180.0, -60.0),
+    spread_deg: float = 12.0,
+    crosstalk: float = 0.3,
+) -> tuple[PointLight, ...]:
+    """Return nine LEDs on a ring around the axis: three red, three green, three blue.
+
+    Args:
+        radius_m: radius of the ring.
+        height_m: height of the ring over the base plane.
+        azimuth_deg: directions of the red, the green and the blue group, from +x towards +y (in
+            the image: from right towards down).
+        spread_deg: between two neighbours of one group.
+        crosstalk: share of an LED's light that the camera sees in each of the other two colours.
+    """
+    lights = []
+    mixing = crosstalk + (1.0 - crosstalk) * np.eye(3)
+    for intensity, centre in zip(mixing, azimuth_deg, strict=True):
+        for azimuth in np.radians(centre + spread_deg * np.array([-1.0, 0.0, 1.0])):
+            place = (radius_m * np.cos(azimuth), radius_m * np.sin(azimuth), height_m)
+            lights.append(
+                PointLight(
+                    (float(place[0]), float(place[1]), float(place[2])),
+                    (float(intensity[0]), float(intensity[1]), float(intensity[2])),
+                )
+            )
+    return tuple(lights)
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """Direct light of the LEDs on a Lambertian coat, and light that does not change.
+
+    Attributes:
+        lights: the LEDs.
+        ambient_fraction: light from all other directions (reflected between the parts of the
+            dome), over the mean direct light at rest. It keeps the relative change bounded where
+            an LED hardly reaches the skin at rest.
+        exponent: of brightness over light; 1 for a camera with a linear response.
+
+    Raises:
+        ValueError: no light, a fraction or an exponent that is not positive.
+    """
+
+    lights: tuple[PointLight, ...] = field(default_factory=led_ring)
+    ambient_fraction: float = 0.5
+    exponent: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not self.lights:
+            raise ValueError("lighting has no light, expected at least one")
+        if not (np.isfinite(self.ambient_fraction) and self.ambient_fraction > 0.0):
+            raise ValueError(
+                f"ambient_fraction is {self.ambient_fraction}, expected a positive number"
+            )
+        if not (np.isfinite(self.exponent) and self.exponent > 0.0):
+            raise ValueError(f"exponent is {self.exponent}, expected a positive number")
