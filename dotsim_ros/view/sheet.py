@@ -1,0 +1,114 @@
+"""A contact sheet: the strongest moment of each part of a bag, and the force over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from dotsim_ros.view.figure import FAINT, INK, STYLE, TITLES, colour_scale, draw_forces
+from dotsim_ros.view.files import whole_file
+from dotsim_ros.view.pictures import Pictures
+from dotsim_ros.view.timeline import Forces, Moment
+
+COLUMN_INCHES = 2.6
+PLOT_INCHES = 2.3
+DOTS_PER_INCH = 110
+
+
+def strongest_stamps(
+    stamps_ns: NDArray[np.int64], forces: Forces | None, *, count: int
+) -> list[int]:
+    """Return the time of the greatest force in each of `count` equal parts of a bag.
+
+    Without forces, the middle of each part. Parts without any moment are left out.
+    """
+    edges = np.linspace(stamps_ns[0], stamps_ns[-1] + 1, count + 1)
+    chosen = []
+    for low, high in pairwise(edges):
+        inside = stamps_ns[(stamps_ns >= low) & (stamps_ns < high)]
+        if inside.size == 0:
+            continue
+        if forces is None:
+            chosen.append(int(inside[len(inside) // 2]))
+        else:
+            strength = [float(np.linalg.norm(forces.at(int(stamp)))) for stamp in inside]
+            chosen.append(int(inside[int(np.argmax(strength))]))
+    return chosen
+
+
+def write_sheet(
+    path: str | Path,
+    moments: Iterable[Moment],
+    pictures: Pictures,
+    forces: Forces | None,
+    *,
+    start_ns: int,
+    end_ns: int,
+    title: str,
+) -> None:
+    """Write a contact sheet as PNG, whole or not at all.
+
+    Args:
+        path: the file; replaced where it is there.
+        moments: one column each.
+        pictures: draws the panels.
+        forces: plotted below, or None.
+        start_ns: where the time axis begins.
+        end_ns: where it ends.
+        title: printed above.
+    """
+    columns = list(moments)
+    shapes = pictures.shape_px()
+    heights = [COLUMN_INCHES * shape[0] / shape[1] for shape in shapes.values()]
+    size = (COLUMN_INCHES * len(columns) + 1.5, sum(heights) + PLOT_INCHES + 1.3)
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=size, dpi=DOTS_PER_INCH, layout="constrained")
+        FigureCanvasAgg(figure)
+        figure.suptitle(title, fontsize=13)
+        grid = figure.add_gridspec(
+            len(shapes) + 1, len(columns), height_ratios=[*heights, PLOT_INCHES]
+        )
+        for row, name in enumerate(shapes):
+            row_axes = [figure.add_subplot(grid[row, column]) for column in range(len(columns))]
+            for axes, moment in zip(row_axes, columns, strict=True):
+                axes.set_xticks([])
+                axes.set_yticks([])
+                axes.spines[:].set_visible(False)
+                picture = pictures.panel(name, moment)
+                if picture is not None:
+                    axes.imshow(picture, interpolation="antialiased")
+                if row == 0:
+                    axes.set_title(_caption(moment, forces, start_ns))
+            row_axes[0].set_ylabel(TITLES[name].replace(", ", ",\n"))
+            scale = colour_scale(name, pictures.ranges)
+            if scale is not None:
+                figure.colorbar(scale, ax=row_axes, fraction=0.02, pad=0.01)
+        plot = figure.add_subplot(grid[len(shapes), :])
+        draw_forces(plot, forces, start_ns=start_ns, end_ns=end_ns)
+        for moment in columns:
+            plot.axvline((moment.stamp_ns - start_ns) * 1e-9, color=FAINT, lw=1.0, zorder=0)
+            plot.plot(
+                (moment.stamp_ns - start_ns) * 1e-9,
+                0.0,
+                marker="v",
+                color=INK,
+                transform=plot.get_xaxis_transform(),
+                clip_on=False,
+                markersize=7,
+            )
+        with whole_file(path) as temporary:
+            figure.savefig(temporary, format="png")
+
+
+def _caption(moment: Moment, forces: Forces | None, start_ns: int) -> str:
+    caption = f"{(moment.stamp_ns - start_ns) * 1e-9:.2f} s"
+    if forces is not None:
+        caption += f"   {np.linalg.norm(forces.at(moment.stamp_ns)):.2f} N"
+    return caption

@@ -1,0 +1,261 @@
+"""A video of a bag: its panels side by side above a running force plot."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import imageio_ffmpeg
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from dotsim_ros.view.figure import INK, STYLE, TITLES, colour_scale, draw_forces
+from dotsim_ros.view.files import whole_file
+from dotsim_ros.view.pictures import Picture, Pictures
+from dotsim_ros.view.timeline import Forces, Moment
+
+PANELS = ("image", "depth", "skin")
+WIDTH_PX, HEIGHT_PX = 1280, 720
+DOTS_PER_INCH = 100
+MARGIN_PX = 20
+TITLE_PX = 34
+LONGEST_PANEL_PX = 400
+GIF_WIDTH_PX = 640
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a panel lies on a frame, in pixels from the top left."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+def _places(shapes: dict[str, tuple[int, int]]) -> dict[str, Place]:
+    names = [name for name in PANELS if name in shapes]
+    aspects = [shapes[name][1] / shapes[name][0] for name in names]
+    bar_px = 60
+    free = WIDTH_PX - MARGIN_PX * (len(names) + 1) - bar_px * sum(n != "image" for n in names)
+    height = min(LONGEST_PANEL_PX, int(free / sum(aspects)))
+    used = sum(round(height * aspect) for aspect in aspects) + WIDTH_PX - free
+    left = (WIDTH_PX - used) // 2 + MARGIN_PX
+    places = {}
+    for name, aspect in zip(names, aspects, strict=True):
+        width = round(height * aspect)
+        places[name] = Place(left, TITLE_PX + MARGIN_PX, width, height)
+        left += width + MARGIN_PX + (0 if name == "image" else bar_px)
+    return places
+
+
+class Board:
+    """The part of every frame that stays: titles, colour scales, the force plot.
+
+    Args:
+        pictures: draws the panels.
+        forces: plotted below, or None.
+        start_ns: where the time axis begins.
+        end_ns: where it ends.
+        title: printed above the plot.
+    """
+
+    def __init__(
+        self,
+        pictures: Pictures,
+        forces: Forces | None,
+        *,
+        start_ns: int,
+        end_ns: int,
+        title: str,
+    ) -> None:
+        self._pictures = pictures
+        self._forces = forces
+        self._start_ns = start_ns
+        self._places = _places(pictures.shape_px())
+        font = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
+        self._font = ImageFont.truetype(str(font), 17)
+        with matplotlib.rc_context(STYLE):
+            self._draw(start_ns, end_ns, title)
+
+    def _draw(self, start_ns: int, end_ns: int, title: str) -> None:
+        figure = Figure(
+            figsize=(WIDTH_PX / DOTS_PER_INCH, HEIGHT_PX / DOTS_PER_INCH), dpi=DOTS_PER_INCH
+        )
+        canvas = FigureCanvasAgg(figure)
+        for name, place in self._places.items():
+            figure.text(
+                place.left / WIDTH_PX,
+                1.0 - (place.top - 8) / HEIGHT_PX,
+                TITLES[name],
+                fontsize=12,
+                va="bottom",
+            )
+            scale = colour_scale(name, self._pictures.ranges)
+            if scale is not None:
+                bar = figure.add_axes(self._box(place.left + place.width + 8, place, 12))
+                figure.colorbar(scale, cax=bar)
+        bottom = max(place.top + place.height for place in self._places.values())
+        self._text_top = bottom + 10
+        plot_top = bottom + 40
+        plot = figure.add_axes(
+            (
+                80 / WIDTH_PX,
+                56 / HEIGHT_PX,
+                (WIDTH_PX - 80 - 2 * MARGIN_PX) / WIDTH_PX,
+                (HEIGHT_PX - plot_top - 56) / HEIGHT_PX,
+            )
+        )
+        draw_forces(plot, self._forces, start_ns=start_ns, end_ns=end_ns)
+        figure.text(
+            1.0 - 2 * MARGIN_PX / WIDTH_PX,
+            1.0 - 8 / HEIGHT_PX,
+            title,
+            fontsize=11,
+            ha="right",
+            va="top",
+        )
+        canvas.draw()
+        self._background = np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        box = plot.get_window_extent()
+        self._plot_rows = (round(HEIGHT_PX - box.y1), round(HEIGHT_PX - box.y0))
+        self._plot_columns = (box.x0, box.x1)
+        self._duration_s = plot.get_xlim()[1]
+
+    def _box(self, left: float, place: Place, width: float) -> tuple[float, float, float, float]:
+        return (
+            left / WIDTH_PX,
+            1.0 - (place.top + place.height) / HEIGHT_PX,
+            width / WIDTH_PX,
+            place.height / HEIGHT_PX,
+        )
+
+    def frame(self, moment: Moment) -> Picture:
+        """Return the (720, 1280, 3) uint8 RGB frame of a moment."""
+        frame = self._background.copy()
+        for name, place in self._places.items():
+            picture = self._pictures.panel(name, moment)
+            if picture is None:
+                continue
+            shrinks = picture.shape[1] > place.width
+            frame[place.top : place.top + place.height, place.left : place.left + place.width] = (
+                cv2.resize(
+                    np.ascontiguousarray(picture),
+                    (place.width, place.height),
+                    interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR,
+                )
+            )
+        time_s = (moment.stamp_ns - self._start_ns) * 1e-9
+        left, right = self._plot_columns
+        column = round(left + (right - left) * min(1.0, time_s / self._duration_s))
+        top, bottom = self._plot_rows
+        frame[top:bottom, column : column + 2] = (255, 212, 59)
+        return self._captioned(frame, moment, time_s)
+
+    def _captioned(self, frame: Picture, moment: Moment, time_s: float) -> Picture:
+        caption = f"{time_s:6.2f} s"
+        if self._forces is not None:
+            x, y, z = self._forces.at(moment.stamp_ns)
+            caption += f"     F = ({x:+.2f}, {y:+.2f}, {z:+.2f}) N"
+        strip = Image.fromarray(frame[self._text_top : self._text_top + 26, :640].copy())
+        ImageDraw.Draw(strip).text((80, 0), caption, font=self._font, fill=INK)
+        frame[self._text_top : self._text_top + 26, :640] = np.asarray(strip)
+        return frame
+
+
+def paced(moments: Iterable[Moment], *, fps: float, speed: float) -> Iterator[Moment]:
+    """Yield the moment that is current at each frame of a video.
+
+    Args:
+        moments: in order of time.
+        fps: frames a second of the video.
+        speed: seconds of the bag in a second of the video.
+    """
+    step_ns = speed * 1e9 / fps
+    next_ns: float | None = None
+    last: Moment | None = None
+    for last, following in pairwise(_with_end(moments)):
+        if last is None:
+            continue
+        next_ns = float(last.stamp_ns) if next_ns is None else next_ns
+        if following is None:
+            yield last
+            return
+        while next_ns < following.stamp_ns:
+            yield last
+            next_ns += step_ns
+
+
+def _with_end(moments: Iterable[Moment]) -> Iterator[Moment | None]:
+    yield from moments
+    yield None
+
+
+def usual_rate_hz(stamps_ns: NDArray[np.int64]) -> float:
+    """Return the usual number of moments a second, at least 10 and at most 60."""
+    if len(stamps_ns) < 2:
+        return 10.0
+    return float(np.clip(np.round(1e9 / np.median(np.diff(stamps_ns))), 10.0, 60.0))
+
+
+def write_video(
+    path: str | Path, moments: Iterable[Moment], board: Board, *, fps: float, speed: float = 1.0
+) -> int:
+    """Write an MP4 (H.264), whole or not at all.
+
+    Args:
+        path: the file; replaced where it is there.
+        moments: in order of time.
+        board: draws the frames.
+        fps: frames a second.
+        speed: seconds of the bag in a second of the video.
+
+    Returns:
+        The number of frames.
+    """
+    count = 0
+    with whole_file(path) as temporary:
+        writer = imageio_ffmpeg.write_frames(
+            str(temporary), (WIDTH_PX, HEIGHT_PX), fps=fps, codec="libx264", quality=8
+        )
+        writer.send(None)
+        try:
+            for moment in paced(moments, fps=fps, speed=speed):
+                writer.send(np.ascontiguousarray(board.frame(moment)))
+                count += 1
+        finally:
+            writer.close()
+    return count
+
+
+def write_gif(path: str | Path, video: str | Path, *, fps: float, width_px: int) -> None:
+    """Write an animated GIF of a video, with a palette of its own, whole or not at all.
+
+    Raises:
+        OSError: ffmpeg could not; the message holds what it said.
+    """
+    graph = (
+        f"fps={fps:g},scale={width_px}:-1:flags=lanczos,split[a][b];"
+        "[a]palettegen=stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4"
+    )
+    with whole_file(path) as temporary:
+        done = subprocess.run(
+            [
+                imageio_ffmpeg.get_ffmpeg_exe(),
+                *("-v", "error", "-y", "-i", str(video), "-filter_complex", graph),
+                str(temporary),
+            ],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        if done.returncode != 0:
+            raise OSError(f"ffmpeg could not write {path}: {done.stderr.strip()}")
