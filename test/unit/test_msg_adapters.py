@@ -1,0 +1,548 @@
+"""Messages to arrays and back: exact both ways, and malformed messages refused."""
+
+import importlib.util
+import subprocess
+import sys
+from array import array
+
+import hypothesis.extra.numpy as arrays
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import msg_adapters as adapters
+from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE
+
+HAS_ROS = importlib.util.find_spec("rclpy") is not None
+WORLDS = [
+    pytest.param(BAG_TYPES, id="bag"),
+    pytest.param(
+        adapters.ROS, id="ros", marks=pytest.mark.skipif(not HAS_ROS, reason="needs ROS 2")
+    ),
+]
+every_world = pytest.mark.parametrize("types", WORLDS)
+quick = settings(max_examples=40, deadline=None)
+
+stamps = st.integers(0, 2**31 * 10**9 - 1)
+finite = st.floats(allow_nan=False, allow_infinity=False)
+vectors = st.tuples(finite, finite, finite)
+sizes = st.integers(1, 9)
+names = st.text(st.characters(codec="ascii", categories=["L", "N"]), max_size=8)
+quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1)
+
+
+def unit(quaternion):
+    return np.array(quaternion) / np.linalg.norm(quaternion)
+
+
+def pixels(encoding):
+    dtype, tail = {
+        "rgb8": (np.uint8, (3,)),
+        "bgr8": (np.uint8, (3,)),
+        "mono8": (np.uint8, ()),
+        "32FC1": (np.float32, ()),
+    }[encoding]
+    shapes = st.tuples(sizes, sizes).map(lambda size: (*size, *tail))
+    return shapes.flatmap(lambda shape: arrays.arrays(dtype, shape))
+
+
+images = st.sampled_from(["rgb8", "bgr8", "mono8", "32FC1"]).flatmap(
+    lambda encoding: st.tuples(st.just(encoding), pixels(encoding))
+)
+
+
+def over_the_wire(message):
+    """Return a bag's message after it has been serialised and read again."""
+    name = message.__msgtype__
+    return TYPESTORE.deserialize_cdr(TYPESTORE.serialize_cdr(message, name), name)
+
+
+@every_world
+@quick
+@given(stamps)
+def test_stamps_are_exact(types, stamp_ns):
+    assert adapters.decode_stamp(adapters.encode_stamp(stamp_ns, types=types)) == stamp_ns
+
+
+@pytest.mark.parametrize("stamp_ns", [-1, 2**31 * 10**9])
+def test_stamp_out_of_range_is_refused(stamp_ns):
+    with pytest.raises(ValueError, match="outside"):
+        adapters.encode_stamp(stamp_ns, types=BAG_TYPES)
+
+
+def test_stamp_that_is_no_time_is_refused():
+    stamp = BAG_TYPES.make("builtin_interfaces/msg/Time", sec=1, nanosec=10**9)
+    with pytest.raises(ValueError, match="no valid time"):
+        adapters.decode_stamp(stamp)
+
+
+@every_world
+@quick
+@given(images, stamps, names)
+def test_image_is_exact(types, image, stamp_ns, frame_id):
+    encoding, values = image
+    message = adapters.encode_image(
+        values, encoding=encoding, stamp_ns=stamp_ns, frame_id=frame_id, types=types
+    )
+    decoded = adapters.decode_image(message)
+    assert decoded.dtype == values.dtype
+    assert decoded.tobytes() == values.tobytes()
+    assert (message.header.frame_id, adapters.message_stamp_ns(message)) == (frame_id, stamp_ns)
+
+
+@quick
+@given(images, stamps)
+def test_image_is_exact_over_the_wire(image, stamp_ns):
+    encoding, values = image
+    message = over_the_wire(
+        adapters.encode_image(
+            values, encoding=encoding, stamp_ns=stamp_ns, frame_id="", types=BAG_TYPES
+        )
+    )
+    assert adapters.decode_image(message).tobytes() == values.tobytes()
+    assert adapters.message_stamp_ns(message) == stamp_ns
+
+
+@every_world
+@quick
+@given(pixels("rgb8"), st.integers(0, 7))
+def test_padded_rows_are_read(types, values, padding):
+    height, width, _ = values.shape
+    message = adapters.encode_image(values, encoding="rgb8", stamp_ns=0, frame_id="", types=types)
+    message.step = 3 * width + padding
+    rows = np.full((height, message.step), 255, np.uint8)
+    rows[:, : 3 * width] = values.reshape(height, -1)
+    message.data = types.octets(rows)
+    assert np.array_equal(adapters.decode_image(message), values)
+
+
+def test_big_endian_depth_is_read():
+    depth = np.array([[1.5, np.nan], [-2.25, 0.0]], np.float32)
+    message = adapters.encode_image(
+        depth, encoding="32FC1", stamp_ns=0, frame_id="", types=BAG_TYPES
+    )
+    message.is_bigendian = 1
+    message.data = BAG_TYPES.octets(depth.astype(">f4"))
+    assert np.array_equal(adapters.decode_image(message), depth, equal_nan=True)
+
+
+def test_decoded_image_shares_the_memory_of_the_message():
+    data = array("B", range(12))
+    message = BAG_TYPES.make(
+        "sensor_msgs/msg/Image",
+        header=adapters.encode_header(0, "", types=BAG_TYPES),
+        height=2,
+        width=2,
+        encoding="rgb8",
+        is_bigendian=0,
+        step=6,
+        data=data,
+    )
+    decoded = adapters.decode_image(message)
+    data[0] = 99
+    assert decoded[0, 0, 0] == 99
+
+
+@quick
+@given(pixels("rgb8"))
+def test_colours_keep_their_places(values):
+    reverse = adapters.encode_image(
+        values[..., ::-1], encoding="bgr8", stamp_ns=0, frame_id="", types=BAG_TYPES
+    )
+    assert np.array_equal(adapters.decode_rgb(reverse), values)
+    grey = adapters.encode_image(
+        np.ascontiguousarray(values[..., 0]),
+        encoding="mono8",
+        stamp_ns=0,
+        frame_id="",
+        types=BAG_TYPES,
+    )
+    assert np.array_equal(adapters.decode_rgb(grey), np.repeat(values[..., :1], 3, axis=2))
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"encoding": ""}, "must set the encoding"),
+        ({"encoding": "yuv422"}, "not supported"),
+        ({"step": 5}, "too short"),
+        ({"height": 3}, "expected step"),
+        ({"width": 0}, "empty"),
+        ({"data": np.zeros(11, np.uint8)}, "holds 11 bytes"),
+    ],
+)
+def test_malformed_image_is_refused(change, reason):
+    message = adapters.encode_image(
+        np.zeros((2, 2, 3), np.uint8), encoding="rgb8", stamp_ns=0, frame_id="", types=BAG_TYPES
+    )
+    for name, value in change.items():
+        setattr(message, name, value)
+    with pytest.raises(ValueError, match=reason):
+        adapters.decode_image(message)
+
+
+@pytest.mark.parametrize(
+    ("values", "encoding"),
+    [
+        (np.zeros((2, 2), np.uint8), "rgb8"),
+        (np.zeros((2, 2, 4), np.uint8), "rgb8"),
+        (np.zeros((2, 2, 3), np.float32), "rgb8"),
+        (np.zeros((2, 2), np.float64), "32FC1"),
+        (np.zeros((0, 2), np.uint8), "mono8"),
+        (np.zeros((2, 2, 3), np.uint8), "rgba8"),
+    ],
+)
+def test_pixels_that_do_not_fit_are_refused(values, encoding):
+    with pytest.raises(ValueError, match=encoding):
+        adapters.encode_image(values, encoding=encoding, stamp_ns=0, frame_id="", types=BAG_TYPES)
+
+
+@every_world
+@quick
+@given(st.sampled_from(["rgb8", "mono8"]).flatmap(pixels), stamps)
+def test_png_is_exact(types, values, stamp_ns):
+    message = adapters.encode_compressed_image(
+        values, compression="png", stamp_ns=stamp_ns, frame_id="camera", types=types
+    )
+    assert np.array_equal(adapters.decode_compressed_image(message), values)
+    assert bytes(message.data[:4]) == b"\x89PNG"
+
+
+def test_jpeg_is_close():
+    across, down = np.meshgrid(np.arange(64), np.arange(48))
+    values = np.stack([4 * across, 5 * down, 128 + 0 * across], axis=-1).astype(np.uint8)
+    message = adapters.encode_compressed_image(
+        values, compression="jpeg", stamp_ns=0, frame_id="", types=BAG_TYPES
+    )
+    decoded = adapters.decode_compressed_image(message)
+    assert np.abs(decoded.astype(float) - values).mean() < 3.0
+    assert message.format == "rgb8; jpeg compressed bgr8"
+
+
+@pytest.mark.parametrize("data", [b"", b"\x89PNG\r\n", b"no image at all"])
+def test_broken_file_is_refused(data):
+    message = adapters.encode_compressed_image(
+        np.zeros((2, 2, 3), np.uint8),
+        compression="png",
+        stamp_ns=0,
+        frame_id="",
+        types=BAG_TYPES,
+    )
+    message.data = np.frombuffer(data, np.uint8)
+    with pytest.raises(ValueError, match="cannot be read"):
+        adapters.decode_compressed_image(message)
+
+
+@every_world
+@quick
+@given(
+    st.tuples(st.integers(1, 5000), st.integers(1, 5000)),
+    st.tuples(st.floats(1e-3, 1e6), st.floats(1e-3, 1e6)),
+    st.tuples(finite, finite),
+    st.tuples(finite, finite, finite, finite),
+)
+def test_camera_info_is_exact(types, size, focal, centre, distortion):
+    message = adapters.encode_camera_info(
+        width=size[0],
+        height=size[1],
+        focal_px=focal,
+        principal_point_px=centre,
+        distortion=distortion,
+        stamp_ns=7,
+        frame_id="camera",
+        types=types,
+    )
+    decoded = adapters.decode_camera_info(message)
+    assert (decoded.width, decoded.height) == size
+    assert tuple(decoded.focal_px) == focal
+    assert tuple(decoded.principal_point_px) == centre
+    assert tuple(decoded.distortion) == distortion
+    assert message.distortion_model == "equidistant"
+    assert len(message.d) == 4
+    projection = np.array(message.p).reshape(3, 4)
+    assert np.array_equal(projection[:, :3], np.array(message.k).reshape(3, 3))
+    assert not projection[:, 3].any()
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"distortion_model": "plumb_bob"}, "plumb_bob"),
+        ({"d": np.zeros(5)}, "4 numbers"),
+        ({"k": np.zeros(9)}, "uncalibrated"),
+        ({"k": np.full(9, np.nan)}, "not finite"),
+        ({"width": 0}, "empty"),
+    ],
+)
+def test_malformed_camera_info_is_refused(change, reason):
+    message = adapters.encode_camera_info(
+        width=4,
+        height=3,
+        focal_px=(1.0, 1.0),
+        principal_point_px=(2.0, 1.5),
+        distortion=(0.0, 0.0, 0.0, 0.0),
+        stamp_ns=0,
+        frame_id="",
+        types=BAG_TYPES,
+    )
+    for name, value in change.items():
+        setattr(message, name, value)
+    with pytest.raises(ValueError, match=reason):
+        adapters.decode_camera_info(message)
+
+
+def points(count):
+    single = st.floats(allow_nan=False, allow_infinity=False, width=32)
+    return arrays.arrays(np.float32, (count, 3), elements=single)
+
+
+@every_world
+@quick
+@given(st.integers(0, 20).flatmap(lambda count: st.tuples(*[points(count)] * 3)), st.booleans())
+def test_cloud_is_exact(types, groups, has_extras):
+    position, normal, displacement = groups
+    message = adapters.encode_cloud(
+        position,
+        normal=normal if has_extras else None,
+        displacement_m=displacement if has_extras else None,
+        stamp_ns=3,
+        frame_id="base",
+        types=types,
+    )
+    cloud = adapters.decode_cloud(message)
+    assert np.array_equal(cloud.position, position)
+    if has_extras:
+        assert np.array_equal(cloud.normal, normal)
+        assert np.array_equal(cloud.displacement, displacement)
+        assert [field.name for field in message.fields][3:5] == ["normal_x", "normal_y"]
+    else:
+        assert cloud.normal is None
+        assert cloud.displacement is None
+    assert message.is_dense
+
+
+def test_decoded_cloud_is_a_view():
+    message = adapters.encode_cloud(
+        np.zeros((4, 3)), normal=np.ones((4, 3)), stamp_ns=0, frame_id="", types=BAG_TYPES
+    )
+    assert np.shares_memory(adapters.decode_cloud(message).position, message.data)
+
+
+FIELD_KINDS = {np.dtype(np.float32): 7, np.dtype(np.float64): 8}
+
+
+@quick
+@given(
+    st.permutations(["x", "y", "z", "intensity"]),
+    st.lists(st.integers(0, 5), min_size=4, max_size=4),
+    st.sampled_from(sorted(FIELD_KINDS, key=str)),
+    st.booleans(),
+    st.tuples(st.integers(1, 4), st.integers(1, 4)),
+    st.integers(0, 9),
+    st.randoms(use_true_random=False),
+)
+def test_cloud_of_any_layout_is_read(order, gaps, dtype, is_big, size, row_padding, random):
+    offsets, offset = [], 0
+    for gap in gaps:
+        offsets.append(offset + gap)
+        offset += gap + dtype.itemsize
+    kind = dtype.newbyteorder(">" if is_big else "<")
+    layout = np.dtype(
+        {"names": order, "formats": [kind] * 4, "offsets": offsets, "itemsize": offset + 3}
+    )
+    height, width = size
+    table = np.zeros(height * width, layout)
+    for name in order:
+        table[name] = [random.uniform(-1, 1) for _ in range(height * width)]
+    row_step = width * layout.itemsize + row_padding
+    rows = np.zeros((height, row_step), np.uint8)
+    rows[:, : width * layout.itemsize] = table.view(np.uint8).reshape(height, -1)
+    fields = [
+        BAG_TYPES.make(
+            "sensor_msgs/msg/PointField",
+            name=name,
+            offset=start,
+            datatype=FIELD_KINDS[dtype],
+            count=1,
+        )
+        for name, start in zip(order, offsets, strict=True)
+    ]
+    message = BAG_TYPES.make(
+        "sensor_msgs/msg/PointCloud2",
+        header=adapters.encode_header(0, "", types=BAG_TYPES),
+        height=height,
+        width=width,
+        fields=fields,
+        is_bigendian=is_big,
+        point_step=layout.itemsize,
+        row_step=row_step,
+        data=rows.reshape(-1),
+        is_dense=True,
+    )
+    decoded = adapters.decode_cloud(over_the_wire(message))
+    expected = np.stack([table[name] for name in "xyz"], axis=1)
+    assert np.array_equal(decoded.position, expected)
+    assert np.array_equal(adapters.decode_cloud_fields(message)["intensity"], table["intensity"])
+
+
+def _rename(message):
+    message.fields[0].name = "y"
+
+
+def _unknown_type(message):
+    message.fields[0].datatype = 9
+
+
+def _too_far(message):
+    message.fields[2].offset = 10
+
+
+def _too_short(message):
+    message.data = message.data[:-1]
+
+
+def _short_row(message):
+    message.row_step = 3
+
+
+def _no_x(message):
+    message.fields[0].name = "a"
+
+
+def _not_dense(message):
+    message.data = np.full(24, 255, np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (_rename, "twice"),
+        (_unknown_type, "unknown type 9"),
+        (_too_far, "ends at byte 14"),
+        (_too_short, "holds 23 bytes"),
+        (_short_row, "too short"),
+        (_no_x, "expected x, y and z"),
+        (_not_dense, "is_dense"),
+    ],
+)
+def test_malformed_cloud_is_refused(spoil, reason):
+    message = adapters.encode_cloud(np.ones((2, 3)), stamp_ns=0, frame_id="", types=BAG_TYPES)
+    spoil(message)
+    with pytest.raises(ValueError, match=reason):
+        adapters.decode_cloud(message)
+
+
+def test_cloud_arrays_that_do_not_fit_are_refused():
+    with pytest.raises(ValueError, match="normal_x"):
+        adapters.encode_cloud(
+            np.ones((2, 3)), normal=np.ones((3, 3)), stamp_ns=0, frame_id="", types=BAG_TYPES
+        )
+
+
+@every_world
+@quick
+@given(vectors, quaternions, stamps)
+def test_pose_is_exact(types, position, quaternion, stamp_ns):
+    rotation = unit(quaternion)
+    message = adapters.encode_pose_stamped(
+        position, rotation, stamp_ns=stamp_ns, frame_id="base", types=types
+    )
+    decoded = adapters.decode_pose_stamped(message)
+    assert tuple(decoded[0]) == position
+    assert np.array_equal(decoded[1], rotation)
+    assert adapters.message_stamp_ns(message) == stamp_ns
+
+
+@every_world
+@quick
+@given(vectors, vectors)
+def test_twist_and_wrench_are_exact(types, first, second):
+    stamped = {"stamp_ns": 1, "frame_id": "base", "types": types}
+    for decoded in (
+        adapters.decode_twist(adapters.encode_twist(first, second, types=types)),
+        adapters.decode_twist_stamped(adapters.encode_twist_stamped(first, second, **stamped)),
+        adapters.decode_wrench_stamped(adapters.encode_wrench_stamped(first, second, **stamped)),
+    ):
+        assert (tuple(decoded[0]), tuple(decoded[1])) == (first, second)
+
+
+BAD_NUMBERS = [float("nan"), float("inf"), -float("inf")]
+
+
+@pytest.mark.parametrize("bad", BAD_NUMBERS)
+def test_numbers_that_are_not_finite_are_refused_both_ways(bad):
+    stamped = {"stamp_ns": 1, "frame_id": "base", "types": BAG_TYPES}
+    zero = (0.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match="position holds a number that is not finite"):
+        adapters.encode_pose_stamped((0.0, bad, 0.0), (0.0, 0.0, 0.0, 1.0), **stamped)
+    with pytest.raises(ValueError, match="force"):
+        adapters.encode_wrench_stamped((bad, 0.0, 0.0), zero, **stamped)
+    pose = adapters.encode_pose_stamped(zero, (0.0, 0.0, 0.0, 1.0), **stamped)
+    pose.pose.position.z = bad
+    with pytest.raises(ValueError, match="position"):
+        adapters.decode_pose_stamped(pose)
+    wrench = adapters.encode_wrench_stamped(zero, zero, **stamped)
+    wrench.wrench.torque.y = bad
+    with pytest.raises(ValueError, match="torque"):
+        adapters.decode_wrench_stamped(wrench)
+    twist = adapters.encode_twist_stamped(zero, zero, **stamped)
+    twist.twist.linear.x = bad
+    with pytest.raises(ValueError, match="linear velocity"):
+        adapters.decode_twist_stamped(twist)
+
+
+@pytest.mark.parametrize("quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.01), (1, 1, 1, 1)])
+def test_quaternion_not_of_unit_length_is_refused_both_ways(quaternion):
+    stamped = {"stamp_ns": 1, "frame_id": "base", "types": BAG_TYPES}
+    with pytest.raises(ValueError, match="expected 1 within"):
+        adapters.encode_pose_stamped((0, 0, 0), quaternion, **stamped)
+    pose = adapters.encode_pose_stamped((0, 0, 0), (0, 0, 0, 1), **stamped)
+    for name, value in zip("xyzw", quaternion, strict=True):
+        setattr(pose.pose.orientation, name, float(value))
+    with pytest.raises(ValueError, match="expected 1 within"):
+        adapters.decode_pose_stamped(pose)
+
+
+statuses = st.builds(
+    adapters.Status,
+    name=names,
+    level=st.sampled_from(adapters.Level),
+    message=names,
+    hardware_id=names,
+    values=st.dictionaries(names, names, max_size=4),
+)
+
+
+@every_world
+@quick
+@given(st.lists(statuses, max_size=4), stamps)
+def test_diagnostics_are_exact(types, given_statuses, stamp_ns):
+    message = adapters.encode_diagnostics(given_statuses, stamp_ns=stamp_ns, types=types)
+    assert adapters.decode_diagnostics(message) == given_statuses
+    assert adapters.message_stamp_ns(message) == stamp_ns
+
+
+def test_unknown_diagnostic_level_is_refused():
+    message = adapters.encode_diagnostics(
+        [adapters.Status("camera", adapters.Level.OK)], stamp_ns=0, types=BAG_TYPES
+    )
+    message.status[0].level = 7
+    with pytest.raises(ValueError, match="unknown level 7"):
+        adapters.decode_diagnostics(message)
+
+
+def test_message_class_names_what_is_missing():
+    with pytest.raises(ImportError, match="nowhere_msgs"):
+        adapters.message_class("nowhere_msgs/msg/Nothing")
+    with pytest.raises(ValueError, match="PACKAGE/msg/TYPE"):
+        adapters.message_class("Image")
+
+
+def test_importing_needs_no_ros_and_no_opencv():
+    code = (
+        "import sys, msg_adapters; "
+        "print(sorted({'rclpy', 'cv2', 'sensor_msgs', 'rosbags'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
