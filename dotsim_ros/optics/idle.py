@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
+from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
 
 ByteImage = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
@@ -122,15 +124,33 @@ def fit_idle_image(
     return resample(image, source, camera)
 
 
-def read_idle_image(path: Path, camera: FisheyeCamera) -> ByteImage:
+@dataclass(frozen=True)
+class IdleFrame:
+    """An idle frame in the sensor's camera, and what is known of how it came about.
+
+    Attributes:
+        image: (H, W, 3) uint8, red, green, blue.
+        lighting: the LEDs that it was taken under.
+        vignetting: of its camera.
+    """
+
+    image: ByteImage
+    lighting: Lighting = field(default_factory=Lighting)
+    vignetting: Vignetting = field(default_factory=Vignetting)
+
+
+def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
     """Read an idle frame and bring it to the sensor's camera.
 
-    A YAML file of the same name beside the image may say where the lit disc lies (`centre_px`,
-    `radius_px`, `rim_angle_deg`); without one the image must show the camera's own view.
+    A YAML file of the same name beside the image may describe it, in three optional sections:
+    `disc` (the fields of LitDisc; without it the image must show the camera's own view), `lighting`
+    (the arguments of led_ring, and Lighting's `ambient_fraction` and `exponent`) and `vignetting`
+    (`falloff`).
 
     Raises:
         FileNotFoundError: no such image.
-        ValueError: the file is no image, its YAML file is incomplete, or as `fit_idle_image`.
+        ValueError: the file is no image, its description has an unknown or missing entry, or as
+            `fit_idle_image`.
     """
     if not path.exists():
         raise FileNotFoundError(f"no idle image {path}")
@@ -139,26 +159,38 @@ def read_idle_image(path: Path, camera: FisheyeCamera) -> ByteImage:
         raise ValueError(f"{path} is no image that OpenCV can read; expected a PNG or JPEG file")
     image = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
     description = path.with_suffix(".yaml")
-    disc = read_disc(description) if description.exists() else None
+    disc, lighting, vignetting = None, Lighting(), Vignetting()
+    if description.exists():
+        disc, lighting, vignetting = read_description(description)
     try:
-        return fit_idle_image(image, camera, disc=disc)
+        return IdleFrame(fit_idle_image(image, camera, disc=disc), lighting, vignetting)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def read_disc(path: Path) -> LitDisc:
-    """Read where the lit disc of an image lies.
+def _numbers(section: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: tuple(float(entry) for entry in value) if isinstance(value, list) else float(value)
+        for name, value in section.items()
+    }
+
+
+def read_description(path: Path) -> tuple[LitDisc | None, Lighting, Vignetting]:
+    """Read what is known of an idle image; see `read_idle_frame`.
 
     Raises:
-        ValueError: an entry is missing, unknown, or no number.
+        ValueError: an entry is unknown, missing or of the wrong type; the message names the file.
     """
-    document = yaml.safe_load(path.read_text())
     try:
-        x, y = document["centre_px"]
-        return LitDisc(
-            (float(x), float(y)), float(document["radius_px"]), float(document["rim_angle_deg"])
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(
-            f"{path}: expected centre_px (two numbers), radius_px and rim_angle_deg: {error}"
-        ) from error
+        document = yaml.safe_load(path.read_text()) or {}
+        unknown = sorted(set(document) - {"disc", "lighting", "vignetting"})
+        if unknown:
+            raise ValueError(f"unknown sections {unknown}; known are disc, lighting, vignetting")
+        disc = LitDisc(**_numbers(document["disc"])) if "disc" in document else None
+        ring = _numbers(document.get("lighting", {}))
+        whole = {name: ring.pop(name) for name in ("ambient_fraction", "exponent") if name in ring}
+        lighting = Lighting(led_ring(**ring), **whole)
+        vignetting = Vignetting(**_numbers(document.get("vignetting", {})))
+    except (TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
+        raise ValueError(f"{path} describes no idle image: {error}") from error
+    return disc, lighting, vignetting

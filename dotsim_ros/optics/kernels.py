@@ -173,28 +173,43 @@ def fill_view(
     normal: wp.array2d(dtype=wp.vec3),
     material_point: wp.array2d(dtype=wp.vec3),
 ):
-    """Normal towards the camera and material point of `run` pixels; NaN where there is no skin."""
+    """Normal towards the camera and material point of `run` pixels; NaN where there is no skin.
+
+    Neighbouring pixels mostly see one triangle, whose corners are read once.
+    """
     y, block = wp.tid()
+    loaded = int(_NO_TRIANGLE)
+    nothing = wp.vec3(_NAN, _NAN, _NAN)
+    rest = wp.vec3(0.0, 0.0, 0.0)
+    rest_b = wp.vec3(0.0, 0.0, 0.0)
+    rest_c = wp.vec3(0.0, 0.0, 0.0)
+    outward = wp.vec3(0.0, 0.0, 0.0)
+    outward_b = wp.vec3(0.0, 0.0, 0.0)
+    outward_c = wp.vec3(0.0, 0.0, 0.0)
     for x in range(block * run, wp.min(block * run + run, ray.shape[1])):
         face = triangle_seen[y, x]
-        outward = wp.vec3(_NAN, _NAN, _NAN)
-        rest = wp.vec3(_NAN, _NAN, _NAN)
-        if face != _NO_TRIANGLE:
+        if face == _NO_TRIANGLE:
+            normal[y, x] = nothing
+            material_point[y, x] = nothing
+        else:
+            if face != loaded:
+                loaded = face
+                i0 = triangles[face, 0]
+                i1 = triangles[face, 1]
+                i2 = triangles[face, 2]
+                rest = rest_position[i0]
+                rest_b = rest_position[i1] - rest
+                rest_c = rest_position[i2] - rest
+                outward = vertex_normal[i0]
+                outward_b = vertex_normal[i1] - outward
+                outward_c = vertex_normal[i2] - outward
             weight = barycentric[y, x]
-            b = weight[0]
-            c = weight[1]
-            a = 1.0 - b - c
-            i0 = triangles[face, 0]
-            i1 = triangles[face, 1]
-            i2 = triangles[face, 2]
-            rest = a * rest_position[i0] + b * rest_position[i1] + c * rest_position[i2]
-            outward = wp.normalize(
-                a * vertex_normal[i0] + b * vertex_normal[i1] + c * vertex_normal[i2]
-            )
-            if wp.dot(outward, ray[y, x]) > 0.0:
-                outward = -outward
-        normal[y, x] = outward
-        material_point[y, x] = rest
+            material_point[y, x] = rest + weight[0] * rest_b + weight[1] * rest_c
+            towards = outward + weight[0] * outward_b + weight[1] * outward_c
+            length = wp.length(towards)
+            if wp.dot(towards, ray[y, x]) > 0.0:
+                length = -length
+            normal[y, x] = towards / length
 
 
 @wp.struct
@@ -242,17 +257,6 @@ def brightness_gain(
     )
 
 
-@wp.func
-def cubic_weights(t: float):
-    """Catmull-Rom weights of the four samples around a point; (0, 1, 0, 0) at t = 0 exactly."""
-    return wp.vec4(
-        ((-0.5 * t + 1.0) * t - 0.5) * t,
-        (1.5 * t - 2.5) * t * t + 1.0,
-        ((-1.5 * t + 2.0) * t + 0.5) * t,
-        (0.5 * t - 0.5) * t * t,
-    )
-
-
 @wp.kernel
 def carry_idle(
     triangle_seen: wp.array2d(dtype=wp.int32),
@@ -263,7 +267,7 @@ def carry_idle(
     gain: wp.array(dtype=wp.vec3),
     lit: wp.array2d(dtype=wp.uint8),
     vignetting: wp.array2d(dtype=wp.float32),
-    flat: wp.array2d(dtype=wp.vec3),
+    fine_flat: wp.array2d(dtype=wp.vec3),
     idle: wp.array3d(dtype=wp.uint8),
     run: int,
     image: wp.array3d(dtype=wp.uint8),
@@ -271,43 +275,50 @@ def carry_idle(
     """Colour of `run` pixels: the idle frame where the material point lay, times its gain.
 
     The idle pixel is the pixel plus the interpolated way back of the triangle's corners, which is
-    exactly zero at rest, and exact to first order in the size of a triangle elsewhere.
+    exactly zero at rest, and exact to first order in the size of a triangle elsewhere. The idle
+    frame has twice the resolution (2 H - 1, 2 W - 1).
     """
     y, block = wp.tid()
-    height = flat.shape[0]
-    width = flat.shape[1]
-    for x in range(block * run, wp.min(block * run + run, width)):
+    last_x = float(fine_flat.shape[1] - 1)
+    last_y = float(fine_flat.shape[0] - 1)
+    loaded = int(_NO_TRIANGLE)
+    back = wp.vec2(0.0, 0.0)
+    back_b = wp.vec2(0.0, 0.0)
+    back_c = wp.vec2(0.0, 0.0)
+    bright = wp.vec3(0.0, 0.0, 0.0)
+    bright_b = wp.vec3(0.0, 0.0, 0.0)
+    bright_c = wp.vec3(0.0, 0.0, 0.0)
+    for x in range(block * run, wp.min(block * run + run, lit.shape[1])):
         face = triangle_seen[y, x]
         if face == _NO_TRIANGLE or lit[y, x] == wp.uint8(0):
             for channel in range(3):
                 image[y, x, channel] = idle[y, x, channel]
         else:
-            b = barycentric[y, x][0]
-            c = barycentric[y, x][1]
-            a = 1.0 - b - c
-            i0 = triangles[face, 0]
-            i1 = triangles[face, 1]
-            i2 = triangles[face, 2]
-            back = (
-                a * (rest_pixel[i0] - pixel[i0])
-                + b * (rest_pixel[i1] - pixel[i1])
-                + c * (rest_pixel[i2] - pixel[i2])
-            )
-            from_x = wp.clamp(float(x) + back[0], 0.0, float(width - 1))
-            from_y = wp.clamp(float(y) + back[1], 0.0, float(height - 1))
-            column = int(from_x)
-            row = int(from_y)
-            weight_x = cubic_weights(from_x - float(column))
-            weight_y = cubic_weights(from_y - float(row))
-            colour = wp.vec3(0.0, 0.0, 0.0)
-            for j in range(4):
-                sample_y = wp.clamp(row + j - 1, 0, height - 1)
-                line = wp.vec3(0.0, 0.0, 0.0)
-                for i in range(4):
-                    sample_x = wp.clamp(column + i - 1, 0, width - 1)
-                    line += weight_x[i] * flat[sample_y, sample_x]
-                colour += weight_y[j] * line
-            brightness = a * gain[i0] + b * gain[i1] + c * gain[i2]
-            colour = wp.cw_mul(colour, brightness) * vignetting[y, x]
+            if face != loaded:
+                loaded = face
+                i0 = triangles[face, 0]
+                i1 = triangles[face, 1]
+                i2 = triangles[face, 2]
+                back = rest_pixel[i0] - pixel[i0]
+                back_b = rest_pixel[i1] - pixel[i1] - back
+                back_c = rest_pixel[i2] - pixel[i2] - back
+                bright = gain[i0]
+                bright_b = gain[i1] - bright
+                bright_c = gain[i2] - bright
+            weight = barycentric[y, x]
+            way = back + weight[0] * back_b + weight[1] * back_c
+            fine_x = wp.clamp(2.0 * (float(x) + way[0]), 0.0, last_x)
+            fine_y = wp.clamp(2.0 * (float(y) + way[1]), 0.0, last_y)
+            # The last sample is reached as the far end of the last cell.
+            column = wp.min(int(fine_x), fine_flat.shape[1] - 2)
+            row = wp.min(int(fine_y), fine_flat.shape[0] - 2)
+            right = fine_x - float(column)
+            down = fine_y - float(row)
+            upper = (1.0 - right) * fine_flat[row, column] + right * fine_flat[row, column + 1]
+            lower = (1.0 - right) * fine_flat[row + 1, column] + right * fine_flat[
+                row + 1, column + 1
+            ]
+            brightness = bright + weight[0] * bright_b + weight[1] * bright_c
+            colour = wp.cw_mul((1.0 - down) * upper + down * lower, brightness) * vignetting[y, x]
             for channel in range(3):
                 image[y, x, channel] = wp.uint8(wp.clamp(colour[channel], 0.0, 255.0) + 0.5)

@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+
+Float32Array = NDArray[np.float32]
 
 RED, GREEN, BLUE = np.eye(3)
 
@@ -28,7 +33,7 @@ def led_ring(
     height_m: float = 0.0005,
     azimuth_deg: tuple[float, float, float] = (60.0, 180.0, -60.0),
     spread_deg: float = 12.0,
-    crosstalk: float = 0.3,
+    crosstalk: float = 0.1,
 ) -> tuple[PointLight, ...]:
     """Return nine LEDs on a ring around the axis: three red, three green, three blue.
 
@@ -82,3 +87,26 @@ class Lighting:
             )
         if not (np.isfinite(self.exponent) and self.exponent > 0.0):
             raise ValueError(f"exponent is {self.exponent}, expected a positive number")
+
+
+@dataclass(frozen=True)
+class Vignetting:
+    """Loss of brightness towards the edge of the image, fixed to the camera.
+
+    Attributes:
+        falloff: c1, c2, ...: brightness is 1 + c1 s + c2 s^2 + ... with s the square of the
+            distance from the principal point over half the image's height.
+    """
+
+    falloff: tuple[float, ...] = ()
+
+    def brightness(self, camera: FisheyeCamera) -> Float32Array:
+        """Return (H, W) brightness relative to the principal point.
+
+        No pixel gets less than a thousandth, so that dividing by it is safe.
+        """
+        x, y = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
+        offset = np.stack([x, y], axis=-1) - camera.principal_point_px
+        square = np.sum((offset / (0.5 * camera.height)) ** 2, axis=-1)
+        brightness = np.polynomial.polynomial.polyval(square, [1.0, *self.falloff])
+        return np.maximum(brightness, 1e-3).astype(np.float32)
