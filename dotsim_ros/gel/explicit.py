@@ -21,12 +21,13 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
-from dotsim_ros.gel.body import Body, Dome
+from dotsim_ros.gel.body import Dome
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.explicit_kernels import (
     FRICTION,
@@ -51,6 +52,16 @@ PAPER_FRAME_S = 1.0 / 24.0
 
 class DivergenceError(RuntimeError):
     """The explicit simulation became unstable; reset it, and take more substeps or more mass."""
+
+
+class Region(Protocol):
+    """What the explicit method asks of a shape: any `Body` is one."""
+
+    def bounds_m(self) -> FloatArray:
+        """Return the (2, 3) lower and upper corner of a box around the material."""
+
+    def contains(self, points_m: FloatArray) -> NDArray[np.bool_]:
+        """Return for points (..., 3) whether they lie in the material."""
 
 
 @dataclass(frozen=True)
@@ -138,7 +149,7 @@ def stable_density_scale(
     return max(1.0, (wave_speed * substep_s / (courant_number * spacing_m)) ** 2)
 
 
-def sample_body(body: Body, particle_spacing_m: float) -> FloatArray:
+def sample_body(body: Region, particle_spacing_m: float) -> FloatArray:
     """Return the points (P, 3) of a regular lattice that lie in the body."""
     lower, upper = body.bounds_m()
     first = np.floor(lower / particle_spacing_m).astype(int)
@@ -170,7 +181,7 @@ class ExplicitGel:
 
     def __init__(
         self,
-        body: Body,
+        body: Region,
         skin: SkinMesh,
         *,
         material: NeoHookean,
@@ -383,13 +394,13 @@ class ExplicitGel:
 
     def particle_position_m(self) -> FloatArray:
         """Return the particles' positions (E, P, 3), base frame."""
-        return np.asarray(self._state.position.numpy(), dtype=np.float64)
+        return np.array(self._state.position.numpy(), dtype=np.float64)
 
     def deformation_gradient(self) -> FloatArray:
         """Return the particles' deformation gradients (E, P, 3, 3)."""
-        return np.asarray(self._state.deformation.numpy(), dtype=np.float64)
+        return np.array(self._state.deformation.numpy(), dtype=np.float64)
 
-    def _make_grid(self, body: Body) -> None:
+    def _make_grid(self, body: Region) -> None:
         spacing = self.settings.spacing_m
         lower, upper = body.bounds_m()
         # A plane of nodes lies on the base.
