@@ -50,6 +50,10 @@ class IndenterPlayer(Node):
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
         self._thread.start()
+        self.get_logger().info(
+            f"ready: {self._settings.source}, {self._program.motion.duration_s:.2f} s of motion on "
+            f"{self._publisher.topic_name}"
+        )
 
     def destroy_node(self) -> None:
         """Stop the thread, then take the node down."""

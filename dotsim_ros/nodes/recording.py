@@ -82,6 +82,7 @@ class Recording:
         return RecordingSummary(dict(self._written), dict(self._dropped), self._error)
 
     def _run(self) -> None:
+        item = None
         try:
             with self._bag as bag:
                 for topic, message_type in self._topics.items():
@@ -97,7 +98,8 @@ class Recording:
             with self._ready:
                 self._error = str(error)
                 self._dropped.update(self._written)
-                self._dropped.update(topic for topic, _ in self._queue)
+                lost = [*self._queue, *([item] if item is not None else [])]
+                self._dropped.update(topic for topic, _ in lost)
                 self._written.clear()
                 self._queue.clear()
 

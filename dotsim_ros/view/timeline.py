@@ -55,6 +55,9 @@ def find_topics(there: dict[str, str], *, given: ViewTopics | None = None) -> Vi
         ValueError: a given topic is not in the bag or has another type, or nothing is found.
     """
     found = given or ViewTopics()
+    named = [topic for topic in vars(found).values() if topic is not None]
+    if len(set(named)) < len(named):
+        raise ValueError(f"one topic is named for two things: {', '.join(named)}")
     for name, (endings, types) in SUFFIXES.items():
         wanted = getattr(found, name)
         if wanted is not None:
@@ -68,7 +71,7 @@ def find_topics(there: dict[str, str], *, given: ViewTopics | None = None) -> Vi
             topic
             for ending in endings
             for topic, kind in there.items()
-            if kind in types and (topic == f"/{ending}" or topic.endswith(f"/{ending}"))
+            if kind in types and f"/{topic}".endswith(f"/{ending}") and topic not in named
         ]
         if matches:
             found = replace(found, **{name: matches[0]})

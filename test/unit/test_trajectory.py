@@ -1,0 +1,287 @@
+"""Trajectories in bags: exact there and back, whole or not at all, malformed ones refused."""
+
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import msg_adapters
+from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagReader
+from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.trajectory import (
+    RECORDED_TOPICS,
+    ImageChannel,
+    PoseChannel,
+    SkinChannel,
+    Topics,
+    Trajectory,
+    WrenchChannel,
+    iterate_images,
+    read_trajectory,
+    write_trajectory,
+)
+
+SENSOR_A = Path(__file__).parents[3] / "shared" / "measured" / "sensor_a"
+needs_sensor_a = pytest.mark.skipif(
+    not SENSOR_A.is_dir(), reason="needs the measured data set sensor_a beside the checkout"
+)
+
+
+@pytest.fixture
+def trajectory():
+    random = np.random.default_rng(3)
+    stamp_ns = 1_000_000_000 + 40_000_001 * np.arange(5, dtype=np.int64)
+    quaternion = random.normal(size=(5, 4))
+    return Trajectory(
+        pose=PoseChannel(
+            stamp_ns,
+            random.normal(size=(5, 3)),
+            quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        ),
+        wrench=WrenchChannel(
+            stamp_ns + 3, random.normal(size=(5, 3)), random.normal(size=(5, 3)), "tool"
+        ),
+        skin=SkinChannel(stamp_ns[1:], random.normal(size=(4, 7, 3)).astype(np.float32)),
+        image=ImageChannel(
+            stamp_ns[::2], random.integers(0, 256, (3, 6, 8, 3), dtype=np.uint8), "camera"
+        ),
+    )
+
+
+def assert_same(first, second):
+    assert first.channels().keys() == second.channels().keys()
+    for name, channel in first.channels().items():
+        for item in fields(channel):
+            here, there = getattr(channel, item.name), getattr(second.channels()[name], item.name)
+            assert np.array_equal(here, there), (name, item.name)
+
+
+@pytest.mark.parametrize("topics", [Topics(), RECORDED_TOPICS, Topics(pose="/arm/tip")])
+def test_trajectory_is_exact(tmp_path, trajectory, topics):
+    write_trajectory(tmp_path / "press", trajectory, topics=topics)
+    assert_same(read_trajectory(tmp_path / "press", topics=topics), trajectory)
+
+
+@pytest.mark.parametrize("name", ["pose", "wrench", "skin", "image"])
+def test_any_channel_may_be_absent(tmp_path, trajectory, name):
+    rest = replace(trajectory, **{name: None})
+    write_trajectory(tmp_path / "press", rest)
+    assert_same(read_trajectory(tmp_path / "press"), rest)
+
+
+def test_only_the_channels_asked_for_are_read(tmp_path, trajectory):
+    write_trajectory(tmp_path / "press", trajectory)
+    read = read_trajectory(tmp_path / "press", channels=["wrench"])
+    assert list(read.channels()) == ["wrench"]
+
+
+def test_images_come_one_at_a_time(tmp_path, trajectory):
+    write_trajectory(tmp_path / "press", trajectory)
+    found = list(iterate_images(tmp_path / "press", Topics().image))
+    assert [stamp for stamp, _ in found] == trajectory.image.stamp_ns.tolist()
+    assert np.array_equal(found[1][1], trajectory.image.pixels[1])
+
+
+def test_bag_is_version_9_in_mcap_and_ordered(tmp_path, trajectory):
+    write_trajectory(tmp_path / "press", trajectory)
+    metadata = yaml.safe_load((tmp_path / "press" / "metadata.yaml").read_text())
+    information = metadata["rosbag2_bagfile_information"]
+    assert (information["version"], information["storage_identifier"]) == (9, "mcap")
+    assert information["relative_file_paths"] == ["press.mcap"]
+    with BagReader(tmp_path / "press") as bag:
+        times = [message.log_time_ns for message in bag.messages(*bag.topics())]
+    assert times == sorted(times)
+    assert len(times) == information["message_count"]
+
+
+def test_existing_path_is_not_overwritten(tmp_path, trajectory):
+    (tmp_path / "press").mkdir()
+    with pytest.raises(FileExistsError, match="exists already"):
+        write_trajectory(tmp_path / "press", trajectory)
+
+
+def test_failed_write_leaves_nothing(tmp_path, trajectory):
+    spoiled = trajectory.wrench.force_n.copy()
+    spoiled[-1, 0] = np.nan
+    wrong = replace(trajectory, wrench=replace(trajectory.wrench, force_n=spoiled))
+    with pytest.raises(ValueError, match="not finite"):
+        write_trajectory(tmp_path / "press", wrong)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_discarded_bag_leaves_nothing(tmp_path):
+    with BagFile(tmp_path / "press") as bag:
+        bag.discard()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_empty_trajectory_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="no channel"):
+        write_trajectory(tmp_path / "press", Trajectory())
+
+
+def test_frames_are_ordered_by_their_headers(tmp_path, trajectory):
+    with BagFile(tmp_path / "press") as bag:
+        for log_time_ns, index in enumerate([2, 0, 1]):
+            message = msg_adapters.encode_wrench_stamped(
+                (float(index), 0.0, 0.0), (0, 0, 0), stamp_ns=index, frame_id="", types=BAG_TYPES
+            )
+            bag.write(Topics().wrench, log_time_ns, message)
+    read = read_trajectory(tmp_path / "press")
+    assert read.wrench.force_n[:, 0].tolist() == [0.0, 1.0, 2.0]
+
+
+def _bag_of(path, topic, *messages):
+    with BagFile(path) as bag:
+        for message in messages:
+            bag.write(topic, 1, message)
+
+
+def _wrench(stamp_ns, **change):
+    message = msg_adapters.encode_wrench_stamped(
+        (0, 0, 0), (0, 0, 0), stamp_ns=stamp_ns, frame_id="", types=BAG_TYPES
+    )
+    for name, value in change.items():
+        setattr(message.wrench.force, name, value)
+    return message
+
+
+def _cloud(stamp_ns, count):
+    return msg_adapters.encode_cloud(
+        np.zeros((count, 3)), stamp_ns=stamp_ns, frame_id="", types=BAG_TYPES
+    )
+
+
+def test_number_that_is_not_finite_is_refused_by_topic(tmp_path):
+    _bag_of(tmp_path / "press", Topics().wrench, _wrench(1), _wrench(2, y=float("nan")))
+    with pytest.raises(ValueError, match=r"topic /indenter/wrench: force .* not finite"):
+        read_trajectory(tmp_path / "press")
+
+
+def test_repeated_stamp_is_refused(tmp_path):
+    _bag_of(tmp_path / "press", Topics().wrench, _wrench(5), _wrench(5))
+    with pytest.raises(ValueError, match="stamps must increase"):
+        read_trajectory(tmp_path / "press")
+
+
+def test_skin_that_changes_its_vertices_is_refused(tmp_path):
+    _bag_of(tmp_path / "press", Topics().skin, _cloud(1, 4), _cloud(2, 5))
+    with pytest.raises(ValueError, match="from 4 to 5 points"):
+        read_trajectory(tmp_path / "press")
+
+
+def test_wrong_type_is_refused(tmp_path):
+    _bag_of(tmp_path / "press", Topics().pose, _wrench(1))
+    with pytest.raises(ValueError, match="pose is read from geometry_msgs/msg/PoseStamped"):
+        read_trajectory(tmp_path / "press")
+
+
+def test_absent_topics_are_listed_with_those_that_are_there(tmp_path):
+    _bag_of(tmp_path / "press", "/elsewhere", _wrench(1))
+    with pytest.raises(ValueError, match="it holds /elsewhere"):
+        read_trajectory(tmp_path / "press")
+
+
+def test_broken_message_is_refused(tmp_path):
+    with BagFile(tmp_path / "press") as bag:
+        bag.add_topic(Topics().wrench, "geometry_msgs/msg/WrenchStamped")
+        bag.write_serialized(Topics().wrench, 1, b"\0\1\0\0\1\0\0\0")
+    with pytest.raises(ValueError, match="no whole geometry_msgs"):
+        read_trajectory(tmp_path / "press")
+
+
+def test_unknown_message_type_is_refused(tmp_path):
+    with BagFile(tmp_path / "press") as bag, pytest.raises(ValueError, match="not known"):
+        bag.add_topic("/a", "nowhere_msgs/msg/Nothing")
+
+
+def test_no_bag_is_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="no bag"):
+        read_trajectory(tmp_path / "nothing")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(ValueError, match="no ROS 2 bag"):
+        read_trajectory(tmp_path / "folder")
+
+
+def test_cut_file_is_refused(tmp_path, trajectory):
+    write_trajectory(tmp_path / "press", trajectory)
+    file = tmp_path / "press" / "press.mcap"
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    with pytest.raises(ValueError, match="press"):
+        read_trajectory(tmp_path / "press")
+
+
+def test_channel_of_other_lengths_is_refused():
+    with pytest.raises(ValueError, match="2 stamps and 3 force_n"):
+        Trajectory(
+            wrench=WrenchChannel(np.array([1, 2]), np.zeros((3, 3)), np.zeros((2, 3))),
+        )
+
+
+def _data_set(tmp_path, trajectory):
+    write_trajectory(tmp_path / "bags" / "press", trajectory)
+    record = {"bag": "bags/press", "indenter": "ball", "frames": 5, "images": True}
+    (tmp_path / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": [record]}))
+    np.savez(
+        tmp_path / "skin_mesh.npz",
+        rest_position_m=np.eye(3),
+        triangles=np.array([[0, 1, 2]]),
+        on_base=np.array([True, False, False]),
+    )
+
+
+def test_data_set_is_read(tmp_path, trajectory):
+    _data_set(tmp_path, trajectory)
+    data_set = read_data_set(tmp_path)
+    (entry,) = data_set.entries
+    assert (entry.name, entry.indenter, entry.frame_count, entry.has_images) == (
+        "press",
+        "ball",
+        5,
+        True,
+    )
+    assert_same(entry.read(), trajectory)
+    assert data_set.skin_mesh().on_base.tolist() == [True, False, False]
+    with pytest.raises(FileNotFoundError, match="holds no indenter"):
+        data_set.indenter_mesh("ball")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        ("trajectories: [", "no YAML"),
+        ("[]", "expected a list"),
+        ("trajectories: []", "expected a list"),
+        ("trajectories: [press]", "expected a mapping"),
+        ("trajectories: [{bag: bags/press, frames: -1}]", "frames"),
+    ],
+)
+def test_malformed_index_is_refused(tmp_path, trajectory, content, reason):
+    _data_set(tmp_path, trajectory)
+    (tmp_path / "dataset.yaml").write_text(content)
+    with pytest.raises(ValueError, match=reason):
+        read_data_set(tmp_path)
+
+
+def test_index_that_names_no_bag_is_refused(tmp_path, trajectory):
+    _data_set(tmp_path, trajectory)
+    (tmp_path / "dataset.yaml").write_text("trajectories: [{bag: bags/other}]")
+    with pytest.raises(FileNotFoundError, match="bags/other"):
+        read_data_set(tmp_path)
+    with pytest.raises(FileNotFoundError, match="is no data set"):
+        read_data_set(tmp_path / "bags")
+
+
+@needs_sensor_a
+def test_measured_data_set_is_what_its_index_says():
+    data_set = read_data_set(SENSOR_A)
+    assert len(data_set.entries) == 28
+    vertex_count = data_set.skin_mesh().vertex_count
+    for entry in data_set.entries[::9]:
+        trajectory = entry.read()
+        assert len(trajectory.pose.stamp_ns) == entry.frame_count
+        assert trajectory.skin.position_m.shape == (entry.frame_count, vertex_count, 3)
+        assert trajectory.image.pixels.shape == (entry.frame_count, 240, 320, 3)
+        assert data_set.indenter_mesh(entry.indenter).is_file()
