@@ -29,7 +29,7 @@ class PointLight:
 
 def led_ring(
     *,
-    radius_m: float = 0.012,
+    radius_m: float = 0.010,
     height_m: float = 0.0005,
     azimuth_deg: tuple[float, float, float] = (60.0, 180.0, -60.0),
     spread_deg: float = 12.0,
@@ -75,7 +75,7 @@ class Lighting:
     """
 
     lights: tuple[PointLight, ...] = field(default_factory=led_ring)
-    ambient_fraction: float = 0.5
+    ambient_fraction: float = 1.0
     exponent: float = 1.0
 
     def __post_init__(self) -> None:

@@ -1,0 +1,113 @@
+"""The fisheye: there and back, against OpenCV, beyond 90 degrees, and from a sensor's file."""
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.specification import load_sensor
+
+HALF = np.sqrt(0.5)
+
+
+def make_camera(distortion=(0.0, 0.0, 0.0, 0.0), pose=None):
+    return FisheyeCamera(64, 48, 16.0, (31.0, 24.5), distortion, pose or Pose())
+
+
+@given(
+    x=st.floats(-0.5, 63.5),
+    y=st.floats(-0.5, 47.5),
+    k1=st.floats(-0.02, 0.05),
+    k2=st.floats(-0.001, 0.01),
+)
+def test_unprojected_pixels_project_to_themselves(x, y, k1, k2):
+    camera = make_camera((k1, k2, 0.0, 0.0))
+    direction = camera.unproject([x, y])
+    assert np.linalg.norm(direction) == pytest.approx(1.0, abs=1e-12)
+    assert camera.project_optical(direction * 0.03) == pytest.approx([x, y], abs=1e-9)
+
+
+def test_agrees_with_opencv_in_front_of_the_camera():
+    camera = make_camera((0.03, -0.01, 0.002, -0.0005))
+    random = np.random.default_rng(1)
+    points = random.normal(size=(200, 3))
+    points[:, 2] = np.abs(points[:, 2]) + 0.05
+    expected, _ = cv2.fisheye.projectPoints(
+        points[:, None, :], np.zeros(3), np.zeros(3), camera.camera_matrix, camera.distortion
+    )
+    assert camera.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
+
+
+@pytest.mark.parametrize("angle_deg", [0.0, 45.0, 90.0, 99.0, 150.0])
+def test_image_radius_is_focal_length_times_angle(angle_deg):
+    camera = make_camera()
+    angle = np.radians(angle_deg)
+    pixel = camera.project_optical([np.sin(angle), 0.0, np.cos(angle)])
+    assert pixel == pytest.approx([31.0 + 16.0 * angle, 24.5], abs=1e-12)
+
+
+def test_directions_without_an_image_are_nan():
+    # theta - 0.1 theta^3 turns at 1.826 rad, where theta_d is 1.217: 19.5 px.
+    camera = make_camera((-0.1, 0.0, 0.0, 0.0))
+    directions, valid = camera.rays()
+    x, y = np.meshgrid(np.arange(64), np.arange(48))
+    radius = np.hypot(x - 31.0, y - 24.5)
+    assert camera.widest_angle_rad == pytest.approx(np.sqrt(10.0 / 3.0))
+    assert np.array_equal(valid, radius <= 16.0 * np.sqrt(10.0 / 3.0) * 2.0 / 3.0)
+    assert np.all(np.isnan(directions[~valid]))
+    assert np.all(np.isnan(camera.project_optical([0.1, 0.0, -1.0])))
+
+
+def test_pose_turns_the_optical_frame_into_the_base_frame():
+    # Turned by 90 degrees about x, the optical z axis is the base frame's -y, its y axis +z.
+    pose = Pose(np.array([0.0, 0.0, 0.0025]), np.array([HALF, 0.0, 0.0, HALF]))
+    camera = make_camera(pose=pose)
+    assert camera.project([0.0, -0.01, 0.0025]) == pytest.approx([31.0, 24.5], abs=1e-9)
+    lower = camera.project([0.0, -0.01, -0.0075])
+    assert lower == pytest.approx([31.0, 24.5 - 16.0 * np.pi / 4.0], abs=1e-9)
+
+
+def test_scaling_keeps_the_view():
+    camera = make_camera((0.02, 0.0, 0.0, 0.0))
+    large = camera.scaled(640, 480)
+    corner = camera.unproject([-0.5, -0.5])
+    assert large.project_optical(corner) == pytest.approx([-0.5, -0.5], abs=1e-9)
+    centre = camera.unproject([31.5, 23.5])
+    assert large.project_optical(centre) == pytest.approx([319.5, 239.5], abs=1e-9)
+    with pytest.raises(ValueError, match="640x480"):
+        camera.scaled(640, 500)
+
+
+def test_sensor_file_sets_the_angle_at_half_the_height():
+    camera = FisheyeCamera.from_specification(load_sensor("densetact2").camera)
+    direction = camera.unproject([319.5, 239.5 + 240.0])
+    assert np.degrees(np.arctan2(direction[1], direction[2])) == pytest.approx(86.0)
+    assert camera.pose.position_m == pytest.approx([0.0, 0.0, 0.0025])
+    assert camera.camera_matrix[0, 0] == pytest.approx(240.0 / np.radians(86.0))
+
+
+def test_camera_of_a_disc_shows_the_rim_at_its_angle():
+    camera = camera_of_disc(
+        256, 256, centre_px=(127.0, 128.0), radius_px=124.0, rim_angle_deg=95.0, pose=Pose()
+    )
+    rim = camera.unproject([127.0 + 124.0, 128.0])
+    assert np.degrees(np.arccos(rim[2])) == pytest.approx(95.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"focal_px": 0.0}, "focal_px"),
+        ({"focal_px": float("nan")}, "focal_px"),
+        ({"width": 0}, "image size"),
+        ({"distortion": (0.0, 0.0)}, "distortion"),
+        ({"principal_point_px": (1.0, float("inf"))}, "principal_point_px"),
+    ],
+)
+def test_bad_constants_are_refused(change, message):
+    values = {"width": 64, "height": 48, "focal_px": 16.0, "principal_point_px": (31.0, 24.5)}
+    with pytest.raises(ValueError, match=message):
+        FisheyeCamera(**{**values, **change})
