@@ -52,8 +52,7 @@ def message_class(name: str) -> Any:
         module = importlib.import_module(f"{package}.{kind}")
     except ImportError as error:
         raise ImportError(
-            f"message package {package!r} is not installed: source a ROS 2 environment or install "
-            "it, or give `types=BagTypes(...)` to make messages for a bag"
+            f"message package {package!r} is not installed: source a ROS 2 environment that has it"
         ) from error
     found = getattr(module, class_name, None)
     if found is None:

@@ -38,7 +38,7 @@ SENSOR_TOPICS = {
 
 # Deeper than the publishers': a recorder must not lose what waits behind one large image.
 RECORD_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
-CHECK_PERIOD_S = 1.0
+CHECK_PERIOD_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,10 @@ class RecordParameters:
 
 
 def _check_stamped(kind: str) -> None:
-    fields = list(message_class(kind).get_fields_and_field_types().values())
+    try:
+        fields = list(message_class(kind).get_fields_and_field_types().values())
+    except ImportError as error:
+        raise ValueError(str(error)) from error
     if fields[:1] != ["std_msgs/Header"]:
         raise ValueError(f"{kind} has no header: only stamped messages are recorded")
 
@@ -114,6 +117,7 @@ class TactileRecord(Node):
         for kind in named.values():
             _check_stamped(kind)
         resolved = {self.resolve_topic_name(name): kind for name, kind in named.items()}
+        self._received = 0
         self._lost = 0
         self._recording = Recording(
             self._path, resolved, queue_bytes=self._settings.queue_mb * 2**20
@@ -153,6 +157,7 @@ class TactileRecord(Node):
         super().destroy_node()
 
     def _on_message(self, topic: str, serialized: bytes) -> None:
+        self._received += 1
         if not self._recording.put(topic, serialized):
             self.get_logger().warning(
                 "the disk does not keep up: messages are dropped", throttle_duration_sec=5.0
@@ -162,6 +167,7 @@ class TactileRecord(Node):
         self._lost += event.total_count_change
 
     def _check(self) -> None:
+        self.get_logger().debug(f"{self._received} messages so far")
         if self._recording.error is not None:
             try_shutdown()
 

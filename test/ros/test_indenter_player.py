@@ -1,0 +1,254 @@
+"""`indenter_player` as a process, its poses read over DDS."""
+
+import threading
+import time
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from harness import PATIENCE_S, Executable, running
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import HistoryPolicy, QoSProfile
+
+import msg_adapters
+from dotsim_ros.measured.presses import read_presses
+from dotsim_ros.measured.trajectory import PoseChannel, Topics, Trajectory, write_trajectory
+from dotsim_ros.resources import parameter_path
+
+MODULE = "dotsim_ros.nodes.indenter_player"
+RADIUS_M = 0.01575
+KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+
+
+class Listener:
+    """Reads poses; answers each with a wrench of its stamp where it is asked to."""
+
+    def __init__(self, *, answer_after_s=None):
+        self.poses = []
+        self.answered_before = []
+        self._answer_after_s = answer_after_s
+        self._answers = 0
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node("listener", context=self._context)
+        self._wrench = self._node.create_publisher(WrenchStamped, "wrench", KEEP_ALL)
+        self._node.create_subscription(PoseStamped, "indenter/pose", self._on_pose, KEEP_ALL)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self):
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def _on_pose(self, message):
+        self.answered_before.append(self._answers)
+        self.poses.append(message)
+        if self._answer_after_s is None:
+            return
+        time.sleep(self._answer_after_s)
+        self._answers += 1
+        self._wrench.publish(
+            msg_adapters.encode_wrench_stamped(
+                (0, 0, 0),
+                (0, 0, 0),
+                stamp_ns=msg_adapters.message_stamp_ns(message),
+                frame_id="densetact_base",
+            )
+        )
+
+    def wait_for(self, count):
+        end_s = time.monotonic() + PATIENCE_S
+        while len(self.poses) < count:
+            assert time.monotonic() < end_s, f"{len(self.poses)} of {count} poses"
+            time.sleep(0.01)
+
+    def stamps_ns(self):
+        return np.array([msg_adapters.message_stamp_ns(message) for message in self.poses])
+
+    def positions_m(self):
+        return np.array([msg_adapters.decode_pose_stamped(message)[0] for message in self.poses])
+
+    def close(self):
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join(10.0)
+        self._node.destroy_node()
+
+
+@contextmanager
+def listening(**how):
+    listener = Listener(**how)
+    try:
+        yield listener
+    finally:
+        listener.close()
+
+
+def played(listener, **parameters):
+    """Run the player to its end; return its log."""
+    with running(
+        MODULE, ready="ready:", parameters={"exit_at_end": "true", **parameters}
+    ) as player:
+        status = player.exit_status()
+    assert status == 0, player.log
+    count = int(player.log.partition("played ")[2].split()[0])
+    listener.wait_for(count)
+    assert len(listener.poses) == count
+    return player.log
+
+
+def test_scripted_press_arrives_whole_and_in_order():
+    with listening() as listener:
+        played(listener, source="press", depth_m=0.001, hold_s=0.1)
+    depths = RADIUS_M - np.linalg.norm(listener.positions_m(), axis=1)
+    assert depths[0] == pytest.approx(-0.002)
+    assert depths.max() == pytest.approx(0.001)
+    assert depths[-1] == pytest.approx(-0.002)
+    # 3 mm in and out at 5 mm/s and a hold of 0.1 s, at 100 Hz.
+    assert len(listener.poses) == 131
+    assert set(np.diff(listener.stamps_ns())) == {10_000_000}
+    assert {message.header.frame_id for message in listener.poses} == {"densetact_base"}
+
+
+@pytest.mark.parametrize(
+    ("source", "parameters"),
+    [
+        ("slide", {"slide_distance_m": 0.003, "tilt_deg": 20.0}),
+        ("twist", {"twist_angle_deg": 10.0}),
+    ],
+)
+def test_other_scripts_play(source, parameters):
+    with listening() as listener:
+        played(listener, source=source, depth_m=0.001, rate_hz=50.0, **parameters)
+    assert set(np.diff(listener.stamps_ns())[:-1]) == {20_000_000}
+
+
+def test_real_presses_play_in_the_order_asked_for():
+    numbers = [3, 0]
+    with listening() as listener:
+        played(
+            listener,
+            source="presses",
+            press_numbers=str(numbers),
+            speed_m_s=0.05,
+            hold_s=0.02,
+            indenter_radius_m=0.003,
+        )
+    positions = listener.positions_m()
+    recording = read_presses(parameter_path("presses/densetact_presses.npz"))
+    deepest = [
+        int(
+            np.argmin(
+                np.linalg.norm(
+                    positions
+                    - recording[number]
+                    .poses(outer_radius_m=RADIUS_M, indenter_radius_m=0.003)[-1]
+                    .position_m,
+                    axis=1,
+                )
+            )
+        )
+        for number in numbers
+    ]
+    for number, index in zip(numbers, deepest, strict=True):
+        end = recording[number].poses(outer_radius_m=RADIUS_M, indenter_radius_m=0.003)[-1]
+        assert np.linalg.norm(positions[index] - end.position_m) < 1e-3
+    assert deepest == sorted(deepest)
+    # No jump: at 100 Hz and at most 50 mm/s, half a millimetre a pose.
+    assert np.linalg.norm(np.diff(positions, axis=0), axis=1).max() < 0.51e-3
+
+
+def test_bag_plays_its_own_poses_at_its_own_times(tmp_path):
+    random = np.random.default_rng(1)
+    stamps = 5_000_000_000 + np.cumsum(random.integers(10**7, 9 * 10**7, 12))
+    quaternion = random.normal(size=(12, 4))
+    channel = PoseChannel(
+        stamps,
+        random.normal(size=(12, 3)),
+        quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True),
+        "stage",
+    )
+    topics = Topics(pose="/arm/tip")
+    write_trajectory(tmp_path / "bag", Trajectory(pose=channel), topics=topics)
+    with listening() as listener:
+        played(listener, source="bag", path=tmp_path / "bag", bag_topic="/arm/tip")
+    assert np.array_equal(listener.positions_m(), channel.position_m)
+    assert np.array_equal(np.diff(listener.stamps_ns()), np.diff(stamps))
+    assert {message.header.frame_id for message in listener.poses} == {"stage"}
+
+
+def test_lockstep_sends_a_pose_only_after_the_answer_to_the_one_before():
+    # Each answer takes longer than the period of the poses.
+    with listening(answer_after_s=0.02) as listener:
+        played(
+            listener,
+            source="press",
+            depth_m=0.0002,
+            clearance_m=0.0003,
+            hold_s=0.0,
+            wait_for_answer="true",
+        )
+    assert listener.answered_before == list(range(len(listener.poses)))
+
+
+def test_lockstep_goes_on_without_an_answer():
+    with listening() as listener:
+        log = played(
+            listener,
+            source="press",
+            depth_m=0.0002,
+            clearance_m=0.0003,
+            hold_s=0.0,
+            rate_hz=20.0,
+            wait_for_answer="true",
+            answer_timeout_s=0.02,
+        )
+    assert "no wrench answers" in log
+
+
+@pytest.mark.parametrize("interrupts", [1, 2])
+def test_loop_goes_on_until_it_is_interrupted(interrupts):
+    parameters = {"loop": "true", "depth_m": 0.0002, "clearance_m": 0.0003, "hold_s": 0.0}
+    with (
+        listening() as listener,
+        running(MODULE, ready="ready:", parameters=parameters) as player,
+    ):
+        listener.wait_for(60)  # a pass holds 21
+        assert player.interrupt(interrupts) == 0, player.log
+    assert "Traceback" not in player.log
+    assert (np.diff(listener.stamps_ns()) > 0).all()
+
+
+def test_interrupt_while_it_waits_for_a_subscriber():
+    with running(MODULE, ready="ready:") as player:
+        assert player.interrupt(2) == 0, player.log
+
+
+def test_time_that_never_comes_is_told():
+    with running(MODULE, ready="ready:", parameters={"use_sim_time": "true"}) as player:
+        player.wait_for_line("no /clock comes")
+        assert player.interrupt() == 0, player.log
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"source": "dance"}, "expected one of press, slide, twist"),
+        ({"source": "bag"}, "needs path"),
+        ({"source": "bag", "path": "/nowhere"}, "no bag at /nowhere"),
+        ({"source": "presses", "path": "/nowhere"}, "no recording of presses"),
+        ({"source": "presses", "press_numbers": "[99]"}, "presses 0 to 11"),
+        ({"depth_m": -0.001}, "depth_m"),
+        ({"depth_m": 0.05}, "below the dome's radius"),
+        ({"source": "slide", "slide_distance_m": 0.05}, "leaves the dome"),
+        ({"loop": "true", "exit_at_end": "true"}, "exclude each other"),
+    ],
+)
+def test_bad_parameters_are_refused_with_the_reason(parameters, reason):
+    player = Executable(MODULE, parameters)
+    assert player.exit_status() == 2
+    assert reason in player.log
+    assert "Traceback" not in player.log

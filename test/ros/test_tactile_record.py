@@ -1,0 +1,219 @@
+"""`tactile_record` as a process, fed over DDS, its bag read back."""
+
+import threading
+import time
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+import rclpy
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from harness import PATIENCE_S, Executable, running
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.qos import HistoryPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+
+import msg_adapters
+from dotsim_ros.measured.bag import BagReader
+from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
+
+MODULE = "dotsim_ros.nodes.tactile_record"
+KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+TOPICS = {
+    "image_raw": Image,
+    "camera_info": CameraInfo,
+    "depth/image": Image,
+    "points": PointCloud2,
+    "wrench": WrenchStamped,
+    "indenter/pose": PoseStamped,
+}
+COUNT = 12
+
+
+class Source:
+    """Publishes what a sensor does, each message to be delivered."""
+
+    def __init__(self):
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self._node = rclpy.create_node("source", context=self._context)
+        self._publishers = {
+            topic: self._node.create_publisher(kind, topic, KEEP_ALL)
+            for topic, kind in TOPICS.items()
+        }
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self):
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def meet(self, *topics):
+        end_s = time.monotonic() + PATIENCE_S
+        while not all(self._publishers[topic].get_subscription_count() for topic in topics):
+            assert time.monotonic() < end_s, "nobody subscribes"
+            time.sleep(0.01)
+
+    def send(self, topic, message):
+        self._publishers[topic].publish(message)
+
+    def deliver(self):
+        for publisher in self._publishers.values():
+            assert publisher.wait_for_all_acked(rclpy.duration.Duration(seconds=PATIENCE_S))
+
+    def close(self):
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join(10.0)
+        self._node.destroy_node()
+
+
+@contextmanager
+def sending():
+    source = Source()
+    try:
+        yield source
+    finally:
+        source.close()
+
+
+def recording(**parameters):
+    # What is acknowledged is in the reader's cache; the node says what has come out of it.
+    verbose = ["--log-level", "tactile_record:=debug"]
+    return running(MODULE, ready="recording", parameters=parameters, arguments=verbose)
+
+
+def frame(index):
+    """Return the messages of one frame, all different from those of the others."""
+    random = np.random.default_rng(index)
+    header = {"stamp_ns": 10**9 + index * 40_000_000, "frame_id": "base"}
+    return {
+        "image_raw": msg_adapters.encode_image(
+            random.integers(0, 256, (48, 64, 3), dtype=np.uint8), encoding="rgb8", **header
+        ),
+        "camera_info": msg_adapters.encode_camera_info(
+            width=64,
+            height=48,
+            focal_px=30.0 + index,
+            principal_point_px=(31.5, 23.5),
+            distortion=(0.0, 0.0, 0.0, 0.0),
+            **header,
+        ),
+        "depth/image": msg_adapters.encode_image(
+            random.random((48, 64), dtype=np.float32), encoding="32FC1", **header
+        ),
+        "points": msg_adapters.encode_cloud(random.random((100, 3)), **header),
+        "wrench": msg_adapters.encode_wrench_stamped(random.random(3), random.random(3), **header),
+        "indenter/pose": msg_adapters.encode_pose_stamped(
+            random.random(3), (0.0, 0.0, 0.0, 1.0), **header
+        ),
+    }
+
+
+@pytest.mark.parametrize("interrupts", [1, 2])
+def test_everything_that_is_published_is_in_the_bag(tmp_path, interrupts):
+    path = tmp_path / "bag"
+    frames = [frame(index) for index in range(COUNT)]
+    with (
+        sending() as source,
+        recording(output=path) as recorder,
+    ):
+        source.meet(*TOPICS)
+        for messages in frames:
+            for topic, message in messages.items():
+                source.send(topic, message)
+        source.deliver()
+        assert not path.exists()
+        recorder.wait_for_line(f" {COUNT * len(TOPICS)} messages so far")
+        assert recorder.interrupt(interrupts) == 0, recorder.log
+    assert f"wrote {COUNT * len(TOPICS)} messages" in recorder.log
+    assert "0 dropped, 0 lost" in recorder.log
+    assert "Traceback" not in recorder.log
+    trajectory = read_trajectory(path, topics=RECORDED_TOPICS)
+    for index, messages in enumerate(frames):
+        pixels = msg_adapters.decode_image(messages["image_raw"])
+        assert np.array_equal(trajectory.image.pixels[index], pixels)
+        force, torque = msg_adapters.decode_wrench_stamped(messages["wrench"])
+        assert np.array_equal(trajectory.wrench.force_n[index], force)
+        assert np.array_equal(trajectory.wrench.torque_nm[index], torque)
+        position = msg_adapters.decode_cloud(messages["points"]).position
+        assert np.array_equal(trajectory.skin.position_m[index], position)
+    with BagReader(path) as bag:
+        depths = [item.message() for item in bag.messages("/depth/image")]
+        cameras = [item.message() for item in bag.messages("/camera_info")]
+        for item in bag.messages(*bag.topics()):
+            assert item.log_time_ns == msg_adapters.message_stamp_ns(item.message())
+    assert [camera.k[0] for camera in cameras] == [30.0 + index for index in range(COUNT)]
+    for messages, depth in zip(frames, depths, strict=True):
+        assert msg_adapters.decode_image(depth).tobytes() == messages["depth/image"].data.tobytes()
+
+
+def test_chosen_topics_only(tmp_path):
+    parameters = {
+        "output": tmp_path / "bag",
+        "topics": "['wrench','indenter/pose=geometry_msgs/msg/PoseStamped']",
+    }
+    with (
+        sending() as source,
+        recording(**parameters) as recorder,
+    ):
+        source.meet("wrench", "indenter/pose")
+        for topic, message in frame(0).items():
+            source.send(topic, message)
+        source.deliver()
+        recorder.wait_for_line(" 2 messages so far")
+        assert recorder.interrupt() == 0, recorder.log
+    with BagReader(tmp_path / "bag") as bag:
+        assert set(bag.topics()) == {"/wrench", "/indenter/pose"}
+
+
+def test_what_the_disk_does_not_take_is_dropped_and_told(tmp_path):
+    # A queue of 1 MiB holds a wrench and never this image of 2.3 MB.
+    large = msg_adapters.encode_image(
+        np.zeros((960, 800, 3), np.uint8), encoding="rgb8", stamp_ns=1, frame_id=""
+    )
+    parameters = {"output": tmp_path / "bag", "queue_mb": 1}
+    with (
+        sending() as source,
+        recording(**parameters) as recorder,
+    ):
+        source.meet("image_raw", "wrench")
+        source.send("image_raw", large)
+        source.send("wrench", frame(0)["wrench"])
+        source.deliver()
+        recorder.wait_for_line("messages are dropped")
+        recorder.wait_for_line(" 2 messages so far")
+        assert recorder.interrupt() == 0, recorder.log
+    assert "1 dropped" in recorder.log
+    assert list(read_trajectory(tmp_path / "bag", topics=RECORDED_TOPICS).channels()) == ["wrench"]
+
+
+def test_nothing_to_record_leaves_no_bag(tmp_path):
+    parameters = {"output": tmp_path / "bag", "duration_s": 0.5}
+    recorder = Executable(MODULE, parameters)
+    assert recorder.exit_status() == 0, recorder.log
+    assert "no bag written" in recorder.log
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_existing_bag_is_not_overwritten(tmp_path):
+    recorder = Executable(MODULE, {"output": tmp_path})
+    assert recorder.exit_status() == 2
+    assert "exists already" in recorder.log
+
+
+@pytest.mark.parametrize(
+    ("topics", "reason"),
+    [
+        ("['sound']", "give its type"),
+        ("['text=std_msgs/msg/String']", "only stamped messages"),
+        ("['a=nowhere_msgs/msg/Nothing']", "nowhere_msgs"),
+    ],
+)
+def test_topics_that_cannot_be_recorded_are_refused(tmp_path, topics, reason):
+    recorder = Executable(MODULE, {"output": tmp_path / "bag", "topics": topics})
+    assert recorder.exit_status() == 2, recorder.log
+    assert reason in recorder.log
+    assert "Traceback" not in recorder.log
+    assert list(tmp_path.iterdir()) == []
