@@ -14,6 +14,10 @@ FloatArray = NDArray[np.float64]
 class Body(Protocol):
     """What the discretisation asks of a shape; its base plane is z = 0 and always bonded."""
 
+    @property
+    def symmetries(self) -> FloatArray:
+        """Return (S, 3, 3) maps of the grid onto itself that leave the shape as it is."""
+
     def bounds_m(self) -> FloatArray:
         """Return the (2, 3) lower and upper corner of a box around the material."""
 
@@ -22,6 +26,18 @@ class Body(Protocol):
 
     def bonded_surface(self, spacing_m: float) -> tuple[FloatArray, FloatArray]:
         """Return points (B, 3) on the bonded surface above the base, and their areas (B,)."""
+
+
+QUARTER_TURNS_AND_MIRRORS = np.array(
+    [
+        [[sx, 0, 0], [0, sy, 0], [0, 0, 1]] if straight else [[0, sx, 0], [sy, 0, 0], [0, 0, 1]]
+        for straight in (True, False)
+        for sx in (1, -1)
+        for sy in (1, -1)
+    ],
+    dtype=float,
+)
+"""(8, 3, 3) the symmetries about the z axis that map the grid onto itself."""
 
 
 def fibonacci_hemisphere(radius_m: float, count: int) -> FloatArray:
@@ -45,6 +61,10 @@ class Dome:
     outer_radius_m: float
     core_radius_m: float
 
+    @property
+    def symmetries(self) -> FloatArray:
+        return QUARTER_TURNS_AND_MIRRORS
+
     def bounds_m(self) -> FloatArray:
         r = self.outer_radius_m
         return np.array([[-r, -r, 0.0], [r, r, r]])
@@ -61,8 +81,10 @@ class Dome:
         if self.core_radius_m == 0.0:
             return np.zeros((0, 3)), np.zeros(0)
         area = 2.0 * np.pi * self.core_radius_m**2
-        count = int(np.ceil(area / spacing_m**2))
-        return fibonacci_hemisphere(self.core_radius_m, count), np.full(count, area / count)
+        spread = fibonacci_hemisphere(self.core_radius_m, int(np.ceil(area / spacing_m**2)))
+        # All images of the points, so that the grid's stiffness keeps the symmetry of its axes.
+        points = np.concatenate([spread @ image.T for image in QUARTER_TURNS_AND_MIRRORS])
+        return points, np.full(len(points), area / len(points))
 
 
 @dataclass(frozen=True)
@@ -74,6 +96,11 @@ class Pad:
     """
 
     size_m: tuple[float, float, float]
+
+    @property
+    def symmetries(self) -> FloatArray:
+        square = self.size_m[0] == self.size_m[1]
+        return QUARTER_TURNS_AND_MIRRORS if square else QUARTER_TURNS_AND_MIRRORS[:4]
 
     def bounds_m(self) -> FloatArray:
         x, y, z = self.size_m

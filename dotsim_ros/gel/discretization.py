@@ -200,6 +200,12 @@ def _third_differences(
     return (stacked.T @ stacked).tocsr()
 
 
+def images_of_cells(cells: NDArray[np.int64], body: Body) -> NDArray[np.int64]:
+    """Return (S, C, 3) the cells (C, 3) under the body's symmetries."""
+    unique = np.unique(cells, axis=0)
+    return np.floor((unique + 0.5) @ body.symmetries.transpose(0, 2, 1)).astype(np.int64)
+
+
 def discretize(body: Body, skin_position_m: FloatArray, spacing_m: float) -> Discretization:
     """Build particles, nodes and weights of a body.
 
@@ -223,7 +229,7 @@ def discretize(body: Body, skin_position_m: FloatArray, spacing_m: float) -> Dis
     position, volume = _quadrature(body, spacing_m)
     bonded, bonded_area = body.bonded_surface(0.25 * spacing_m)
     cells = np.floor(np.concatenate([position, skin, bonded]) / spacing_m).astype(np.int64)
-    numbers = _NodeNumbers(np.unique(cells, axis=0))
+    numbers = _NodeNumbers(np.unique(images_of_cells(cells, body).reshape(-1, 3), axis=0))
     node_cell = numbers.node_cells()
     particles, gradient = _interpolation(position, spacing_m, numbers)
     skin_interpolation, _ = _interpolation(skin, spacing_m, numbers)

@@ -113,7 +113,7 @@ class ElasticBody:
         self.displacement = wp.zeros((environment_count, d.node_count), dtype=k.vec3, device=device)
         self.force_buffer = wp.zeros_like(self.displacement)
         self.energy_buffer = wp.zeros(shape, dtype=k.scalar, device=device)
-        self.ghost_penalty = ghost_penalty
+        self._pattern: tuple[IntArray, IntArray, IntArray] | None = None
         self.set_coefficients(np.tile(law.coefficients_pa(), (environment_count, 1)))
         self.fast_share = wp.array(
             np.ones(environment_count, dtype=dtype), dtype=k.scalar, device=device
@@ -127,6 +127,28 @@ class ElasticBody:
         self.coefficients = wp.array(
             coefficients_pa.astype(self.dtype), dtype=self.kernels.vec5, device=self.device
         )
+
+    def set_history(
+        self, fast_share: float, history_stress_pa: Array, environment: int
+    ) -> None:
+        """Set what relaxation leaves of the fast stress, and the stress (P, 3, 3) it remembers."""
+        share = self.fast_share.numpy().copy()
+        share[environment] = fast_share
+        self.fast_share.assign(share)
+        self.history_stress[environment].assign(history_stress_pa.astype(self.dtype))
+
+    def material_stress(self, displacement_m: Array, environment: int) -> Array:
+        """Return the second Piola-Kirchhoff stress (P, 3, 3) of the shape-changing part, Pa."""
+        self.displacement[environment].assign(displacement_m)
+        stress = wp.empty_like(self.history_stress)
+        wp.launch(
+            self.kernels.material_stress,
+            dim=stress.shape,
+            inputs=[self.node_index, self.weight_gradient, self.coefficients, self.displacement],
+            outputs=[stress],
+            device=self.device,
+        )
+        return stress.numpy()[environment].copy()
 
     def force(self, displacement_m: Array) -> tuple[Array, Array]:
         """Return energies (E,) and their gradients (E, N, 3) for displacements (E, N, 3)."""
@@ -157,10 +179,10 @@ class ElasticBody:
         return energy, force
 
     def cell_stiffness(
-        self, displacement_m: Array, cells: IntArray, environment: int = 0
+        self, displacement_m: Array, cells: IntArray, environment: int
     ) -> wp.array:
         """Return the stiffness of the listed cells, (C, 3, 27, 81) as [cell, i, a, 27 k + b]."""
-        self.displacement.assign(displacement_m)
+        self.displacement[environment].assign(displacement_m)
         contracted = wp.empty((len(cells), 3, 24, 81), dtype=self.kernels.scalar, device=self.device)
         wp.launch(
             self.kernels.stress_tangent,
@@ -200,9 +222,10 @@ class ElasticBody:
         result: Array = values.numpy()
         return result
 
-    def stiffness(self, displacement_m: Array, environment: int = 0) -> sparse.csr_matrix:
-        """Return the exact tangent stiffness (3 N, 3 N), linear terms included."""
-        if not hasattr(self, "_pattern"):
+    def stiffness(self, displacement_m: Array, environment: int) -> sparse.csr_matrix:
+        """Return the exact tangent stiffness (3 N, 3 N) at displacements (N, 3), linear terms
+        included."""
+        if self._pattern is None:
             self._pattern = _block_pattern(self.cells.node, self.discretization.node_count)
         base, indices, indptr = self._pattern
         size = 9 * len(indices)
@@ -214,14 +237,14 @@ class ElasticBody:
         return (blocks.tocsr() + sparse.kron(self.linear, sparse.eye(3))).tocsr()
 
     def region_stiffness(
-        self, displacement_m: Array, cells: IntArray, base: IntArray, dof_count: int, e: int = 0
+        self, displacement_m: Array, cells: IntArray, base: IntArray, dof_count: int, environment: int = 0
     ) -> Array:
         """Return the dense (n, n) stiffness that the listed cells add to a region of n unknowns.
 
         `base` is `region_base` of the same cells; the linear terms are not included.
         """
         values = self._scatter(
-            self.cell_stiffness(displacement_m, cells, e), base, dof_count, dof_count * dof_count
+            self.cell_stiffness(displacement_m, cells, environment), base, dof_count, dof_count * dof_count
         )
         return values.reshape(dof_count, dof_count)
 

@@ -106,21 +106,23 @@ class SolverSpecification:
 
     Attributes:
         grid_spacing_m: spacing h of the grid.
-        tolerance: of the residual force, relative to the contact force.
-        iterations: most Newton iterations of a step.
+        refined: contact acts on the skin of a grid of half the spacing (to first order).
+        tolerance_m: Newton's method ends when an iteration moves no marker farther.
+        iterations: most Newton iterations of a substep.
         dynamic: backward Euler with inertia instead of quasi-static steps.
     """
 
     grid_spacing_m: float = 2.4e-3
-    tolerance: float = 1.0e-2
-    iterations: int = 12
+    refined: bool = True
+    tolerance_m: float = 4.0e-6
+    iterations: int = 15
     dynamic: bool = False
 
     def __post_init__(self) -> None:
         _positive(
             "solver",
             grid_spacing_m=self.grid_spacing_m,
-            tolerance=self.tolerance,
+            tolerance_m=self.tolerance_m,
             iterations=self.iterations,
         )
 

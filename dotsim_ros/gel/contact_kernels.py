@@ -1,0 +1,131 @@
+"""Warp kernels of the contact between skin markers and a rigid indenter."""
+
+# Warp reads kernels by its own rules, which are none of a type checker's.
+# mypy: disable-error-code="no-untyped-def, valid-type, arg-type, assignment, index, operator"
+
+from functools import cache
+from types import SimpleNamespace
+from typing import Any
+
+import warp as wp
+
+from dotsim_ros.gel.distance_field import distance_functions
+
+
+@cache
+def contact_kernels(scalar: Any) -> SimpleNamespace:
+    """Return the kernels for `wp.float32` or `wp.float64`."""
+    vec3 = wp.types.vector(3, scalar)
+    mat33 = wp.types.matrix((3, 3), scalar)
+    functions = distance_functions(scalar)
+    field_type = functions.IndenterField
+    indenter_distance = functions.indenter_distance
+    smallest = wp.constant(scalar(1.0e-12))
+
+    @wp.struct
+    class ContactLaw:
+        """stiffness, tangential_stiffness: Pa/m; friction: mu; onset: distance (m) at which the
+        pressure begins; smoothing: distance (m) over which its slope grows."""
+
+        stiffness: scalar
+        tangential_stiffness: scalar
+        friction: scalar
+        onset: scalar
+        smoothing: scalar
+
+    @wp.func
+    def pressure_energy(law: ContactLaw, depth: scalar):
+        w = law.smoothing
+        if depth <= scalar(0.0):
+            return scalar(0.0)
+        if depth < w:
+            return law.stiffness * depth * depth * depth / (scalar(6.0) * w)
+        s = depth - w
+        return law.stiffness * (w * w / scalar(6.0) + scalar(0.5) * w * s + scalar(0.5) * s * s)
+
+    @wp.func
+    def pressure(law: ContactLaw, depth: scalar):
+        w = law.smoothing
+        if depth <= scalar(0.0):
+            return scalar(0.0)
+        if depth < w:
+            return law.stiffness * depth * depth / (scalar(2.0) * w)
+        return law.stiffness * (depth - scalar(0.5) * w)
+
+    @wp.func
+    def pressure_slope(law: ContactLaw, depth: scalar):
+        if depth <= scalar(0.0):
+            return scalar(0.0)
+        return law.stiffness * wp.min(depth / law.smoothing, scalar(1.0))
+
+    @wp.kernel(module="unique")
+    def contact_response(
+        candidate: wp.array(dtype=wp.int32),
+        position: wp.array(dtype=vec3),
+        area: wp.array(dtype=scalar),
+        field: field_type,
+        rotation: mat33,
+        origin: vec3,
+        law: ContactLaw,
+        lagged_pressure: wp.array(dtype=scalar),
+        start_position: wp.array(dtype=vec3),
+        start_slip: wp.array(dtype=vec3),
+        distance: wp.array(dtype=scalar),
+        new_pressure: wp.array(dtype=scalar),
+        force: wp.array(dtype=vec3),
+        energy: wp.array(dtype=scalar),
+        hessian: wp.array(dtype=mat33),
+        local_position: wp.array(dtype=vec3),
+        slip: wp.array(dtype=vec3),
+    ):
+        """Distance, pressure, force on the marker, energy and positive part of the stiffness of
+        the listed markers; positions of the candidates in their order, histories of all markers.
+
+        Histories are kept in the indenter's frame: where a marker was at the start of the step,
+        and its elastic slip. The friction's limit is mu times the lagged pressure.
+        """
+        i = wp.tid()
+        m = candidate[i]
+        y = wp.transpose(rotation) * (position[i] - origin)
+        d, n, curvature = indenter_distance(field, y)
+        depth = law.onset - d
+        p = pressure(law, depth)
+        a = area[m]
+        distance[i] = d
+        new_pressure[i] = p
+        local_position[i] = y
+        f = (a * p) * n
+        psi = a * pressure_energy(law, depth)
+        h = (a * pressure_slope(law, depth)) * wp.outer(n, n)
+        tangent_slip = vec3()
+        if depth > scalar(0.0) and law.friction > scalar(0.0):
+            projector = wp.identity(3, dtype=scalar) - wp.outer(n, n)
+            s = projector * (start_slip[m] + y - start_position[m])
+            length = wp.length(s)
+            limit = law.friction * lagged_pressure[i] / law.tangential_stiffness
+            if length <= limit:
+                f -= (a * law.tangential_stiffness) * s
+                psi += scalar(0.5) * a * law.tangential_stiffness * length * length
+                h += (a * law.tangential_stiffness) * projector
+                tangent_slip = s
+            elif length > smallest:
+                direction = s / length
+                force_limit = a * law.tangential_stiffness * limit
+                f -= force_limit * direction
+                psi += force_limit * (length - scalar(0.5) * limit)
+                h += (force_limit / length) * (projector - wp.outer(direction, direction))
+                tangent_slip = limit * direction
+        slip[i] = tangent_slip
+        force[i] = rotation * f
+        energy[i] = psi
+        hessian[i] = rotation * h * wp.transpose(rotation)
+
+    return SimpleNamespace(
+        scalar=scalar,
+        vec3=vec3,
+        mat33=mat33,
+        ContactLaw=ContactLaw,
+        contact_response=contact_response,
+        pressure=pressure,
+        pressure_slope=pressure_slope,
+    )

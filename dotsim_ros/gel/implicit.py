@@ -1,0 +1,647 @@
+"""The gel at equilibrium with the indenter, step by step: quasi-static or backward Euler.
+
+Each step minimises elastic energy + contact energy (+ inertia) over the nodal displacements, by
+Newton's method with a line search (Nocedal and Wright, "Numerical Optimization", 2006, chapter 3).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dotsim_ros.gel.body import Body
+from dotsim_ros.gel.contact import (
+    ONSET_M,
+    Contact,
+    ContactHistory,
+    ContactResponse,
+    fresh_history,
+    wrench_on_indenter,
+)
+from dotsim_ros.gel.discretization import discretize
+from dotsim_ros.gel.elasticity import ElasticBody
+from dotsim_ros.gel.material import Material
+from dotsim_ros.gel.patch import EffectiveContact, Patch, effective_contact, make_patch
+from dotsim_ros.gel.refinement import Refinement, refine
+from dotsim_ros.gel.relaxation import Relaxation
+from dotsim_ros.gel.tangent import ExactTangent, LocalFactor, LocalTangent, Region
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecification
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+LARGEST_SUBSTEP_M = 0.6e-3
+"""The indenter moves no farther in a substep, so that no marker passes through it."""
+PATCH_MARGIN_M = 2.2e-3
+"""Markers closer to the indenter than this are in a new patch..."""
+PATCH_KEPT_M = 1.0e-3
+"""...which is kept while it holds all that are closer than this."""
+REGION_RADIUS_M = 4.5e-3
+"""Cells closer than this to a marker in contact are assembled anew."""
+REGION_MARGIN_M = 0.8e-3
+CORE_CLEARANCE_M = 1.5e-3
+"""The indenter must stay this far from whatever the gel is bonded to."""
+SMALLEST_SCALE = 1.0e-3
+
+
+class PressTooDeepError(ValueError):
+    """The indenter would come too close to the rigid core or the base; nothing was changed."""
+
+
+@dataclass(frozen=True)
+class GelState:
+    """The gel after a step, in one environment.
+
+    Attributes:
+        displacement_m: (N, 3) of the grid's nodes.
+        skin_position_m: (V, 3) of the skin's markers, base frame.
+        wrench: of the gel on the indenter.
+        max_penetration_m: largest penetration of a marker into the indenter.
+        contact_count: markers in contact.
+        iterations: Newton iterations, all substeps together.
+        converged: whether every substep met the tolerance.
+        timings_s: seconds spent, by part.
+    """
+
+    displacement_m: Array
+    skin_position_m: Array
+    wrench: Wrench
+    max_penetration_m: float
+    contact_count: int
+    iterations: int
+    converged: bool
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass
+class World:
+    """One environment's memory between steps."""
+
+    displacement_m: Array
+    velocity_m_s: Array
+    fine_force_n: Array
+    skin_position_m: Array
+    pose: Pose | None = None
+    history: ContactHistory | None = None
+    last_change: tuple[Array, Array, Array] | None = None
+    patch: Patch | None = None
+    region: Region | None = None
+    response: ContactResponse | None = None
+
+
+@dataclass(frozen=True)
+class _Point:
+    """Where Newton's method stands: unknowns, energy and its elastic gradient, and the contact."""
+
+    displacement_m: Array
+    fine_force_n: Array
+    added_m: Array
+    energy_j: float
+    gradient_n: Array
+    response: ContactResponse
+
+
+@dataclass(frozen=True)
+class _Inertia:
+    """Mass over the squared step (N, N), and where the nodes would go without forces (N, 3)."""
+
+    stiffness: sparse.csr_matrix
+    predicted_m: Array
+
+
+NO_RESPONSE = ContactResponse(
+    distance_m=np.zeros(0),
+    pressure_pa=np.zeros(0),
+    force_n=np.zeros((0, 3)),
+    energy_j=0.0,
+    hessian=np.zeros((0, 3, 3)),
+    local_position_m=np.zeros((0, 3)),
+    slip_m=np.zeros((0, 3)),
+)
+
+
+class ImplicitGel:
+    """The total-Lagrangian gel with a rigid indenter, for a batch of environments.
+
+    Args:
+        shape: where the gel is.
+        skin: the skin's markers.
+        material: law, relaxation, density.
+        contact: friction and stiffness of the contact.
+        solver: resolution and effort.
+        indenter: the rigid shape.
+        environment_count: number of independent worlds.
+        exact: factor the whole tangent in every iteration (a slow reference).
+        progress: told the finished share of a refinement that is not in the cache.
+    """
+
+    def __init__(
+        self,
+        shape: Body,
+        skin: SkinMesh,
+        material: Material,
+        *,
+        contact: ContactSpecification,
+        solver: SolverSpecification,
+        indenter: Indenter,
+        environment_count: int = 1,
+        device: str = "cpu",
+        exact: bool = False,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        self.skin, self.material, self.solver = skin, material, solver
+        self.contact_specification, self.device = contact, device
+        self.environment_count, self.exact = environment_count, exact
+        self.discretization = discretize(shape, skin.rest_position_m, solver.grid_spacing_m)
+        d = self.discretization
+        self.skin_weight = d.skin_interpolation.matrix(d.node_count)
+        self.body = ElasticBody(d, material.law, environment_count=environment_count, device=device)
+        self._single = ElasticBody(
+            d,
+            material.law,
+            environment_count=environment_count,
+            dtype=np.float32,
+            device=device,
+        )
+        self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
+        self._mass = d.mass_over_density * material.density_kg_m3
+        self._step_s = 0.0
+        self._exact_tangent = ExactTangent(self.body, self._mass * 0.0)
+        self._local_tangent: LocalTangent | None = None
+        self.refinement: Refinement | None = None
+        if not exact or solver.refined:
+            at_rest = LocalTangent(self._single, self._mass * 0.0)
+            if not exact:
+                self._local_tangent = at_rest
+            if solver.refined:
+                self.refinement = refine(
+                    shape,
+                    skin.rest_position_m,
+                    d,
+                    at_rest.compliance,
+                    material.law,
+                    progress=progress,
+                )
+        lower, upper = shape.bounds_m()
+        base = np.linspace(lower, upper, 9)
+        plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
+        self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
+        self.set_indenter(indenter)
+
+    def set_indenter(self, indenter: Indenter) -> None:
+        """Replace the indenter and forget the state."""
+        self.contact = Contact(
+            indenter,
+            self.skin.rest_area_m2,
+            self.body.youngs_modulus_pa,
+            self.contact_specification,
+            device=self.device,
+        )
+        self.reset()
+
+    def reset(self) -> None:
+        """Return every environment to rest."""
+        self.worlds = [self._fresh_world() for _ in range(self.environment_count)]
+        for environment in range(self.environment_count):
+            self._relaxation[environment] = Relaxation(self.material.prony)
+
+    def _fresh_world(self) -> World:
+        shape = (self.discretization.node_count, 3)
+        fine = 0 if self.refinement is None else self.refinement.node_count
+        return World(
+            np.zeros(shape),
+            np.zeros(shape),
+            np.zeros((fine, 3)),
+            self.skin.rest_position_m.copy(),
+        )
+
+    def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
+        """Move the indenter of every environment to its pose (None: away) and find the gel.
+
+        Args:
+            poses: one pose of the indenter in the base frame per environment.
+            dt_s: duration of the step; without inertia or relaxation it does not matter.
+
+        Raises:
+            PressTooDeepError: a pose brings the indenter too close to what the gel is bonded to.
+            ValueError: as many poses as environments are needed, and a positive duration.
+        """
+        if len(poses) != self.environment_count:
+            raise ValueError(f"{len(poses)} poses for {self.environment_count} environments")
+        if not dt_s > 0.0:
+            raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
+        for pose in poses:
+            if pose is not None:
+                self._check_depth(pose)
+        return [self._step_world(e, pose, dt_s) for e, pose in enumerate(poses)]
+
+    def _check_depth(self, pose: Pose) -> None:
+        local = (self._rigid_points_m - pose.position_m) @ pose.rotation()
+        clearance = float(self.contact.indenter.signed_distance(local).min())
+        if clearance < CORE_CLEARANCE_M:
+            raise PressTooDeepError(
+                f"the indenter at {np.round(pose.position_m * 1e3, 2).tolist()} mm comes within "
+                f"{clearance * 1e3:.2f} mm of the rigid core or base, expected at least "
+                f"{CORE_CLEARANCE_M * 1e3:.1f} mm; press less deep"
+            )
+
+    def _step_world(self, environment: int, pose: Pose | None, dt_s: float) -> GelState:
+        world = self.worlds[environment]
+        timings: dict[str, float] = {}
+        path = self._path(world, pose)
+        iterations, converged = 0, True
+        for waypoint in path:
+            used, reached = self._substep(world, waypoint, dt_s / len(path), environment, timings)
+            iterations += used
+            converged = converged and reached
+        world.pose = pose
+        response, patch = world.response, world.patch
+        wrench, penetration, count = Wrench(), 0.0, 0
+        if response is not None and patch is not None:
+            wrench = wrench_on_indenter(world.skin_position_m[patch.marker], response.force_n)
+            penetration = max(0.0, -float(response.distance_m.min()))
+            count = int(np.count_nonzero(response.pressure_pa))
+        return GelState(
+            world.displacement_m.copy(),
+            world.skin_position_m.copy(),
+            wrench,
+            penetration,
+            count,
+            iterations,
+            converged,
+            timings,
+        )
+
+    def _path(self, world: World, pose: Pose | None) -> list[Pose | None]:
+        """Return the poses of the substeps: short moves, and from outside if the first one is in
+        the gel; moves that touch nothing are left out."""
+        if pose is None:
+            return [None]
+        start = world.pose
+        if start is None:
+            away = pose.rotation()[:, 2]
+            reach = float(np.ptp(self.skin.rest_position_m, axis=0).max())
+            start = Pose(pose.position_m + reach * away, pose.quaternion_xyzw)
+        turn = 2.0 * np.arccos(min(1.0, abs(float(start.quaternion_xyzw @ pose.quaternion_xyzw))))
+        radius = 0.5 * float(np.linalg.norm(np.ptp(self.contact.indenter.bounds_m(), axis=0)))
+        length = float(np.linalg.norm(pose.position_m - start.position_m)) + turn * min(
+            radius, 0.02
+        )
+        count = max(1, int(np.ceil(length / LARGEST_SUBSTEP_M)))
+        path = [interpolate(start, pose, k / count) for k in range(1, count)] + [pose]
+        while len(path) > 1 and world.response is None and not self._touches_rest(path[0]):
+            path.pop(0)
+        return list(path)
+
+    def _touches_rest(self, pose: Pose) -> bool:
+        local = (self.skin.rest_position_m - pose.position_m) @ pose.rotation()
+        lower, upper = self.contact.indenter.bounds_m()
+        near = np.all((local > lower - ONSET_M) & (local < upper + ONSET_M), axis=1)
+        if not near.any():
+            return False
+        return bool(self.contact.indenter.signed_distance(local[near]).min() < ONSET_M)
+
+    def _remembers(self) -> bool:
+        return self.solver.dynamic or bool(self.material.prony.shares)
+
+    def _substep(
+        self,
+        world: World,
+        pose: Pose | None,
+        dt_s: float,
+        environment: int,
+        timings: dict[str, float],
+    ) -> tuple[int, bool]:
+        """Advance one substep; return the iterations used and whether the tolerance was met."""
+        touching = pose is not None and self._touches_rest(pose)
+        if not touching and not self._remembers():
+            self._come_to_rest(world)
+            return 0, True
+        inertia = self._prepare_memory(world, dt_s, environment)
+        if pose is not None:
+            self._prepare_contact(world, pose, timings)
+        start = (world.displacement_m, world.fine_force_n)
+        point, iterations, converged = self._minimise(world, pose, inertia, environment, timings)
+        clock = time.perf_counter()
+        self._finish(world, pose, point, start, dt_s, environment)
+        _add(timings, "skin", clock)
+        return iterations, converged
+
+    def _come_to_rest(self, world: World) -> None:
+        """Without contact, inertia and relaxation the equilibrium is rest, exactly."""
+        world.displacement_m = np.zeros_like(world.displacement_m)
+        world.velocity_m_s = np.zeros_like(world.velocity_m_s)
+        world.fine_force_n = np.zeros_like(world.fine_force_n)
+        world.skin_position_m = self.skin.rest_position_m.copy()
+        world.history = world.last_change = world.patch = world.response = world.region = None
+
+    def _prepare_memory(self, world: World, dt_s: float, environment: int) -> _Inertia | None:
+        fast, history = self._relaxation[environment].step_terms(
+            dt_s, self.discretization.particle_count
+        )
+        if self.material.prony.shares:
+            for body in (self.body, self._single):
+                body.set_history(fast, history, environment)
+        if not self.solver.dynamic:
+            return None
+        stiffness = (self._mass / dt_s**2).tocsr()
+        if dt_s != self._step_s:
+            self._step_s = dt_s
+            self._exact_tangent = ExactTangent(self.body, stiffness)
+            if self._local_tangent is not None:
+                self._local_tangent = LocalTangent(self._single, stiffness)
+            for other in self.worlds:
+                other.region = None
+        return _Inertia(stiffness, world.displacement_m + dt_s * world.velocity_m_s)
+
+    def _prepare_contact(self, world: World, pose: Pose, timings: dict[str, float]) -> None:
+        """Find the markers that may touch, and renew patch and region where they do not do."""
+        clock = time.perf_counter()
+        if world.history is None:
+            world.history = fresh_history(world.skin_position_m, pose)
+        every = np.arange(self.skin.vertex_count, dtype=np.int32)
+        distance = self.contact.respond(
+            every, world.skin_position_m, pose, world.history, world.history.pressure_pa
+        ).distance_m
+        free = ~self.skin.on_base
+        kept = free & (distance < PATCH_KEPT_M)
+        if world.patch is None or not np.all(np.isin(np.flatnonzero(kept), world.patch.marker)):
+            chosen = np.flatnonzero(free & (distance < PATCH_MARGIN_M)).astype(np.int32)
+            world.patch = make_patch(
+                chosen, self.skin.rest_position_m, self.skin_weight, self.refinement
+            )
+        _add(timings, "contact", clock)
+
+    def _renew_region(self, world: World, near: NDArray[np.bool_], local: LocalTangent) -> Region:
+        assert world.patch is not None
+        centre = world.patch.rest_position_m[near]
+        gap = np.min(
+            np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
+        )
+        cell = np.flatnonzero(gap < REGION_RADIUS_M).astype(np.int32)
+        node = np.unique(world.patch.weight[near].indices).astype(np.int32)
+        return local.region(cell, node)
+
+    def _evaluate(
+        self,
+        world: World,
+        pose: Pose | None,
+        unknowns: tuple[Array, Array],
+        lagged_pressure_pa: Array,
+        inertia: _Inertia | None,
+        environment: int,
+        timings: dict[str, float],
+    ) -> _Point:
+        displacement, fine_force = unknowns
+        clock = time.perf_counter()
+        batch = np.zeros((self.environment_count, *displacement.shape))
+        batch[environment] = displacement
+        energies, gradients = self.body.force(batch)
+        energy, gradient = float(energies[environment]), gradients[environment]
+        if inertia is not None:
+            push = inertia.stiffness @ (displacement - inertia.predicted_m)
+            gradient = gradient + push
+            energy += 0.5 * float(np.vdot(displacement - inertia.predicted_m, push))
+        _add(timings, "force", clock)
+        clock = time.perf_counter()
+        patch = world.patch
+        if pose is None or patch is None or world.history is None:
+            empty = np.zeros((0, 3))
+            return _Point(displacement, fine_force, empty, energy, gradient, NO_RESPONSE)
+        local_force = fine_force[patch.fine_node]
+        added = patch.added_displacement(local_force)
+        response = self.contact.respond(
+            patch.marker,
+            patch.position(displacement, added),
+            pose,
+            world.history,
+            lagged_pressure_pa,
+        )
+        energy += response.energy_j + 0.5 * float(np.vdot(local_force, added))
+        _add(timings, "contact", clock)
+        return _Point(displacement, fine_force, added, energy, gradient, response)
+
+    def _minimise(
+        self,
+        world: World,
+        pose: Pose | None,
+        inertia: _Inertia | None,
+        environment: int,
+        timings: dict[str, float],
+    ) -> tuple[_Point, int, bool]:
+        def evaluate(unknowns: tuple[Array, Array], lag: Array) -> _Point:
+            return self._evaluate(world, pose, unknowns, lag, inertia, environment, timings)
+
+        patch = world.patch
+        lag = np.zeros(0)
+        if patch is not None and world.history is not None:
+            lag = world.history.pressure_pa[patch.marker]
+        point = evaluate((world.displacement_m, world.fine_force_n), lag)
+        guess = self._extrapolate(world, pose)
+        if guess is not None:
+            guessed = evaluate(guess, lag)
+            if guessed.energy_j < point.energy_j:
+                point = guessed
+        solver = _Direction(self, world, environment)
+        for iteration in range(1, self.solver.iterations + 1):
+            lag = point.response.pressure_pa
+            point = self._with_lag(world, pose, point, lag)
+            clock = time.perf_counter()
+            step, slope = solver.step(point)
+            _add(timings, "solve", clock)
+            scale = 1.0
+            while True:
+                unknowns = (
+                    point.displacement_m + scale * step.displacement_m,
+                    _plus(point.fine_force_n, patch, scale * step.fine_force_n),
+                )
+                trial = evaluate(unknowns, lag)
+                allowed = point.energy_j + 1e-4 * scale * slope + 1e-10 * abs(point.energy_j)
+                if trial.energy_j <= allowed or scale < SMALLEST_SCALE:
+                    break
+                scale *= 0.5
+            point = trial
+            self.trace.append((iteration, step.largest_m, scale))
+            if step.largest_m * scale < self.solver.tolerance_m and scale == 1.0:
+                return point, iteration, True
+        return point, self.solver.iterations, False
+
+    trace: list = []
+
+    def _with_lag(self, world: World, pose: Pose | None, point: _Point, lag: Array) -> _Point:
+        """Return the point with friction limited by a newer pressure."""
+        patch = world.patch
+        if pose is None or patch is None or world.history is None:
+            return point
+        response = self.contact.respond(
+            patch.marker,
+            patch.position(point.displacement_m, point.added_m),
+            pose,
+            world.history,
+            lag,
+        )
+        energy = point.energy_j - point.response.energy_j + response.energy_j
+        return replace(point, energy_j=energy, response=response)
+
+    def _extrapolate(self, world: World, pose: Pose | None) -> tuple[Array, Array] | None:
+        """Return the unknowns if the gel goes on moving in proportion to the indenter."""
+        if world.last_change is None or pose is None or world.pose is None:
+            return None
+        displacement, fine_force, move = world.last_change
+        length = float(move @ move)
+        if length == 0.0:
+            return None
+        share = float(np.clip((pose.position_m - world.pose.position_m) @ move / length, -1.0, 2.0))
+        return (
+            world.displacement_m + share * displacement,
+            world.fine_force_n + share * fine_force,
+        )
+
+    def _finish(
+        self,
+        world: World,
+        pose: Pose | None,
+        point: _Point,
+        start: tuple[Array, Array],
+        dt_s: float,
+        environment: int,
+    ) -> None:
+        patch = world.patch
+        world.velocity_m_s = (point.displacement_m - start[0]) / dt_s
+        world.displacement_m, world.fine_force_n = point.displacement_m, point.fine_force_n
+        world.skin_position_m = self.skin.rest_position_m + self.skin_weight @ point.displacement_m
+        if self.material.prony.shares:
+            stress = self.body.material_stress(point.displacement_m, environment)
+            self._relaxation[environment].finish_step(dt_s, stress)
+        if pose is None or patch is None or world.history is None:
+            world.history = world.last_change = world.patch = world.response = world.region = None
+            world.pose = None
+            return
+        if self.refinement is not None:
+            loaded = np.flatnonzero(np.any(point.fine_force_n, axis=1)).astype(np.int32)
+            added = self.refinement.displacement(loaded, point.fine_force_n[loaded])
+            world.skin_position_m += self.refinement.skin_weight @ added
+        if world.pose is not None:
+            world.last_change = (
+                point.displacement_m - start[0],
+                point.fine_force_n - start[1],
+                pose.position_m - world.pose.position_m,
+            )
+        world.pose = pose
+        world.response = point.response
+        history = fresh_history(world.skin_position_m, pose)
+        history.local_position_m[patch.marker] = point.response.local_position_m
+        history.slip_m[patch.marker] = point.response.slip_m
+        history.pressure_pa[patch.marker] = point.response.pressure_pa
+        world.history = history
+
+
+def _add(timings: dict[str, float], part: str, since: float) -> None:
+    timings[part] = timings.get(part, 0.0) + time.perf_counter() - since
+
+
+def _plus(force_n: Array, patch: Patch | None, change_n: Array) -> Array:
+    if patch is None:
+        return force_n
+    result = force_n.copy()
+    result[patch.fine_node] += change_n
+    return result
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A Newton step: of the grid, of the refinement's forces on the patch, and how far it moves
+    the markers that matter."""
+
+    displacement_m: Array
+    fine_force_n: Array
+    largest_m: float
+
+
+class _Direction:
+    """Newton directions of one substep; stiffness and factor are renewed when contact changes."""
+
+    def __init__(self, gel: ImplicitGel, world: World, environment: int) -> None:
+        self.gel, self.world, self.environment = gel, world, environment
+        self.contact: EffectiveContact | None = None
+        self.factor: LocalFactor | None = None
+        self.stiffness: NDArray[np.float32] | None = None
+        self.last_m = np.inf
+
+    def step(self, point: _Point) -> tuple[_Step, float]:
+        """Return the step from a point and the energy's slope along it, J."""
+        patch, response = self.world.patch, point.response
+        residual = -point.gradient_n
+        active = np.flatnonzero(response.pressure_pa > 0.0)
+        mismatch = np.zeros((0, 3))
+        if patch is None or len(active) == 0:
+            self.contact = None
+            right = residual.ravel()
+        else:
+            residual = residual + patch.weight.T @ response.force_n
+            mismatch = self._mismatch(patch, point)
+            if self.contact is None or not np.array_equal(self.contact.active, active):
+                self.contact = effective_contact(patch, active, response.hessian[active])
+                self.factor = None
+            right = residual.copy()
+            back = self.contact.force((patch.fine_weight[active] @ mismatch))
+            right += patch.weight[active].T @ back
+            right = right.ravel()
+        displacement = self._solve(point, right).reshape(-1, 3)
+        if patch is None or self.contact is None:
+            largest = float(np.abs(displacement).max())
+            self.last_m = largest
+            slope = -float(np.vdot(residual, displacement))
+            unloading = np.zeros((0, 3)) if patch is None else -point.fine_force_n[patch.fine_node]
+            return _Step(displacement, unloading, largest), slope
+        move = patch.weight[active] @ displacement + patch.fine_weight[active] @ mismatch
+        change = self.contact.force(move)
+        force = response.force_n.copy()
+        force[active] += change
+        fine_change = patch.fine_weight.T @ force - point.fine_force_n[patch.fine_node]
+        added_change = patch.added_displacement(fine_change)
+        marker_move = patch.weight @ displacement + patch.fine_weight @ added_change
+        largest = float(np.abs(marker_move[active]).max())
+        if largest > 0.3 * self.last_m:
+            self.factor = self.contact = None
+        self.last_m = largest
+        out_of_balance = patch.fine_weight.T @ response.force_n - point.fine_force_n[patch.fine_node]
+        slope = -float(np.vdot(residual, displacement)) - float(
+            np.vdot(out_of_balance, added_change)
+        )
+        return _Step(displacement, fine_change, largest), slope
+
+    def _mismatch(self, patch: Patch, point: _Point) -> Array:
+        """Return the displacement (F, 3) by which the refinement lags behind the contact force."""
+        force = patch.fine_weight.T @ point.response.force_n
+        return patch.added_displacement(force - point.fine_force_n[patch.fine_node])
+
+    def _solve(self, point: _Point, right: Array) -> Array:
+        gel, world = self.gel, self.world
+        local = gel._local_tangent
+        if local is None:
+            factor = gel._exact_tangent.factor(
+                point.displacement_m, self.contact, self.environment
+            )
+            return np.asarray(factor.solve(right))
+        if self.contact is None:
+            return local.solve_at_rest(right)
+        if self.factor is not None:
+            return self.factor.solve_near(right)
+        assert world.patch is not None
+        if world.region is None or np.any(world.region.number[self.contact.node] < 0):
+            near = point.response.distance_m < REGION_MARGIN_M
+            world.region = gel._renew_region(world, near, local)
+            self.stiffness = None
+        if self.stiffness is None:
+            self.stiffness = local.assemble(world.region, point.displacement_m, self.environment)
+        self.factor = local.factor(world.region, self.stiffness, self.contact)
+        return self.factor.solve(right)

@@ -1,0 +1,177 @@
+"""Linear solves of Newton's method on the gel: exact and sparse, or fast and local.
+
+The fast one uses what a press looks like. Far from the indenter the gel barely strains, so its
+stiffness there is that of rest, whose inverse G is computed once. Near the indenter (the region R)
+the stiffness is assembled anew. The step of the region's unknowns solves the small dense system
+
+    (G_RR^-1 + K_RR(u) - K_RR(0) + contact) du_R = G_RR^-1 (G r)_R
+
+and the rest of the gel follows: du = G r + G_R z, z = G_RR^-1 (du_R - (G r)_R). This is a block
+elimination (static condensation, Guyan 1965) of the far unknowns with their rest stiffness.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from dotsim_ros.gel.block_solver import BlockCholesky
+from dotsim_ros.gel.elasticity import ElasticBody, region_base
+from dotsim_ros.gel.patch import EffectiveContact
+
+Array = NDArray[np.float64]
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the grid around the contact.
+
+    Attributes:
+        node: (R,) its nodes.
+        number: (N,) the number of each node in it, -1 outside.
+        cell: (C,) the cells all of whose nodes are in it.
+        base: (C, 27, 27) positions of the cells' blocks in the region's matrix.
+        dof: (3 R,) its unknowns.
+        compliance_columns: (3 N, 3 R) columns of G.
+        condensed: (3 R, 3 R) inverse of G_RR.
+        rest: (3 R, 3 R) stiffness of the cells at rest.
+    """
+
+    node: IntArray
+    number: IntArray
+    cell: IntArray
+    base: IntArray
+    dof: IntArray
+    compliance_columns: FloatArray
+    condensed: FloatArray
+    rest: FloatArray
+
+
+def inverse_of_positive(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a symmetric positive definite matrix.
+
+    Raises:
+        numpy.linalg.LinAlgError: the matrix is not positive definite.
+    """
+    factor, info = linalg.lapack.spotrf(matrix, lower=1)
+    if info != 0:
+        raise np.linalg.LinAlgError(f"matrix of {len(matrix)} rows is not positive definite")
+    inverse, _ = linalg.lapack.spotri(factor, lower=1, overwrite_c=1)
+    lower = np.tril(inverse)
+    result: FloatArray = np.ascontiguousarray(lower + np.tril(inverse, -1).T)
+    return result
+
+
+class ExactTangent:
+    """The whole stiffness, assembled and factored anew: slow, in double precision."""
+
+    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
+        self.body, self.extra = body, sparse.kron(extra, sparse.eye(3), format="csr")
+
+    def factor(
+        self, displacement_m: Array, contact: EffectiveContact | None, environment: int
+    ) -> BlockCholesky:
+        """Factor the stiffness at displacements (N, 3) with a contact."""
+        matrix = self.body.stiffness(displacement_m, environment) + self.extra
+        if contact is not None:
+            dof = (3 * contact.node[:, None] + np.arange(3)).ravel()
+            rows, columns = np.meshgrid(dof, dof, indexing="ij")
+            added = (contact.stiffness.ravel().astype(np.float64), (rows.ravel(), columns.ravel()))
+            matrix = matrix + sparse.coo_matrix(added, shape=matrix.shape).tocsr()
+        return BlockCholesky(matrix.tocsr(), self.body.discretization.node_cell)
+
+
+@dataclass(frozen=True)
+class LocalFactor:
+    """A factored region; `solve` returns the step of the whole gel."""
+
+    compliance: FloatArray
+    region: Region
+    factor: tuple[FloatArray, bool]
+
+    def solve(self, right: Array) -> Array:
+        """Return the step (3 N,) for residual forces (3 N,) anywhere."""
+        free = linalg.blas.ssymv(1.0, self.compliance.T, right.astype(np.float32))
+        region = self.region
+        free_here = free[region.dof]
+        local = region.condensed @ free_here
+        step = linalg.cho_solve(self.factor, local, check_finite=False)
+        change = region.condensed @ (step - free_here)
+        whole: Array = (free + region.compliance_columns @ change).astype(np.float64)
+        return whole
+
+    def solve_near(self, right: Array) -> Array:
+        """Return the step (3 N,) for residual forces (3 N,), leaving out those outside."""
+        region = self.region
+        local = right[region.dof].astype(np.float32)
+        step = linalg.cho_solve(self.factor, local, check_finite=False)
+        whole: Array = (region.compliance_columns @ (region.condensed @ step)).astype(np.float64)
+        return whole
+
+
+class LocalTangent:
+    """The fast solve, in single precision (its error is one of the step, not of the solution).
+
+    Args:
+        body: the elastic body in single precision.
+        extra: (N, N) further stiffness of every direction, such as mass over the squared step.
+    """
+
+    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
+        self.body = body
+        discretization = body.discretization
+        self.rest = np.zeros((discretization.node_count, 3), dtype=np.float32)
+        stiffness = body.stiffness(self.rest, 0) + sparse.kron(extra, sparse.eye(3))
+        self.compliance = inverse_of_positive(
+            np.asfortranarray(stiffness.toarray().astype(np.float32))
+        )
+        self.cell_centre_m = discretization.node_position_m[body.cells.node].mean(axis=1)
+
+    def solve_at_rest(self, right: Array) -> Array:
+        """Return the step (3 N,) with the stiffness of rest and no contact."""
+        step = linalg.blas.ssymv(1.0, self.compliance.T, right.astype(np.float32))
+        whole: Array = step.astype(np.float64)
+        return whole
+
+    def region(self, cell: IntArray, needed_node: IntArray) -> Region:
+        """Return the region of the given cells, with further nodes that contact needs."""
+        node_of_cell = self.body.cells.node
+        node = np.union1d(node_of_cell[cell], needed_node).astype(np.int32)
+        number = np.full(self.body.discretization.node_count, -1, dtype=np.int32)
+        number[node] = np.arange(len(node), dtype=np.int32)
+        inside = np.flatnonzero(np.all(number[node_of_cell] >= 0, axis=1)).astype(np.int32)
+        dof = (3 * node[:, None] + np.arange(3)).ravel().astype(np.int32)
+        base = region_base(node_of_cell[inside], number, len(dof))
+        rows = self.compliance[dof]
+        condensed = inverse_of_positive(np.asfortranarray(rows[:, dof]))
+        rest = self.body.region_stiffness(self.rest, inside, base, len(dof))
+        return Region(node, number, inside, base, dof, rows.T, condensed, rest)
+
+    def assemble(self, region: Region, displacement_m: Array, environment: int) -> FloatArray:
+        """Return the condensed stiffness (3 R, 3 R) of a region at displacements (N, 3)."""
+        now = self.body.region_stiffness(
+            displacement_m, region.cell, region.base, len(region.dof), environment
+        )
+        now += region.condensed
+        now -= region.rest
+        return now
+
+    def factor(
+        self, region: Region, stiffness: FloatArray, contact: EffectiveContact | None
+    ) -> LocalFactor:
+        """Factor an assembled stiffness with a contact.
+
+        Raises:
+            numpy.linalg.LinAlgError: it is not positive definite.
+        """
+        matrix = np.array(stiffness, order="F")
+        if contact is not None:
+            dof = (3 * region.number[contact.node][:, None] + np.arange(3)).ravel()
+            matrix[np.ix_(dof, dof)] += contact.stiffness
+        factor = linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
+        return LocalFactor(self.compliance, region, factor)
