@@ -51,7 +51,7 @@ class IndenterMesh:
     triangles: NDArray[np.int32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Indenter:
     """A rigid indenter; build one with `sphere`, `box`, `flat_punch`, `cone`, `lying_cylinder`,
     `capsule`, `torus`, `load_mesh` or `load_indenter`.
@@ -69,7 +69,7 @@ class Indenter:
 
     kind: IndenterKind
     parameters: tuple[float, ...]
-    mount: Pose = field(default_factory=Pose, compare=False)
+    mount: Pose = field(default_factory=Pose)
     mesh: IndenterMesh | None = None
     name: str = ""
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 from numpy.typing import NDArray
 
@@ -22,7 +25,7 @@ from dotsim_ros.gel.explicit import (
     wave_speed_m_s,
 )
 from dotsim_ros.gel.material import NeoHookean
-from dotsim_ros.geometry.indenter import box, sphere
+from dotsim_ros.geometry.indenter import Indenter, box, load_mesh, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin, skin_of_triangles
 
@@ -199,6 +202,16 @@ def test_press_moves_the_skin_to_the_indenter() -> None:
     )
 
 
+def test_mesh_presses_like_the_primitive(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.004)
+    ball.apply_translation([0.0, 0.0, 0.004])
+    ball.export(tmp_path / "ball.stl")
+    mesh = press(make_gel(DOME, SKIN, indenter=load_mesh(tmp_path / "ball.stl")), 0.001, 5)
+    primitive = press(make_gel(DOME, SKIN), 0.001, 5)
+    assert mesh.skin_position_m == pytest.approx(primitive.skin_position_m, abs=1e-5)
+    assert mesh.force_n[0][2] == pytest.approx(primitive.force_n[0][2], rel=0.01)
+
+
 def test_finer_grid_penetrates_less() -> None:
     fine = ExplicitSettings(spacing_m=1.6e-3, substeps_per_frame=60, softness=20.0)
     coarse = press(make_gel(DOME, SKIN, scalar=wp.float32), 0.001, 6)
@@ -253,13 +266,18 @@ def gradient_case(values: dict[str, float]) -> ExplicitGel:
     )
 
 
-@pytest.mark.parametrize("indenter", [sphere(0.004), box([0.005, 0.004, 0.004], 0.0005)])
-def test_tape_agrees_with_finite_differences(indenter: Any) -> None:
+@pytest.mark.parametrize(
+    "build",
+    [sphere, lambda radius: box([0.005, radius, 0.004], 0.0005)],
+    ids=["sphere", "box"],
+)
+def test_tape_agrees_with_finite_differences(build: Callable[[float], Indenter]) -> None:
     values = {
         "log_youngs_modulus": np.log(27_575.0),
         "poisson_ratio": 0.303,
         "softness": 15.0,
         "friction_coefficient": 0.4,
+        "indenter_size": 0.004,
     }
     poses = [above(0.0003 * k, 0.0002 * k) for k in range(3)]
     random = np.random.default_rng(0)
@@ -268,19 +286,23 @@ def test_tape_agrees_with_finite_differences(indenter: Any) -> None:
 
     def loss(**changes: float) -> float:
         gel = gradient_case(values | changes)
-        gel.set_indenter(indenter)
+        gel.set_indenter(build((values | changes)["indenter_size"]))
         for pose in poses:
             state = gel.step(pose, FRAME)
         return float(np.sum(by_skin * state.skin_position_m) + np.sum(by_force * state.force_n))
 
     gel = gradient_case(values)
-    gel.set_indenter(indenter)
+    gel.set_indenter(build(values["indenter_size"]))
     gel.step(poses[0], FRAME)
     _, gradient = gel.step_with_gradient(poses[1:], FRAME, lambda _: (by_skin, by_force))
     for name, value in values.items():
         step = 1e-5 * abs(value)
         difference = (loss(**{name: value + step}) - loss(**{name: value - step})) / (2 * step)
-        assert getattr(gradient, name)[0] == pytest.approx(difference, rel=1e-3), name
+        if name == "indenter_size":
+            taped = gradient.indenter_parameters[0 if build is sphere else 1]
+        else:
+            taped = getattr(gradient, name)[0]
+        assert taped == pytest.approx(difference, rel=1e-3), name
 
 
 def test_step_with_gradient_is_a_step() -> None:

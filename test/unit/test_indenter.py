@@ -220,6 +220,14 @@ def test_distance_grid_is_as_exact_as_the_mesh_near_the_surface(ball: Indenter) 
     assert np.all(grid.sample(far) > 0.035)
 
 
+def test_grids_of_a_box_and_of_its_edge_differ() -> None:
+    size = [0.004, 0.004, 0.004]
+    standing, turned = box(size).distance_grid(2e-4), box_edge(size).distance_grid(2e-4)
+    probe = np.array([[0.0, 0.0, 0.005]])
+    assert standing.sample(probe)[0] == pytest.approx(0.001, abs=1e-5)
+    assert turned.sample(probe)[0] < -0.0004
+
+
 def test_kernel_samples_the_grid_with_a_continuous_gradient(ball: Indenter) -> None:
     points = points_around(ball)
     distance, gradient, _, taped = run_kernel(ball, points)
