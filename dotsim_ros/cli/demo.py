@@ -1,0 +1,74 @@
+"""Replay real presses through the running node, record it, and show what it published.
+
+Starts tactile_sim, tactile_record and indenter_player as processes of their own, which talk over
+DDS. Leaves the bag OUT/presses, the video OUT/presses.mp4 and the contact sheet OUT/presses.png.
+Needs ROS 2.
+
+example:
+  dotsim_ros demo --out out/demo
+  dotsim_ros demo --presses 8 --depth-mm 2 --out out/deep
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from contextlib import ExitStack
+from pathlib import Path
+
+START_TIMEOUT_S = 180.0
+"""A first start compiles the gel's kernels."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the verb takes."""
+    parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder (out/demo)")
+    parser.add_argument("--presses", type=int, default=4, help="how many of the 12 shipped (4)")
+    parser.add_argument("--depth-mm", type=float, default=3.0, help="presses turn here (3)")
+    parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the demonstration and print the paths of its files."""
+    from dotsim_ros.nodes.processes import NodeProcess
+    from dotsim_ros.view.bag import ViewRequest, view_bag
+    from dotsim_ros.view.timeline import ViewTopics
+
+    bag: Path = arguments.out / "presses"
+    if (bag / "metadata.yaml").is_file():
+        shutil.rmtree(bag)  # that of the demonstration before
+    with ExitStack() as stack:
+        sensor = NodeProcess("tactile_sim", {})
+        stack.callback(sensor.stop)
+        sensor.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
+        recorder = NodeProcess("tactile_record", {"output": bag})
+        stack.callback(recorder.stop)
+        recorder.wait_for_line("recording", timeout_s=START_TIMEOUT_S)
+        player = NodeProcess(
+            "indenter_player",
+            {
+                "source": "presses",
+                "press_numbers": str(list(range(arguments.presses))),
+                "depth_limit_m": 1e-3 * arguments.depth_mm,
+                "exit_at_end": "true",
+            },
+        )
+        stack.callback(player.stop)
+        statuses = {player.executable: player.wait()}
+        statuses |= {node.executable: node.stop() for node in (recorder, sensor)}
+    failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
+    if failed:
+        raise OSError("; ".join(failed))
+    request = ViewRequest(
+        bag=bag,
+        out=arguments.out,
+        topics=ViewTopics(),
+        formats=("mp4",),
+        fps=None,
+        speed=1.0,
+        column_count=6,
+        rest=None,
+    )
+    for path in [bag, *view_bag(request)]:
+        print(path)
+    return 0

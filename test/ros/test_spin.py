@@ -1,0 +1,117 @@
+"""`run_node`, the way every node starts and stops, on nodes that make it hard."""
+
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+SLOW_TO_START = """
+import sys, time
+from rclpy.node import Node
+from dotsim_ros.nodes.spin import run_node
+
+class Slow(Node):
+    def __init__(self):
+        super().__init__("slow")
+        print("starting", flush=True)
+        time.sleep(60.0)
+
+sys.exit(run_node(Slow))
+"""
+
+SLOW_TO_STOP = """
+import sys, time
+from rclpy.node import Node
+from dotsim_ros.nodes.spin import run_node
+
+class Slow(Node):
+    def __init__(self):
+        super().__init__("slow")
+        self.create_timer(0.01, lambda: None)
+        print("starting", flush=True)
+
+    def destroy_node(self):
+        time.sleep(0.5)
+        print("finished", flush=True)
+        super().destroy_node()
+
+sys.exit(run_node(Slow))
+"""
+
+ENDS_ITSELF = """
+import sys
+from rclpy.node import Node
+from rclpy.utilities import try_shutdown
+from dotsim_ros.nodes.spin import run_node
+
+class Short(Node):
+    def __init__(self):
+        super().__init__("short")
+        self.exit_status = 3
+        self.create_timer(0.01, try_shutdown)
+
+sys.exit(run_node(Short))
+"""
+
+BREAKS = """
+import sys
+from rclpy.node import Node
+from dotsim_ros.nodes.spin import run_node
+
+class Wrong(Node):
+    def __init__(self):
+        super().__init__("wrong")
+        self.create_timer(0.01, self.fail)
+
+    def fail(self):
+        raise RuntimeError("a bug")
+
+sys.exit(run_node(Wrong))
+"""
+
+
+def started(code):
+    process = subprocess.Popen(
+        [sys.executable, "-u", "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    assert process.stdout.readline() == "starting\n"
+    return process
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 0.05])
+@pytest.mark.parametrize("code", [SLOW_TO_START, SLOW_TO_STOP], ids=["starting", "stopping"])
+def test_doubled_interrupt_ends_cleanly(code, gap_s):
+    process = started(code)
+    for _ in range(2):
+        process.send_signal(signal.SIGINT)
+        time.sleep(gap_s)
+    log, _ = process.communicate(timeout=30)
+    assert process.returncode == 0, log
+    assert "Traceback" not in log
+    assert ("finished" in log) == (code is SLOW_TO_STOP)
+
+
+def test_terminate_ends_cleanly():
+    process = started(SLOW_TO_STOP)
+    process.terminate()
+    log, _ = process.communicate(timeout=30)
+    assert process.returncode == 0, log
+    assert "finished" in log
+
+
+def test_node_ends_itself_with_its_status():
+    done = subprocess.run([sys.executable, "-c", ENDS_ITSELF], timeout=60, check=False)
+    assert done.returncode == 3
+
+
+def test_bug_is_not_swallowed():
+    done = subprocess.run(
+        [sys.executable, "-c", BREAKS], timeout=60, check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 1
+    assert "RuntimeError: a bug" in done.stderr
