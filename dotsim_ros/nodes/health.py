@@ -122,12 +122,12 @@ def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
         **{fault.value: str(count) for fault, count in faults.counts().items()},
         "last_fault": faults.last_reason,
     }
-    if now_s - faults.last_s < FAULT_MEMORY_S:
-        return Level.ERROR, faults.last_reason, values
     if condition.silence_s is None:
         return Level.OK, "no input so far", values
     if condition.silence_s > condition.timeout_s:
         return Level.WARN, f"no input for {condition.silence_s:.1f} s: the last frame holds", values
+    if now_s - faults.last_s < FAULT_MEMORY_S:
+        return Level.WARN, faults.last_reason, values
     return Level.OK, "input is valid", values
 
 

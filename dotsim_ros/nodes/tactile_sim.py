@@ -16,6 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
+from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
@@ -32,6 +33,7 @@ from dotsim_ros.nodes.session import SensorSession
 from dotsim_ros.nodes.spin import run_node
 from dotsim_ros.nodes.static_frame import publish_static_frame
 from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
+from dotsim_ros.nodes.transport import carry_images
 from dotsim_ros.sensor import Frame, TactileSensor
 
 
@@ -43,7 +45,7 @@ class TactileSim(Node):
         self._settings = declare(self, TactileSimParameters)
         self._lock = RLock()
         self._stop = Event()
-        self._failure: BaseException | None = None
+        self.exit_status = 0
         self._is_enabled = True
         self._is_realtime = self._settings.clock == REALTIME
         sensor = self._make_sensor()
@@ -112,10 +114,13 @@ class TactileSim(Node):
             while not self._stop.wait(max(0.0, self._pace.deadline_s() - time.monotonic())):
                 self._pace.begin(time.monotonic())
                 self._realtime_frame()
-        except Exception as error:
+        except Exception:
             # Publishing into a context that a signal has shut down is how a run ends.
             if self.context.ok():
-                self._failure = error
+                self.get_logger().fatal("the frames broke off")
+                self.exit_status = 1
+                try_shutdown()
+                raise
 
     def _realtime_frame(self) -> None:
         stamp_ns = self.get_clock().now().nanoseconds
@@ -142,8 +147,6 @@ class TactileSim(Node):
         self._counter.note(now_s, {**frame.timings_s, "publish": now_s - begun_s})
 
     def _report(self) -> None:
-        if self._failure is not None:
-            raise self._failure
         if self.get_clock().now().nanoseconds == 0:
             self.get_logger().warning(
                 "use_sim_time is set and /clock is silent: there is no time to stamp frames with",
@@ -249,6 +252,7 @@ def read_rgb(path: str) -> NDArray[np.uint8]:
 
 def main() -> int:
     """Run the node until it is stopped; return the exit status."""
+    carry_images()
     return run_node(TactileSim)
 
 

@@ -1,0 +1,370 @@
+"""Starts real executables and talks to them over DDS, as a user's program would."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from rclpy.qos import HistoryPolicy, QoSProfile
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+
+import msg_adapters
+
+START_PATIENCE_S = 120.0
+PATIENCE_S = 30.0
+APEX_M = 0.01575
+BASE_FRAME = "densetact_base"
+
+FRAME_TOPICS: dict[str, type] = {
+    "image_raw": Image,
+    "camera_info": CameraInfo,
+    "depth/image": Image,
+    "points": PointCloud2,
+    "wrench": WrenchStamped,
+}
+STATE_TOPIC = "indenter/state"
+
+
+class Executable:
+    """A node in a process of its own.
+
+    Args:
+        module: the module that is run.
+        parameters: ROS parameters of the node.
+        arguments: further ROS arguments.
+    """
+
+    def __init__(
+        self,
+        module: str,
+        parameters: Mapping[str, Any] | None = None,
+        arguments: Sequence[str] = (),
+    ) -> None:
+        command = [sys.executable, "-u", "-m", module, "--ros-args", *arguments]
+        for name, value in (parameters or {}).items():
+            command += ["-p", f"{name}:={value}"]
+        self.process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        self._lines: list[str] = []
+        self._changed = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._changed:
+                self._lines.append(line)
+                self._changed.notify_all()
+        with self._changed:
+            self._changed.notify_all()
+
+    @property
+    def log(self) -> str:
+        """What the process has written so far."""
+        with self._changed:
+            return "".join(self._lines)
+
+    def wait_for_line(self, text: str) -> None:
+        """Wait until the process has written a line that holds `text`."""
+
+        def is_over() -> bool:
+            return any(text in line for line in self._lines) or not self._reader.is_alive()
+
+        with self._changed:
+            self._changed.wait_for(is_over, START_PATIENCE_S)
+        assert text in self.log, f"no line with {text!r} in:\n{self.log}"
+
+    def exit_status(self) -> int:
+        """Wait for the process to end by itself."""
+        status = self.process.wait(START_PATIENCE_S)
+        self._reader.join(PATIENCE_S)
+        return status
+
+    def interrupt(self, count: int = 1) -> int:
+        """Send SIGINT, once or more, and return the exit status."""
+        for _ in range(count):
+            self.process.send_signal(signal.SIGINT)
+            time.sleep(0.02)
+        return self.exit_status()
+
+    def end(self) -> None:
+        """Make sure that nothing is left running."""
+        if self.process.poll() is None:
+            self.process.send_signal(signal.SIGINT)
+            try:
+                self.process.wait(10.0)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.wait()
+
+
+@contextmanager
+def running(
+    module: str = "dotsim_ros.nodes.tactile_sim",
+    *,
+    ready: str = "ready:",
+    parameters: Mapping[str, Any] | None = None,
+    arguments: Sequence[str] = (),
+) -> Iterator[Executable]:
+    """Run a node from ready to the end of the block."""
+    executable = Executable(module, parameters, arguments)
+    try:
+        executable.wait_for_line(ready)
+        yield executable
+    finally:
+        executable.end()
+
+
+@dataclass
+class TactileFrame:
+    """All messages of one stamp, by topic."""
+
+    stamp_ns: int
+    messages: dict[str, Any] = field(default_factory=dict)
+
+    def is_whole(self) -> bool:
+        """Whether every topic has come; a frame without an indenter has no state of it."""
+        return set(FRAME_TOPICS) <= set(self.messages)
+
+    def image(self) -> np.ndarray[Any, Any]:
+        """Pixels (H, W, 3)."""
+        return msg_adapters.decode_image(self.messages["image_raw"])
+
+    def depth_m(self) -> np.ndarray[Any, Any]:
+        """Depth (H, W)."""
+        return msg_adapters.decode_image(self.messages["depth/image"])
+
+    def cloud(self) -> msg_adapters.Cloud:
+        """The skin."""
+        return msg_adapters.decode_cloud(self.messages["points"])
+
+    def force_n(self) -> np.ndarray[Any, Any]:
+        """Force (3,) on the indenter."""
+        return msg_adapters.decode_wrench_stamped(self.messages["wrench"])[0]
+
+    def indenter_m(self) -> list[float] | None:
+        """Position of the indenter in the frame, or None where none has come."""
+        if STATE_TOPIC not in self.messages:
+            return None
+        return msg_adapters.decode_pose_stamped(self.messages[STATE_TOPIC])[0].tolist()
+
+    def is_same(self, other: TactileFrame) -> bool:
+        """Whether every number of the two frames is the same, stamps aside."""
+        return all(
+            _content(self.messages[topic]) == _content(other.messages[topic])
+            for topic in FRAME_TOPICS
+        )
+
+
+def _content(message: Any) -> list[Any]:
+    """Return every field but the header, arrays as bytes, so that NaN equals NaN."""
+    fields = [name for name in message.get_fields_and_field_types() if name != "header"]
+    values = [getattr(message, name) for name in fields]
+    return [value.tobytes() if hasattr(value, "tobytes") else value for value in values]
+
+
+class Client:
+    """A user's program: publishes poses, reads every topic of the frames, calls services.
+
+    Args:
+        is_deaf: subscribe to everything and never read any of it.
+    """
+
+    def __init__(self, *, is_deaf: bool = False) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("client", context=self._context)
+        self.frames: dict[int, TactileFrame] = {}
+        self.compressed: list[CompressedImage] = []
+        self.diagnostics: dict[str, msg_adapters.Status] = {}
+        self._changed = threading.Condition()
+        self._poses = self.node.create_publisher(
+            PoseStamped, "indenter/pose", QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        )
+        for topic, kind in {**FRAME_TOPICS, STATE_TOPIC: PoseStamped}.items():
+            self.node.create_subscription(kind, topic, self._collector(topic), 50)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        if not is_deaf:
+            self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        rclpy.try_shutdown(context=self._context)
+        if self._thread.is_alive():
+            self._thread.join(10.0)
+        self.node.destroy_node()
+
+    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
+        """Wait until something holds; looks again at each message, and each 50 ms."""
+        end_s = time.monotonic() + PATIENCE_S
+        with self._changed:
+            while not (reached := is_reached()):
+                assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}"
+                self._changed.wait(0.05)
+        return reached
+
+    def meet(self) -> None:
+        """Wait until the sensor reads poses and is read."""
+        self.wait(
+            lambda: (
+                self._poses.get_subscription_count() > 0
+                and all(self.node.count_publishers(topic) > 0 for topic in FRAME_TOPICS)
+            ),
+            "the sensor",
+        )
+        # What the publishers know of their readers comes on its own way.
+        self.wait(lambda: bool(self.diagnostics), "diagnostics")
+
+    def send(
+        self,
+        position_m: Sequence[float],
+        *,
+        stamp_ns: int | None = None,
+        quaternion_xyzw: Sequence[float] = (0.0, 0.0, 0.0, 1.0),
+        frame_id: str = BASE_FRAME,
+    ) -> int:
+        """Publish a pose as it is given, valid or not; return its stamp."""
+        message = PoseStamped()
+        message.header.frame_id = frame_id
+        if stamp_ns is None:
+            stamp_ns = self.node.get_clock().now().nanoseconds
+        message.header.stamp = msg_adapters.encode_stamp(stamp_ns)
+        point, rotation = message.pose.position, message.pose.orientation
+        point.x, point.y, point.z = map(float, position_m)
+        rotation.x, rotation.y, rotation.z, rotation.w = map(float, quaternion_xyzw)
+        self._poses.publish(message)
+        return stamp_ns
+
+    def whole_frame(self, stamp_ns: int) -> TactileFrame:
+        """Wait for every message of one stamp."""
+        return self.wait(
+            lambda: (found := self.frames.get(stamp_ns)) and found.is_whole() and found,
+            f"a whole frame stamped {stamp_ns}",
+        )
+
+    def next_frame(self, is_wanted: Callable[[TactileFrame], bool]) -> TactileFrame:
+        """Wait for a whole frame, newer than those at hand, that is wanted."""
+        newest_ns = max(self.frames, default=0)
+
+        def find() -> TactileFrame | None:
+            for stamp_ns in sorted(stamp for stamp in self.frames if stamp > newest_ns):
+                frame = self.frames[stamp_ns]
+                if frame.is_whole() and is_wanted(frame):
+                    return frame
+            return None
+
+        return self.wait(find, "a frame that is wanted")
+
+    def state(self, part: str) -> msg_adapters.Status:
+        """Return the newest diagnostic of a part: frames, input or gel."""
+        return self.wait(lambda: self.diagnostics.get(f"tactile_sim: {part}"), part)
+
+    def wait_for_state(
+        self, part: str, is_wanted: Callable[[msg_adapters.Status], bool]
+    ) -> msg_adapters.Status:
+        """Wait for a diagnostic that is wanted."""
+        self.wait(lambda: is_wanted(self.state(part)), f"a state of {part}")
+        return self.state(part)
+
+    def call(self, kind: type, name: str, **fields: Any) -> Any:
+        """Call a service and return its response."""
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(PATIENCE_S), name
+        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
+        self.wait(future.done, f"an answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def set_parameters(self, **values: Any) -> Any:
+        """Set parameters of the sensor together; return the result with its reason."""
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        return self.call(
+            SetParametersAtomically,
+            "/tactile_sim/set_parameters_atomically",
+            parameters=[parameter.to_parameter_msg() for parameter in parameters],
+        ).result
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def _collector(self, topic: str) -> Callable[[Any], None]:
+        def collect(message: Any) -> None:
+            stamp_ns = msg_adapters.message_stamp_ns(message)
+            with self._changed:
+                frame = self.frames.setdefault(stamp_ns, TactileFrame(stamp_ns))
+                frame.messages[topic] = message
+                self._changed.notify_all()
+
+        return collect
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        with self._changed:
+            for status in msg_adapters.decode_diagnostics(message):
+                self.diagnostics[status.name] = status
+            self._changed.notify_all()
+
+
+class LockstepPress:
+    """The press that frames are compared by: from far away, down to 1 mm, a little sideways.
+
+    Stamps go on from press to press, as those of one program would.
+    """
+
+    depth_mm = (-2.0, 0.2, 0.6, 1.0, 1.0)
+    shift_mm = (0.0, 0.0, 0.0, 0.0, 0.4)
+    period_ns = 40_000_000
+
+    def __init__(self, client: Client) -> None:
+        self.client = client
+        self.stamp_ns = 10_000_000_000
+
+    def next_stamp(self) -> int:
+        """Return a stamp one period after the last one."""
+        self.stamp_ns += self.period_ns
+        return self.stamp_ns
+
+    def frame_at(self, position_m: Sequence[float]) -> TactileFrame:
+        """Send a pose and wait for its frame."""
+        stamp_ns = self.client.send(position_m, stamp_ns=self.next_stamp())
+        return self.client.whole_frame(stamp_ns)
+
+    def run(self, between: Callable[[int], None] = lambda index: None) -> list[TactileFrame]:
+        """Press once from afar; `between` acts after each frame, by its index."""
+        self.frame_at((0.0, 0.0, APEX_M + 0.05))
+        frames = []
+        for index, (depth, shift) in enumerate(zip(self.depth_mm, self.shift_mm, strict=True)):
+            frames.append(self.frame_at((1e-3 * shift, 0.0, APEX_M - 1e-3 * depth)))
+            between(index)
+        return frames
+
+
+@contextmanager
+def sensor(**parameters: Any) -> Iterator[tuple[Executable, Client]]:
+    """Run a fresh tactile_sim and a client that has met it."""
+    with running(parameters=parameters) as executable:
+        client = Client()
+        try:
+            client.meet()
+            yield executable, client
+        finally:
+            client.close()

@@ -1,0 +1,187 @@
+"""The real-time clock: a user's program publishes poses and reads every topic."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from harness import APEX_M, BASE_FRAME, Client, Executable, TactileFrame, sensor
+from std_srvs.srv import SetBool, Trigger
+
+import msg_adapters
+from msg_adapters import Level
+
+Session = tuple[Executable, Client]
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[Session]:
+    with sensor(input_timeout_s=0.3, diagnostics_period_s=0.1) as both:
+        yield both
+
+
+def is_pressed(frame: TactileFrame) -> bool:
+    return bool(frame.force_n()[2] > 0.0)
+
+
+def is_at_rest(frame: TactileFrame) -> bool:
+    return bool(np.all(frame.force_n() == 0.0))
+
+
+def press(client: Client, depth_m: float) -> TactileFrame:
+    """Come from afar, so that the press is a motion from rest, and hold."""
+    client.send((0.0, 0.0, APEX_M + 0.05))
+    client.next_frame(is_at_rest)
+    client.send((0.0, 0.0, APEX_M - depth_m))
+    return client.next_frame(is_pressed)
+
+
+def test_every_topic_of_a_frame_has_its_stamp_and_the_right_form(session: Session) -> None:
+    client = session[1]
+    frame = press(client, 0.001)
+    image, depth_m, cloud = frame.image(), frame.depth_m(), frame.cloud()
+    assert frame.messages["image_raw"].encoding == "rgb8"
+    assert image.shape == (480, 640, 3)
+    assert image.std() > 0.0
+    assert depth_m.shape == (480, 640)
+    seen = depth_m[np.isfinite(depth_m)]
+    assert 0.0 < seen.min() < seen.max() < 0.03
+    assert cloud.normal is not None
+    assert cloud.displacement is not None
+    assert np.allclose(np.linalg.norm(cloud.normal, axis=1), 1.0, atol=1e-3)
+    assert np.linalg.norm(cloud.displacement, axis=1).max() == pytest.approx(1e-3, rel=0.1)
+    for topic in ("points", "wrench"):
+        assert frame.messages[topic].header.frame_id == BASE_FRAME
+    for topic in ("image_raw", "depth/image", "camera_info"):
+        assert frame.messages[topic].header.frame_id == "densetact_optical_frame"
+    assert frame.messages["camera_info"].distortion_model == "equidistant"
+    assert len(frame.messages["camera_info"].d) == 4
+    client.wait(frame.indenter_m, "the indenter's state")
+    assert frame.indenter_m() == [0.0, 0.0, APEX_M - 0.001]
+
+
+def test_a_held_pose_gives_the_same_frame_again_and_again(session: Session) -> None:
+    client = session[1]
+    pressed = press(client, 0.001)
+    later = client.next_frame(lambda frame: frame.stamp_ns > pressed.stamp_ns + 200_000_000)
+    assert later.is_same(pressed)
+
+
+def test_a_silent_input_is_told_and_the_next_press_is_that_of_a_fresh_start(
+    session: Session,
+) -> None:
+    client = session[1]
+    first = press(client, 0.001)
+    client.wait_for_state("input", lambda state: "no input for" in state.message)
+    assert client.next_frame(lambda frame: True).is_same(first)
+    assert press(client, 0.001).is_same(first)
+
+
+def test_ten_thousand_poses_a_second_leave_the_frames_running(session: Session) -> None:
+    client = session[1]
+    first = press(client, 0.001)
+    newest_ns = max(client.frames)
+    for _ in range(20_000):
+        client.send((0.0, 0.0, APEX_M - 0.0005))
+    held = client.next_frame(lambda frame: frame.indenter_m() == [0.0, 0.0, APEX_M - 0.0005])
+    assert is_pressed(held)
+    assert len([stamp for stamp in client.frames if stamp > newest_ns]) > 1
+    assert press(client, 0.001).is_same(first)
+
+
+def test_a_subscriber_that_never_reads_stops_nobody(session: Session) -> None:
+    client = session[1]
+    first = press(client, 0.001)
+    with_deaf = Client(is_deaf=True)
+    try:
+        client.wait(lambda: client.node.count_subscribers("image_raw") > 1, "the deaf reader")
+        count = int(client.state("frames").values["frames"])
+        client.wait_for_state("frames", lambda state: int(state.values["frames"]) > count + 25)
+        assert press(client, 0.001).is_same(first)
+    finally:
+        with_deaf.close()
+
+
+def test_reset_brings_the_gel_to_rest(session: Session) -> None:
+    client = session[1]
+    first = press(client, 0.001)
+    assert client.call(Trigger, "/tactile_sim/reset").success
+    client.next_frame(is_at_rest)
+    assert press(client, 0.001).is_same(first)
+
+
+def test_calibrate_idle_is_refused_in_contact_and_done_without(session: Session) -> None:
+    client = session[1]
+    press(client, 0.001)
+    answer = client.call(Trigger, "/tactile_sim/calibrate_idle")
+    assert not answer.success
+    assert "lift" in answer.message
+    client.send((0.0, 0.0, APEX_M + 0.05))
+    client.next_frame(is_at_rest)
+    assert client.call(Trigger, "/tactile_sim/calibrate_idle").success
+
+
+def test_disabled_makes_no_frames_and_says_so(session: Session) -> None:
+    client = session[1]
+    first = press(client, 0.001)
+    assert client.call(SetBool, "/tactile_sim/set_enabled", data=False).success
+    state = client.wait_for_state("frames", lambda state: "disabled" in state.message)
+    assert state.level == Level.WARN
+    count = state.values["frames"]
+    client.send((0.0, 0.0, APEX_M))
+    client.diagnostics.clear()
+    assert client.state("frames").values["frames"] == count
+    assert client.call(SetBool, "/tactile_sim/set_enabled", data=True).success
+    client.next_frame(is_at_rest)
+    assert press(client, 0.001).is_same(first)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"rate_hz": 1000.0}, "rate_hz"),
+        ({"encoding": "yuv422"}, "expected one of rgb8, bgr8, mono8"),
+        ({"crop_px": [600, 0, 100, 100]}, "reaches beyond"),
+        ({"image_size_px": [640, 0]}, "give both"),
+        ({"input_timeout_s": 0.03}, "shorter than a frame"),
+        ({"clock": "lockstep"}, "read-only"),
+        ({"indenter": "no_such_thing"}, "no parameter file"),
+        ({"indenter": "{kind: sphere, radius_m: -1.0}"}, "radius_m"),
+        ({"indenter": "{kind: sphere"}, "no definition in braces"),
+    ],
+)
+def test_a_bad_parameter_is_refused_with_the_reason(
+    session: Session, values: dict[str, object], reason: str
+) -> None:
+    result = session[1].set_parameters(**values)
+    assert not result.successful
+    assert reason in result.reason
+
+
+def test_encoding_crop_and_size_are_parameters(session: Session) -> None:
+    client = session[1]
+    whole = press(client, 0.001)
+    try:
+        assert client.set_parameters(
+            encoding="bgr8", crop_px=[80, 0, 480, 480], image_size_px=[320, 320]
+        ).successful
+        small = client.next_frame(lambda frame: frame.messages["image_raw"].encoding == "bgr8")
+        assert small.image().shape == (320, 320, 3)
+        assert small.depth_m().shape == (320, 320)
+        info = msg_adapters.decode_camera_info(small.messages["camera_info"])
+        before = msg_adapters.decode_camera_info(whole.messages["camera_info"])
+        assert (info.width, info.height) == (320, 320)
+        assert info.focal_px == pytest.approx(before.focal_px * 320 / 480)
+    finally:
+        client.set_parameters(encoding="rgb8", crop_px=[0, 0, 0, 0], image_size_px=[0, 0])
+
+
+def test_the_indenter_can_be_changed_and_changed_back(session: Session) -> None:
+    client = session[1]
+    sphere = press(client, 0.001)
+    assert client.set_parameters(indenter="{kind: sphere, radius_m: 0.002}").successful
+    small = press(client, 0.001)
+    assert 0.0 < small.force_n()[2] < sphere.force_n()[2]
+    assert client.set_parameters(indenter="sphere_4mm").successful
+    assert press(client, 0.001).is_same(sphere)
