@@ -139,11 +139,11 @@ class Contact:
             device=device,
         )
         distance, pressure, force, energy, hessian, local, slip = (o.numpy() for o in outputs)
-        return ContactResponse(
-            distance, pressure, force, float(energy.sum()), hessian, local, slip
-        )
+        return ContactResponse(distance, pressure, force, float(energy.sum()), hessian, local, slip)
 
 
 def wrench_on_indenter(position_m: Array, force_on_marker_n: Array) -> Wrench:
     """Return the force of the gel on the indenter and its torque about the base frame's origin."""
-    return Wrench(-force_on_marker_n.sum(axis=0), -np.cross(position_m, force_on_marker_n).sum(axis=0))
+    return Wrench(
+        -force_on_marker_n.sum(axis=0), -np.cross(position_m, force_on_marker_n).sum(axis=0)
+    )

@@ -129,7 +129,9 @@ def _quadrature(body: Body, spacing_m: float) -> tuple[FloatArray, FloatArray]:
     )
     position = np.concatenate([gauss.reshape(-1, 3), mean[cut]])
     eighth_volume = spacing_m**3 / 8.0
-    volume = np.concatenate([np.full(8 * int(full.sum()), eighth_volume), share[cut] * eighth_volume])
+    volume = np.concatenate(
+        [np.full(8 * int(full.sum()), eighth_volume), share[cut] * eighth_volume]
+    )
     return position, volume
 
 

@@ -4,7 +4,6 @@ Arrays carry a leading environment axis. The kernels are made for one scalar typ
 precision where the CPU is the device and in every gradient, single precision on a GPU.
 """
 
-
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -64,9 +63,7 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
         e1 = a * i1 - scalar(3.0)
         s1 = c[0] + e1 * (scalar(2.0) * c[2] + scalar(3.0) * c[3] * e1)
         d1 = a * (scalar(2.0) * f - (scalar(2.0 / 3.0) * i1) * g)
-        d2 = (a * a) * (
-            scalar(2.0) * (i1 * f - f * cg) - (scalar(4.0 / 3.0) * i2) * g
-        )
+        d2 = (a * a) * (scalar(2.0) * (i1 * f - f * cg) - (scalar(4.0 / 3.0) * i2) * g)
         return s1 * d1 + c[1] * d2
 
     @wp.func
@@ -133,9 +130,7 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
         v = volume[p]
         stress = fast_share[e] * shape_stress(f, c) + volume_stress(f, c) + f * s
         for a in range(27):
-            wp.atomic_add(
-                force, e, node_index[p, a], v * (stress * weight_gradient[p, a])
-            )
+            wp.atomic_add(force, e, node_index[p, a], v * (stress * weight_gradient[p, a]))
         psi = fast_share[e] * shape_energy(f, c) + volume_energy(f, c)
         psi += scalar(0.5) * (wp.ddot(s, wp.transpose(f) * f) - wp.trace(s))
         if wp.determinant(f) <= scalar(0.0):

@@ -128,9 +128,7 @@ class ElasticBody:
             coefficients_pa.astype(self.dtype), dtype=self.kernels.vec5, device=self.device
         )
 
-    def set_history(
-        self, fast_share: float, history_stress_pa: Array, environment: int
-    ) -> None:
+    def set_history(self, fast_share: float, history_stress_pa: Array, environment: int) -> None:
         """Set what relaxation leaves of the fast stress, and the stress (P, 3, 3) it remembers."""
         share = self.fast_share.numpy().copy()
         share[environment] = fast_share
@@ -178,12 +176,12 @@ class ElasticBody:
             energy[e] += 0.5 * np.vdot(displacement_m[e], linear)
         return energy, force
 
-    def cell_stiffness(
-        self, displacement_m: Array, cells: IntArray, environment: int
-    ) -> wp.array:
+    def cell_stiffness(self, displacement_m: Array, cells: IntArray, environment: int) -> wp.array:
         """Return the stiffness of the listed cells, (C, 3, 27, 81) as [cell, i, a, 27 k + b]."""
         self.displacement[environment].assign(displacement_m)
-        contracted = wp.empty((len(cells), 3, 24, 81), dtype=self.kernels.scalar, device=self.device)
+        contracted = wp.empty(
+            (len(cells), 3, 24, 81), dtype=self.kernels.scalar, device=self.device
+        )
         wp.launch(
             self.kernels.stress_tangent,
             dim=(len(cells), 8),
@@ -237,14 +235,22 @@ class ElasticBody:
         return (blocks.tocsr() + sparse.kron(self.linear, sparse.eye(3))).tocsr()
 
     def region_stiffness(
-        self, displacement_m: Array, cells: IntArray, base: IntArray, dof_count: int, environment: int = 0
+        self,
+        displacement_m: Array,
+        cells: IntArray,
+        base: IntArray,
+        dof_count: int,
+        environment: int = 0,
     ) -> Array:
         """Return the dense (n, n) stiffness that the listed cells add to a region of n unknowns.
 
         `base` is `region_base` of the same cells; the linear terms are not included.
         """
         values = self._scatter(
-            self.cell_stiffness(displacement_m, cells, environment), base, dof_count, dof_count * dof_count
+            self.cell_stiffness(displacement_m, cells, environment),
+            base,
+            dof_count,
+            dof_count * dof_count,
         )
         return values.reshape(dof_count, dof_count)
 

@@ -613,7 +613,9 @@ class _Direction:
         if largest > 0.3 * self.last_m:
             self.factor = self.contact = None
         self.last_m = largest
-        out_of_balance = patch.fine_weight.T @ response.force_n - point.fine_force_n[patch.fine_node]
+        out_of_balance = (
+            patch.fine_weight.T @ response.force_n - point.fine_force_n[patch.fine_node]
+        )
         slope = -float(np.vdot(residual, displacement)) - float(
             np.vdot(out_of_balance, added_change)
         )
@@ -628,9 +630,7 @@ class _Direction:
         gel, world = self.gel, self.world
         local = gel._local_tangent
         if local is None:
-            factor = gel._exact_tangent.factor(
-                point.displacement_m, self.contact, self.environment
-            )
+            factor = gel._exact_tangent.factor(point.displacement_m, self.contact, self.environment)
             return np.asarray(factor.solve(right))
         if self.contact is None:
             return local.solve_at_rest(right)

@@ -96,9 +96,7 @@ def knot_insertion(
     numbers = {tuple(cell): i for i, cell in enumerate(coarse.node_cell.tolist())}
     rows, columns, values = [], [], []
     for row, cell in enumerate(fine.node_cell[nodes].tolist()):
-        pairs = [
-            ((c // 2, 0.75), (c // 2 + (1 if c % 2 else -1), 0.25)) for c in cell
-        ]
+        pairs = [((c // 2, 0.75), (c // 2 + (1 if c % 2 else -1), 0.25)) for c in cell]
         for (i, wi), (j, wj), (k, wk) in (
             (a, b, c) for a in pairs[0] for b in pairs[1] for c in pairs[2]
         ):
@@ -190,7 +188,9 @@ def _compute(
         right = np.zeros((3 * fine.node_count, len(dof)), dtype=np.float32)
         right[dof, np.arange(len(dof))] = 1.0
         local = (3 * group[:, None] + np.arange(3)).ravel()
-        column = factor.solve(right)[surface] - spread @ (coarse_compliance @ spread[local].T.toarray())
+        column = factor.solve(right)[surface] - spread @ (
+            coarse_compliance @ spread[local].T.toarray()
+        )
         column = column.reshape(len(nodes), 3, len(group), 3)
         for position, leading in enumerate(group):
             near = np.array(

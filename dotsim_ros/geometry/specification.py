@@ -12,6 +12,7 @@ import yaml
 from dotsim_ros.resources import parameter_path
 
 SHAPES = ("dome", "flat_pad")
+METHODS = ("implicit", "explicit")
 LAWS = ("neo_hookean", "mooney_rivlin", "yeoh")
 
 
@@ -41,9 +42,7 @@ class GelSpecification:
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
             raise ValueError(f"gel.shape is {self.shape!r}, expected one of {SHAPES}")
-        _positive(
-            "gel", skin_spacing_m=self.skin_spacing_m, outer_radius_m=self.outer_radius_m
-        )
+        _positive("gel", skin_spacing_m=self.skin_spacing_m, outer_radius_m=self.outer_radius_m)
         if not 0.0 <= self.core_radius_m < self.outer_radius_m:
             raise ValueError(
                 f"gel.core_radius_m is {self.core_radius_m}, expected 0 or more and less than "
@@ -105,6 +104,7 @@ class SolverSpecification:
     """Resolution and effort of the gel's solver.
 
     Attributes:
+        method: "implicit" (equilibrium in every frame) or "explicit" (the paper's scheme).
         grid_spacing_m: spacing h of the grid.
         refined: contact acts on the skin of a grid of half the spacing (to first order).
         tolerance_m: Newton's method ends when an iteration moves no marker farther.
@@ -112,6 +112,7 @@ class SolverSpecification:
         dynamic: backward Euler with inertia instead of quasi-static steps.
     """
 
+    method: str = "implicit"
     grid_spacing_m: float = 2.4e-3
     refined: bool = True
     tolerance_m: float = 4.0e-6
@@ -119,6 +120,8 @@ class SolverSpecification:
     dynamic: bool = False
 
     def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise ValueError(f"solver.method is {self.method!r}, expected one of {METHODS}")
         _positive(
             "solver",
             grid_spacing_m=self.grid_spacing_m,

@@ -1,0 +1,325 @@
+"""The virtual sensor: a pose of the indenter goes in, a frame comes out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.gel.body import Body, Dome, Pad
+from dotsim_ros.gel.explicit import ExplicitGel, ExplicitSettings
+from dotsim_ros.gel.implicit import ImplicitGel
+from dotsim_ros.gel.material import (
+    ElasticLaw,
+    Material,
+    MooneyRivlin,
+    NeoHookean,
+    PronySeries,
+    Yeoh,
+)
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.pose import Pose, Wrench
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin, vertex_normals
+from dotsim_ros.geometry.specification import (
+    GelSpecification,
+    MaterialSpecification,
+    SensorSpecification,
+)
+from dotsim_ros.optics.idle import IdleFrame, read_idle_frame
+from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.resources import parameter_path
+
+FloatArray = NDArray[np.float64]
+ImageArray = NDArray[np.uint8]
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What the sensor gives for one pose of the indenter; the arrays belong to this frame alone.
+
+    Attributes:
+        time_s: simulated time since the last reset.
+        indenter_pose: in the base frame; None where no indenter is near.
+        image: (H, W, 3) uint8, red, green, blue.
+        depth_m: (H, W) distance along the ray, NaN where no skin is seen.
+        normal: (H, W, 3) unit normal in the optical frame, towards the camera.
+        material_point_m: (H, W, 3) rest position, base frame, of the skin point that is seen.
+        skin_position_m: (V, 3) skin markers, base frame.
+        skin_normal: (V, 3) unit normals out of the gel, base frame.
+        wrench: force and torque of the gel on the indenter, about the base frame's origin.
+        max_penetration_m: largest penetration of a marker into the indenter.
+        timings_s: seconds spent on contact, solve, depth, image.
+        converged: whether the gel's solver met its tolerance.
+    """
+
+    time_s: float
+    indenter_pose: Pose | None
+    image: ImageArray
+    depth_m: Float32Array
+    normal: Float32Array
+    material_point_m: Float32Array
+    skin_position_m: FloatArray
+    skin_normal: FloatArray
+    wrench: Wrench
+    max_penetration_m: float
+    timings_s: dict[str, float]
+    converged: bool
+
+
+@dataclass(frozen=True)
+class GelFrame:
+    """What the sensor needs to know of the gel after a step."""
+
+    skin_position_m: FloatArray
+    wrench: Wrench
+    max_penetration_m: float
+    converged: bool
+    timings_s: dict[str, float]
+
+
+class Gel(Protocol):
+    """A gel with one indenter, whatever solves it."""
+
+    def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
+        """Move the indenter to a pose and find the gel."""
+
+    def reset(self) -> None:
+        """Return to rest."""
+
+    def set_indenter(self, indenter: Indenter) -> None:
+        """Replace the indenter and return to rest."""
+
+
+def body_of(specification: GelSpecification) -> Body:
+    """Return the gel's shape."""
+    if specification.shape == "dome":
+        return Dome(specification.outer_radius_m, specification.core_radius_m)
+    return Pad(specification.pad_size_m)
+
+
+def skin_of(specification: GelSpecification) -> SkinMesh:
+    """Return the gel's skin at rest."""
+    if specification.shape == "dome":
+        return dome_skin(specification.outer_radius_m, specification.skin_spacing_m)
+    x, y, thickness = specification.pad_size_m
+    return flat_pad_skin((x, y), thickness, specification.skin_spacing_m)
+
+
+def law_of(specification: MaterialSpecification) -> ElasticLaw:
+    """Return the elastic law.
+
+    Raises:
+        ValueError: a constant is out of range.
+    """
+    s = specification
+    if s.law == "mooney_rivlin":
+        return MooneyRivlin(s.c10_pa, s.c01_pa, s.bulk_modulus_pa)
+    if s.law == "yeoh":
+        return Yeoh(s.c10_pa, s.c20_pa, s.c30_pa, s.bulk_modulus_pa)
+    return NeoHookean(s.youngs_modulus_pa, s.poisson_ratio)
+
+
+def material_of(specification: MaterialSpecification) -> Material:
+    """Return the law with its relaxation and density."""
+    s = specification
+    prony = PronySeries(s.prony_shares, s.prony_times_s)
+    return Material(law_of(s), prony, s.density_kg_m3)
+
+
+class _ImplicitSensorGel:
+    def __init__(self, gel: ImplicitGel) -> None:
+        self._gel = gel
+        self.reset, self.set_indenter = gel.reset, gel.set_indenter
+
+    def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
+        state = self._gel.step([pose], dt_s)[0]
+        spent = state.timings_s
+        contact = spent.pop("contact", 0.0)
+        return GelFrame(
+            state.skin_position_m,
+            state.wrench,
+            state.max_penetration_m,
+            state.converged,
+            {"contact": contact, "solve": sum(spent.values())},
+        )
+
+
+class _ExplicitSensorGel:
+    def __init__(self, gel: ExplicitGel) -> None:
+        self._gel = gel
+        self.reset, self.set_indenter = gel.reset, gel.set_indenter
+
+    def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
+        start = time.perf_counter()
+        state = self._gel.step(pose, dt_s)
+        return GelFrame(
+            state.skin_position_m[0],
+            state.wrench[0],
+            float(state.max_penetration_m[0]),
+            True,
+            {"contact": 0.0, "solve": time.perf_counter() - start},
+        )
+
+
+def make_gel(
+    specification: SensorSpecification,
+    skin: SkinMesh,
+    indenter: Indenter,
+    *,
+    device: str = "cpu",
+    progress: Callable[[float], None] | None = None,
+) -> Gel:
+    """Return the gel that a specification asks for.
+
+    Raises:
+        ValueError: the explicit gel is asked for with a law that it does not have.
+    """
+    s = specification
+    body = body_of(s.gel)
+    if s.solver.method == "implicit":
+        return _ImplicitSensorGel(
+            ImplicitGel(
+                body,
+                skin,
+                material_of(s.material),
+                contact=s.contact,
+                solver=s.solver,
+                indenter=indenter,
+                device=device,
+                progress=progress,
+            )
+        )
+    law = law_of(s.material)
+    if not isinstance(law, NeoHookean):
+        raise ValueError(
+            f"solver.method 'explicit' takes the law neo_hookean, not {s.material.law!r}; choose "
+            "that law or the method 'implicit'"
+        )
+    return _ExplicitSensorGel(
+        ExplicitGel(
+            body,
+            skin,
+            material=law,
+            density_kg_m3=s.material.density_kg_m3,
+            friction_coefficient=s.contact.friction_coefficient,
+            indenter=indenter,
+            settings=ExplicitSettings(spacing_m=s.solver.grid_spacing_m),
+            device=device,
+        )
+    )
+
+
+def idle_image_path(name: str) -> Path:
+    """Return the file of an idle image, given absolute or below `params/`."""
+    path = Path(name)
+    return path if path.is_absolute() else parameter_path(name)
+
+
+class TactileSensor:
+    """One sensor with one indenter.
+
+    Args:
+        specification: what the sensor is.
+        indenter: what presses it.
+        device: Warp's name of the device, "cpu" or "cuda:0".
+        progress: told the finished share of tables that are computed once and cached.
+
+    Raises:
+        ValueError: the specification contradicts itself; the message says where.
+    """
+
+    def __init__(
+        self,
+        specification: SensorSpecification,
+        *,
+        indenter: Indenter,
+        device: str = "cpu",
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        self.specification, self.device = specification, device
+        self.skin = skin_of(specification.gel)
+        self.camera = FisheyeCamera.from_specification(specification.camera)
+        self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
+        self._renderer = SkinRenderer(self.camera, self.skin, device=device)
+        self._set_idle(
+            read_idle_frame(idle_image_path(specification.camera.idle_image), self.camera)
+        )
+        self._time_s = 0.0
+
+    @property
+    def idle_image(self) -> ImageArray:
+        """The image without contact, (H, W, 3) uint8."""
+        return self._idle.image
+
+    def _set_idle(self, idle: IdleFrame) -> None:
+        self._image = ImageRenderer(
+            self.camera,
+            self.skin,
+            idle.image,
+            lighting=idle.lighting,
+            vignetting=idle.vignetting,
+            device=self.device,
+        )
+        self._idle = idle
+
+    def set_idle_image(self, image: ImageArray) -> None:
+        """Replace the idle image (H, W, 3) uint8; lighting and vignetting stay.
+
+        Raises:
+            ValueError: it is not of the camera's size.
+        """
+        self._set_idle(IdleFrame(image, self._idle.lighting, self._idle.vignetting))
+
+    def set_indenter(self, indenter: Indenter) -> None:
+        """Replace the indenter and return to rest."""
+        self._gel.set_indenter(indenter)
+        self._time_s = 0.0
+
+    def reset(self) -> None:
+        """Return to rest."""
+        self._gel.reset()
+        self._time_s = 0.0
+
+    def step(self, pose: Pose | None, dt_s: float) -> Frame:
+        """Move the indenter to a pose in the base frame (None: away) and return the frame.
+
+        The motion from the last pose is followed in substeps; the first pose after a reset is
+        approached along the indenter's axis.
+
+        Args:
+            pose: of the indenter's frame: origin at its tip, +z away from the gel.
+            dt_s: seconds since the last step.
+
+        Raises:
+            ValueError: the pose presses too deep or dt_s is not positive; the state stays.
+        """
+        gel = self._gel.step(pose, dt_s)
+        self._time_s += dt_s
+        clock = time.perf_counter
+        start = clock()
+        view = self._renderer.render(gel.skin_position_m)
+        seen = clock()
+        image = self._image.render(view)
+        timings = {**gel.timings_s, "depth": seen - start, "image": clock() - seen}
+        return Frame(
+            time_s=self._time_s,
+            indenter_pose=pose,
+            image=image,
+            depth_m=view.depth_m,
+            normal=view.normal,
+            material_point_m=view.material_point_m,
+            skin_position_m=gel.skin_position_m,
+            skin_normal=vertex_normals(gel.skin_position_m, self.skin.triangles),
+            wrench=gel.wrench,
+            max_penetration_m=gel.max_penetration_m,
+            timings_s=timings,
+            converged=gel.converged,
+        )
