@@ -20,7 +20,7 @@ import numpy as np
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.optics.idle import read_idle_frame
+from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.visibility import Visibility
@@ -65,8 +65,9 @@ def measure(sensor_name: str, frame_count: int) -> dict[str, Any]:
     camera = FisheyeCamera.from_specification(sensor.camera)
     skin = dome_skin(sensor.gel.outer_radius_m, sensor.gel.skin_spacing_m)
     idle = read_idle_frame(parameter_path(sensor.camera.idle_image), camera)
-    renderer = SkinRenderer(camera, skin)
-    reference = SkinRenderer(camera, skin, visibility=Visibility.EMBREE)
+    region = lit_region(idle.image)
+    renderer = SkinRenderer(camera, skin, region=region)
+    reference = SkinRenderer(camera, skin, visibility=Visibility.EMBREE, region=region)
     images = ImageRenderer(
         camera, skin, idle.image, lighting=idle.lighting, vignetting=idle.vignetting
     )

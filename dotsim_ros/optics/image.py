@@ -137,7 +137,8 @@ class ImageRenderer:
         self._set_idle(idle_image, (vignetting or Vignetting()).brightness(camera))
 
     def _upload(self, array: NDArray[np.generic], dtype: type) -> wp.array:
-        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
+        # No copy on a CPU: what is uploaded is only read.
+        return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device, copy=False)
 
     def _set_rest(self, renderer: SkinRenderer) -> None:
         view = renderer.render(renderer.skin_mesh.rest_position_m)

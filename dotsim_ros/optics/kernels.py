@@ -149,8 +149,6 @@ def cast_rays(
     y, x = wp.tid()
     direction = ray[y, x]
     triangle_seen[y, x] = _NO_TRIANGLE
-    barycentric[y, x] = wp.vec2(0.0, 0.0)
-    depth[y, x] = _NAN
     if wp.isnan(direction[2]):
         return
     query = wp.mesh_query_ray(mesh, wp.vec3(0.0, 0.0, 0.0), direction, _REACH)
@@ -164,7 +162,6 @@ def cast_rays(
 @wp.kernel
 def fill_view(
     triangle_seen: wp.array2d(dtype=wp.int32),
-    barycentric: wp.array2d(dtype=wp.vec2),
     ray: wp.array2d(dtype=wp.vec3),
     triangles: wp.array2d(dtype=wp.int32),
     vertex_normal: wp.array(dtype=wp.vec3),
@@ -172,8 +169,10 @@ def fill_view(
     run: int,
     normal: wp.array2d(dtype=wp.vec3),
     material_point: wp.array2d(dtype=wp.vec3),
+    depth: wp.array2d(dtype=wp.float32),
+    barycentric: wp.array2d(dtype=wp.vec2),
 ):
-    """Normal towards the camera and material point of `run` pixels; NaN where there is no skin.
+    """Normal towards the camera and material point of `run` pixels; no numbers where no skin is.
 
     Neighbouring pixels mostly see one triangle, whose corners are read once.
     """
@@ -191,6 +190,8 @@ def fill_view(
         if face == _NO_TRIANGLE:
             normal[y, x] = nothing
             material_point[y, x] = nothing
+            depth[y, x] = _NAN
+            barycentric[y, x] = wp.vec2(0.0, 0.0)
         else:
             if face != loaded:
                 loaded = face

@@ -76,9 +76,12 @@ class SkinRenderer:
         device: Warp's name of the device, such as "cpu" or "cuda:0".
         visibility: how to find what a pixel sees; by default the rasteriser on a CPU and Warp's
             ray query on CUDA.
+        region: (H, W) where the camera sees anything, such as the lit disc of its idle frame;
+            elsewhere the view is empty. None for the whole image.
 
     Raises:
-        ValueError: the rasteriser or Embree is asked for on a device that is no CPU.
+        ValueError: the region is not of the camera's size, or the rasteriser or Embree is asked
+            for on a device that is no CPU.
     """
 
     def __init__(
@@ -88,6 +91,7 @@ class SkinRenderer:
         *,
         device: str = "cpu",
         visibility: Visibility | None = None,
+        region: BoolArray | None = None,
     ) -> None:
         self.camera = camera
         self.skin_mesh = skin_mesh
@@ -100,6 +104,13 @@ class SkinRenderer:
                 f"use {Visibility.RAY_QUERY.value!r}"
             )
         rays = camera.rays()[0].astype(np.float32)
+        if region is not None:
+            if region.shape != rays.shape[:2]:
+                raise ValueError(
+                    f"region has shape {region.shape}, expected {rays.shape[:2]} as the camera"
+                )
+            # A ray that is not finite meets nothing.
+            rays[~region] = np.nan
         first, faces = faces_around_vertices(skin_mesh.triangles, skin_mesh.vertex_count)
         self._lens = lens_of(camera)
         self._rays = self._upload(rays, wp.vec3)
@@ -174,14 +185,13 @@ class SkinRenderer:
             dim=(self.camera.height, self.camera.width // self._run),
             inputs=[
                 triangle,
-                barycentric,
                 self._rays,
                 self._triangles,
                 vertex_normal,
                 self._rest_position,
                 self._run,
             ],
-            outputs=[normal, material_point],
+            outputs=[normal, material_point, depth, barycentric],
             device=self._device,
         )
         # On a CPU these share memory with Warp's arrays, which live as long as they do.

@@ -52,9 +52,9 @@ class VisibilityFinder(Protocol):
             position: (V,) vec3 vertices in the optical frame, metres.
             pixel: (V,) vec2 their images.
             triangle: (H, W) int32, written: the triangle, or NO_TRIANGLE.
-            barycentric: (H, W) vec2, written: the weights of its second
-                and third corner; zero elsewhere.
-            depth: (H, W) float32, written: metres along the ray, NaN where nothing is seen.
+            barycentric: (H, W) vec2, written where a triangle is seen: the weights of its second
+                and third corner.
+            depth: (H, W) float32, written where a triangle is seen: metres along the ray.
         """
 
 
@@ -85,8 +85,6 @@ class RasterFinder:
         depth: wp.array,
     ) -> None:
         triangle.fill_(kernels.NO_TRIANGLE)
-        barycentric.zero_()
-        depth.fill_(np.nan)
         wp.launch(
             kernels.rasterize,
             dim=len(self._triangles),
@@ -147,13 +145,7 @@ class EmbreeFinder:
         scene = EmbreeScene()
         TriangleMesh(scene, np.ascontiguousarray(corners))
         hits = scene.run(self._origins, self._rays, output=True)
-        seen = hits["primID"] >= 0
-        distance = np.where(seen, hits["tfar"] / _MILLIMETRES, np.nan)
-        weights = np.where(seen[:, None], np.stack([hits["u"], hits["v"]], axis=-1), 0.0)
-        for array, nothing, found in (
-            (triangle.numpy(), kernels.NO_TRIANGLE, hits["primID"]),
-            (barycentric.numpy(), 0.0, weights),
-            (depth.numpy(), np.nan, distance),
-        ):
-            array[:] = nothing
-            array[self._valid] = found
+        triangle.fill_(kernels.NO_TRIANGLE)
+        triangle.numpy()[self._valid] = hits["primID"]
+        barycentric.numpy()[self._valid] = np.stack([hits["u"], hits["v"]], axis=-1)
+        depth.numpy()[self._valid] = hits["tfar"] / _MILLIMETRES

@@ -90,7 +90,7 @@ def test_vignetting_stays_with_the_camera(camera, dome, renderer):
     kept = ImageRenderer(camera, dome, plain, lighting=UNCHANGING, vignetting=vignetting)
     carried = ImageRenderer(camera, dome, plain, lighting=UNCHANGING)
     assert np.abs(kept.render(view).astype(int) - plain).max() <= 1
-    assert np.abs(carried.render(view).astype(int) - plain).max() > 10
+    assert np.abs(carried.render(view).astype(int) - plain).max() > 5
 
 
 def test_light_follows_the_inverse_square_and_the_cosine(camera, dome, renderer):
@@ -153,7 +153,7 @@ def test_idle_image_of_a_disc_fills_the_same_view(camera):
     radius = np.hypot(columns - 159.5, rows - 119.5)
     assert fitted.shape == (240, 320, 3)
     assert np.all(fitted[radius < 110.0] == [200, 100, 50])
-    assert np.all(fitted[radius > 126.0] == 0)
+    assert np.all(fitted[radius > 130.0] == 0)
 
 
 def test_idle_image_at_another_resolution_keeps_its_view(camera, idle):

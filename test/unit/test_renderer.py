@@ -116,6 +116,19 @@ def test_material_points_move_with_the_skin(camera, dome):
     assert np.linalg.norm(rest - hit[seen], axis=1).max() > 0.002
 
 
+@pytest.mark.parametrize("visibility", list(Visibility))
+def test_nothing_is_seen_outside_of_the_region(camera, dome, visibility):
+    rows, columns = np.mgrid[0:240, 0:320]
+    region = np.hypot(columns - 150.0, rows - 110.0) < 70.0
+    whole = SkinRenderer(camera, dome, visibility=visibility).render(pressed(dome))
+    view = SkinRenderer(camera, dome, visibility=visibility, region=region).render(pressed(dome))
+    assert np.array_equal(view.mask, region)
+    assert np.array_equal(view.depth_m[region], whole.depth_m[region])
+    assert np.all(np.isnan(view.depth_m[~region]))
+    with pytest.raises(ValueError, match="as the camera"):
+        SkinRenderer(camera, dome, region=region[:100])
+
+
 def test_normals_face_the_camera(camera, dome):
     view = SkinRenderer(camera, dome).render(pressed(dome))
     facing = np.sum(view.normal * camera.rays()[0], axis=2)[view.mask]
