@@ -162,7 +162,7 @@ class _ExplicitSensorGel:
         state = self._gel.step(pose, dt_s)
         return GelFrame(
             state.skin_position_m[0],
-            state.wrench[0],
+            Wrench(state.force_n[0], state.torque_nm[0]),
             float(state.max_penetration_m[0]),
             True,
             {"contact": 0.0, "solve": time.perf_counter() - start},

@@ -43,11 +43,12 @@ def run(arguments: argparse.Namespace) -> int:
         sensor.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
         recorder = NodeProcess("tactile_record", {"output": bag})
         stack.callback(recorder.stop)
-        recorder.wait_for_line("recording", timeout_s=START_TIMEOUT_S)
+        recorder.wait_for_line("receiving /image_raw", timeout_s=START_TIMEOUT_S)
         player = NodeProcess(
             "indenter_player",
             {
                 "source": "presses",
+                "subscriber_count": 2,
                 "press_numbers": str(list(range(arguments.presses))),
                 "depth_limit_m": 1e-3 * arguments.depth_mm,
                 "exit_at_end": "true",

@@ -141,6 +141,9 @@ class ImplicitGel:
         environment_count: number of independent worlds.
         exact: factor the whole tangent in every iteration (a slow reference).
         progress: told the finished share of a refinement that is not in the cache.
+
+    Attributes:
+        trace: of the last substep, how far each iteration moved a marker (m) and the step's scale.
     """
 
     def __init__(
@@ -174,7 +177,7 @@ class ImplicitGel:
         self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
         self._mass = d.mass_over_density * material.density_kg_m3
         self._step_s = 0.0
-        self._exact_tangent = ExactTangent(self.body, self._mass * 0.0)
+        self._exact_tangent = ExactTangent(self._single, self._mass * 0.0)
         self._local_tangent: LocalTangent | None = None
         self.refinement: Refinement | None = None
         if not exact or solver.refined:
@@ -194,6 +197,7 @@ class ImplicitGel:
         base = np.linspace(lower, upper, 9)
         plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
         self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
+        self.trace: list[tuple[float, float]] = []
         self.set_indenter(indenter)
 
     def set_indenter(self, indenter: Indenter) -> None:
@@ -355,7 +359,7 @@ class ImplicitGel:
         stiffness = (self._mass / dt_s**2).tocsr()
         if dt_s != self._step_s:
             self._step_s = dt_s
-            self._exact_tangent = ExactTangent(self.body, stiffness)
+            self._exact_tangent = ExactTangent(self._single, stiffness)
             if self._local_tangent is not None:
                 self._local_tangent = LocalTangent(self._single, stiffness)
             for other in self.worlds:
@@ -451,6 +455,7 @@ class ImplicitGel:
             if guessed.energy_j < point.energy_j:
                 point = guessed
         solver = _Direction(self, world, environment)
+        self.trace.clear()
         for iteration in range(1, self.solver.iterations + 1):
             lag = point.response.pressure_pa
             point = self._with_lag(world, pose, point, lag)
@@ -469,12 +474,10 @@ class ImplicitGel:
                     break
                 scale *= 0.5
             point = trial
-            self.trace.append((iteration, step.largest_m, scale))
+            self.trace.append((step.largest_m, scale))
             if step.largest_m * scale < self.solver.tolerance_m and scale == 1.0:
                 return point, iteration, True
         return point, self.solver.iterations, False
-
-    trace: list = []
 
     def _with_lag(self, world: World, pose: Pose | None, point: _Point, lag: Array) -> _Point:
         """Return the point with friction limited by a newer pressure."""
@@ -592,7 +595,7 @@ class _Direction:
                 self.contact = effective_contact(patch, active, response.hessian[active])
                 self.factor = None
             right = residual.copy()
-            back = self.contact.force((patch.fine_weight[active] @ mismatch))
+            back = self.contact.force(patch.fine_weight[active] @ mismatch)
             right += patch.weight[active].T @ back
             right = right.ravel()
         displacement = self._solve(point, right).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""The part of the skin that the indenter can touch in a step, and what contact needs to know of it."""
+"""The part of the skin that the indenter can touch in a step, as contact sees it."""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ elimination (static condensation, Guyan 1965) of the far unknowns with their res
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,8 +69,32 @@ def inverse_of_positive(matrix: FloatArray) -> FloatArray:
     return result
 
 
+SHIFTS = (0.0, 1.0e-3, 1.0e-2, 1.0e-1, 1.0)
+"""Shares of the mean diagonal that are added to a stiffness until it is positive definite (Nocedal
+and Wright, algorithm 3.3); far from equilibrium a compressed gel's need not be."""
+
+Factor = TypeVar("Factor")
+
+
+def factor_shifted(factor: Callable[[float], Factor]) -> Factor:
+    """Return `factor(share)` for the first of `SHIFTS` with which it succeeds.
+
+    Raises:
+        numpy.linalg.LinAlgError: it succeeds with none.
+    """
+    for share in SHIFTS[:-1]:
+        try:
+            return factor(share)
+        except np.linalg.LinAlgError:
+            continue
+    return factor(SHIFTS[-1])
+
+
 class ExactTangent:
-    """The whole stiffness, assembled and factored anew: slow, in double precision."""
+    """The whole stiffness, assembled and factored anew in every iteration: slow.
+
+    A single precision body halves the time; it limits the step's accuracy, not the solution's.
+    """
 
     def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
         self.body, self.extra = body, sparse.kron(extra, sparse.eye(3), format="csr")
@@ -83,7 +109,13 @@ class ExactTangent:
             rows, columns = np.meshgrid(dof, dof, indexing="ij")
             added = (contact.stiffness.ravel().astype(np.float64), (rows.ravel(), columns.ravel()))
             matrix = matrix + sparse.coo_matrix(added, shape=matrix.shape).tocsr()
-        return BlockCholesky(matrix.tocsr(), self.body.discretization.node_cell)
+        matrix = matrix.astype(self.body.dtype).tocsr()
+        mean = float(matrix.diagonal().mean())
+        unit = sparse.eye(matrix.shape[0], dtype=matrix.dtype, format="csr")
+        cell = self.body.discretization.node_cell
+        return factor_shifted(
+            lambda share: BlockCholesky(matrix + (share * mean) * unit if share else matrix, cell)
+        )
 
 
 @dataclass(frozen=True)
@@ -164,14 +196,18 @@ class LocalTangent:
     def factor(
         self, region: Region, stiffness: FloatArray, contact: EffectiveContact | None
     ) -> LocalFactor:
-        """Factor an assembled stiffness with a contact.
+        """Factor an assembled stiffness with a contact."""
+        mean = float(np.trace(stiffness)) / len(stiffness)
 
-        Raises:
-            numpy.linalg.LinAlgError: it is not positive definite.
-        """
-        matrix = np.array(stiffness, order="F")
-        if contact is not None:
-            dof = (3 * region.number[contact.node][:, None] + np.arange(3)).ravel()
-            matrix[np.ix_(dof, dof)] += contact.stiffness
-        factor = linalg.cho_factor(matrix, lower=True, overwrite_a=True, check_finite=False)
-        return LocalFactor(self.compliance, region, factor)
+        def factor(share: float) -> tuple[FloatArray, bool]:
+            matrix = np.array(stiffness, order="F")
+            if contact is not None:
+                dof = (3 * region.number[contact.node][:, None] + np.arange(3)).ravel()
+                matrix[np.ix_(dof, dof)] += contact.stiffness
+            matrix[np.diag_indices(len(matrix))] += share * mean
+            result: tuple[FloatArray, bool] = linalg.cho_factor(
+                matrix, lower=True, overwrite_a=True, check_finite=False
+            )
+            return result
+
+        return LocalFactor(self.compliance, region, factor_shifted(factor))

@@ -135,10 +135,11 @@ class IndenterPlayer(Node):
 
     def _wait_for_subscriber(self) -> bool:
         deadline = time.monotonic() + self._settings.wait_for_subscriber_s
-        while self._publisher.get_subscription_count() == 0:
+        while (count := self._publisher.get_subscription_count()) < self._settings.subscriber_count:
             if time.monotonic() >= deadline:
                 self.get_logger().warning(
-                    f"nobody subscribes to {self._publisher.topic_name}: playing anyway"
+                    f"{count} subscribers of {self._publisher.topic_name} instead of "
+                    f"{self._settings.subscriber_count}: playing anyway"
                 )
                 return True
             if self._stop.wait(POLL_S):

@@ -61,9 +61,16 @@ class PlayerParameters:
     )
     wait_for_subscriber_s: float = option(
         10.0,
-        "longest wait for somebody to subscribe before the first pose",
+        "longest wait for subscribers before the first pose",
         minimum=0.0,
         maximum=3600.0,
+        read_only=True,
+    )
+    subscriber_count: int = option(
+        1,
+        "how many subscribers to wait for: 2 where a recorder listens beside the sensor",
+        minimum=1,
+        maximum=100,
         read_only=True,
     )
     wait_for_answer: bool = option(

@@ -118,6 +118,7 @@ class TactileRecord(Node):
             _check_stamped(kind)
         resolved = {self.resolve_topic_name(name): kind for name, kind in named.items()}
         self._received = 0
+        self._heard: set[str] = set()
         self._lost = 0
         self._recording = Recording(
             self._path, resolved, queue_bytes=self._settings.queue_mb * 2**20
@@ -158,6 +159,9 @@ class TactileRecord(Node):
 
     def _on_message(self, topic: str, serialized: bytes) -> None:
         self._received += 1
+        if topic not in self._heard:
+            self._heard.add(topic)
+            self.get_logger().info(f"receiving {topic}")
         if not self._recording.put(topic, serialized):
             self.get_logger().warning(
                 "the disk does not keep up: messages are dropped", throttle_duration_sec=5.0

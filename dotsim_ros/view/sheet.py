@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import pairwise
 from pathlib import Path
 
 import matplotlib
@@ -20,26 +19,27 @@ from dotsim_ros.view.timeline import Forces, Moment
 COLUMN_INCHES = 2.6
 PLOT_INCHES = 2.3
 DOTS_PER_INCH = 110
+CONTACT_FRACTION = 0.1
 
 
 def strongest_stamps(
     stamps_ns: NDArray[np.int64], forces: Forces | None, *, count: int
 ) -> list[int]:
-    """Return the time of the greatest force in each of `count` equal parts of a bag.
+    """Return the times to show: the greatest force in each of `count` parts of the contact.
 
-    Without forces, the middle of each part. Parts without any moment are left out.
+    The moments in contact (above a tenth of the greatest force) are cut into parts of equal number
+    in order of time; without forces, all moments are, and the middle of each part is shown.
     """
-    edges = np.linspace(stamps_ns[0], stamps_ns[-1] + 1, count + 1)
+    shown = stamps_ns
+    strength = np.zeros(len(stamps_ns))
+    if forces is not None:
+        strength = np.array([np.linalg.norm(forces.at(int(stamp))) for stamp in stamps_ns])
+        in_contact = strength >= CONTACT_FRACTION * strength.max()
+        shown, strength = stamps_ns[in_contact], strength[in_contact]
     chosen = []
-    for low, high in pairwise(edges):
-        inside = stamps_ns[(stamps_ns >= low) & (stamps_ns < high)]
-        if inside.size == 0:
-            continue
-        if forces is None:
-            chosen.append(int(inside[len(inside) // 2]))
-        else:
-            strength = [float(np.linalg.norm(forces.at(int(stamp)))) for stamp in inside]
-            chosen.append(int(inside[int(np.argmax(strength))]))
+    for part in np.array_split(np.arange(len(shown)), min(count, len(shown))):
+        best = part[len(part) // 2] if forces is None else part[np.argmax(strength[part])]
+        chosen.append(int(shown[best]))
     return chosen
 
 
