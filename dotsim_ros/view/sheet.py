@@ -28,14 +28,16 @@ def strongest_stamps(
     """Return the times to show: the greatest force in each of `count` parts of the contact.
 
     The moments in contact (above a tenth of the greatest force) are cut into parts of equal number
-    in order of time; without forces, all moments are, and the middle of each part is shown.
+    in order of time. With fewer of them than parts, all moments are; without forces too, and the
+    middle of each part is shown.
     """
     shown = stamps_ns
     strength = np.zeros(len(stamps_ns))
     if forces is not None:
         strength = np.array([np.linalg.norm(forces.at(int(stamp))) for stamp in stamps_ns])
         in_contact = strength >= CONTACT_FRACTION * strength.max()
-        shown, strength = stamps_ns[in_contact], strength[in_contact]
+        if in_contact.sum() >= count:
+            shown, strength = stamps_ns[in_contact], strength[in_contact]
     chosen = []
     for part in np.array_split(np.arange(len(shown)), min(count, len(shown))):
         best = part[len(part) // 2] if forces is None else part[np.argmax(strength[part])]
