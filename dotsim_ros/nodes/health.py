@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from dotsim_ros.sensor import Frame
 
 RATE_WINDOW_S = 5.0
+SPENT_FRAME_COUNT = 1500
+GROUPS = {"gel": ("contact", "solve"), "optics": ("depth", "image")}
 FAULT_MEMORY_S = 5.0
 
 
@@ -29,7 +31,7 @@ class FrameCounter:
     def __init__(self) -> None:
         self.count = 0
         self._times_s: deque[float] = deque()
-        self._spent_s: deque[Mapping[str, float]] = deque(maxlen=100)
+        self._spent_s: deque[Mapping[str, float]] = deque(maxlen=SPENT_FRAME_COUNT)
 
     def note(self, now_s: float, spent_s: Mapping[str, float]) -> None:
         """Count a frame that took `spent_s` by part."""
@@ -46,12 +48,16 @@ class FrameCounter:
         return (len(self._times_s) - 1) / max(now_s - self._times_s[0], 1e-9)
 
     def p95_ms(self) -> dict[str, float]:
-        """Return the 95th percentile of each part over the last hundred frames."""
+        """Return the 95th percentile of each part and group over the last minute at 25 Hz."""
         parts = sorted({part for spent in self._spent_s for part in spent})
-        return {
-            part: 1e3 * float(np.percentile([spent.get(part, 0.0) for spent in self._spent_s], 95))
-            for part in parts
-        }
+        table_ms = np.array(
+            [[1e3 * spent.get(part, 0.0) for part in parts] for spent in self._spent_s]
+        ).reshape(len(self._spent_s), len(parts))
+        columns = dict(zip(parts, table_ms.T, strict=True))
+        for name, members in GROUPS.items():
+            if set(members) <= set(columns):
+                columns[name] = np.sum([columns[member] for member in members], axis=0)
+        return {name: float(np.percentile(column, 95)) for name, column in columns.items()}
 
 
 @dataclass(frozen=True)

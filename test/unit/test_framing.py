@@ -1,0 +1,62 @@
+"""Crop, size and colour order, and the camera that has that image."""
+
+import cv2
+import numpy as np
+import pytest
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.nodes.framing import Framing, encoded_pixels
+
+CAMERA = FisheyeCamera(640, 480, 160.0, np.array([310.0, 250.0]))
+WHOLE = {"crop_px": (0, 0, 0, 0), "image_size_px": (0, 0)}
+
+
+def test_zeros_mean_the_whole_image_without_a_copy():
+    framing = Framing.of_camera(CAMERA, **WHOLE)
+    image = np.zeros((480, 640, 3), np.uint8)
+    assert np.shares_memory(framing.apply(image), image)
+    assert framing.camera(CAMERA).camera_matrix == pytest.approx(CAMERA.camera_matrix)
+
+
+def test_the_framed_camera_projects_a_point_to_where_its_pixel_went():
+    framing = Framing.of_camera(CAMERA, crop_px=(80, 0, 480, 480), image_size_px=(240, 240))
+    point = np.array([0.004, -0.003, 0.01])
+    x, y = np.rint(CAMERA.project(point)).astype(int)
+    image = np.zeros((480, 640), np.float32)
+    image[y - 4 : y + 5, x - 4 : x + 5] = 1.0
+    framed = framing.apply(image)
+    rows, columns = np.nonzero(framed > 0.5)
+    assert framed.shape == (240, 240)
+    assert framing.camera(CAMERA).project(point) == pytest.approx(
+        [columns.mean(), rows.mean()], abs=0.6
+    )
+
+
+def test_depth_is_never_averaged_with_nothing():
+    depth = np.full((480, 640), np.nan, np.float32)
+    depth[:, 320:] = 0.01
+    framing = Framing.of_camera(CAMERA, crop_px=(0, 0, 0, 0), image_size_px=(320, 240))
+    framed = framing.apply(depth, interpolation=cv2.INTER_NEAREST)
+    assert np.isnan(framed[:, :160]).all()
+    assert (framed[:, 160:] == np.float32(0.01)).all()
+
+
+@pytest.mark.parametrize(
+    ("crop_px", "image_size_px", "reason"),
+    [
+        ((600, 0, 100, 100), (0, 0), "reaches beyond"),
+        ((0, 0, 480, 480), (640, 480), "aspect ratio"),
+    ],
+)
+def test_a_frame_that_no_camera_has_is_refused(crop_px, image_size_px, reason):
+    with pytest.raises(ValueError, match=reason):
+        Framing.of_camera(CAMERA, crop_px=crop_px, image_size_px=image_size_px)
+
+
+def test_encodings_hold_the_same_colour():
+    rgb = np.full((2, 2, 3), (200, 100, 50), np.uint8)
+    assert encoded_pixels(rgb, "rgb8") is rgb
+    assert encoded_pixels(rgb, "bgr8")[0, 0].tolist() == [50, 100, 200]
+    assert encoded_pixels(rgb, "mono8")[0, 0] == pytest.approx(
+        0.299 * 200 + 0.587 * 100 + 0.114 * 50, abs=1.0
+    )
