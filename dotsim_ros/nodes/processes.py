@@ -45,6 +45,11 @@ class NodeProcess:
             self._lines.append(line)
             print(line, end="", file=sys.stderr)
 
+    @property
+    def pid(self) -> int:
+        """The process's number, to watch its memory by."""
+        return self._process.pid
+
     def wait_for_line(self, text: str, *, timeout_s: float) -> None:
         """Wait until the node has logged a line that holds `text`.
 
