@@ -30,8 +30,9 @@ from dotsim_ros.nodes.tactile_parameters import (
     TactileSimParameters,
 )
 
-# Only the newest counts, and best effort hears both kinds of publishers.
-REALTIME_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+# Only the newest counts, but a single one must not get lost. For a publisher of best effort the
+# user overrides the reliability by parameter; ROS warns that the two do not match.
+REALTIME_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 # The middleware keeps the newest meanwhile, so a flood of poses cannot starve the frames.
 REALTIME_PAUSE_S = 0.002
 # Every one counts: nothing is overwritten before it is simulated.

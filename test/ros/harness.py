@@ -27,6 +27,8 @@ import msg_adapters
 START_PATIENCE_S = 120.0
 PATIENCE_S = 30.0
 APEX_M = 0.01575
+# Some 3 MB each.
+KEPT_FRAMES = 100
 BASE_FRAME = "densetact_base"
 
 FRAME_TOPICS: dict[str, type] = {
@@ -313,6 +315,8 @@ class Client:
             with self._changed:
                 frame = self.frames.setdefault(stamp_ns, TactileFrame(stamp_ns))
                 frame.messages[topic] = message
+                while len(self.frames) > KEPT_FRAMES:
+                    del self.frames[next(iter(self.frames))]
                 self._changed.notify_all()
 
         return collect
