@@ -19,6 +19,9 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
     vec3 = wp.types.vector(3, scalar)
     mat33 = wp.types.matrix((3, 3), scalar)
     vec5 = wp.types.vector(5, scalar)
+    # Warp computes the quotient of two literals in single precision, whatever it is cast to.
+    two_thirds = wp.constant(scalar(2.0 / 3.0))
+    four_thirds = wp.constant(scalar(4.0 / 3.0))
 
     @wp.func
     def deformation_gradient(
@@ -38,7 +41,7 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
     @wp.func
     def shape_energy(f: mat33, c: vec5):
         j = wp.determinant(f)
-        a = wp.pow(j, scalar(-2.0 / 3.0))
+        a = wp.pow(j, -two_thirds)
         cg = wp.transpose(f) * f
         i1 = wp.trace(cg)
         i2 = scalar(0.5) * (i1 * i1 - wp.ddot(cg, cg))
@@ -56,14 +59,14 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
         """First Piola-Kirchhoff stress of the part of the energy without K."""
         j = wp.determinant(f)
         g = wp.transpose(wp.inverse(f))
-        a = wp.pow(j, scalar(-2.0 / 3.0))
+        a = wp.pow(j, -two_thirds)
         cg = wp.transpose(f) * f
         i1 = wp.trace(cg)
         i2 = scalar(0.5) * (i1 * i1 - wp.ddot(cg, cg))
         e1 = a * i1 - scalar(3.0)
         s1 = c[0] + e1 * (scalar(2.0) * c[2] + scalar(3.0) * c[3] * e1)
-        d1 = a * (scalar(2.0) * f - (scalar(2.0 / 3.0) * i1) * g)
-        d2 = (a * a) * (scalar(2.0) * (i1 * f - f * cg) - (scalar(4.0 / 3.0) * i2) * g)
+        d1 = a * (scalar(2.0) * f - (two_thirds * i1) * g)
+        d2 = (a * a) * (scalar(2.0) * (i1 * f - f * cg) - (four_thirds * i2) * g)
         return s1 * d1 + c[1] * d2
 
     @wp.func
@@ -76,7 +79,7 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
         """Derivative of fast * shape_stress + volume_stress along df."""
         j = wp.determinant(f)
         g = wp.transpose(wp.inverse(f))
-        a = wp.pow(j, scalar(-2.0 / 3.0))
+        a = wp.pow(j, -two_thirds)
         cg = wp.transpose(f) * f
         i1 = wp.trace(cg)
         i2 = scalar(0.5) * (i1 * i1 - wp.ddot(cg, cg))
@@ -86,22 +89,22 @@ def elastic_kernels(scalar: Any) -> SimpleNamespace:
         q = wp.ddot(g, df)
         dg = -(g * wp.transpose(df) * g)
         di1 = scalar(2.0) * wp.ddot(f, df)
-        b1 = scalar(2.0) * f - (scalar(2.0 / 3.0) * i1) * g
+        b1 = scalar(2.0) * f - (two_thirds * i1) * g
         d1 = a * b1
-        dd1 = (scalar(-2.0 / 3.0) * a * q) * b1 + a * (
-            scalar(2.0) * df - (scalar(2.0 / 3.0) * di1) * g - (scalar(2.0 / 3.0) * i1) * dg
+        dd1 = (-two_thirds * a * q) * b1 + a * (
+            scalar(2.0) * df - (two_thirds * di1) * g - (two_thirds * i1) * dg
         )
         result = s1 * dd1 + (s11 * wp.ddot(d1, df)) * d1
         if c[1] != scalar(0.0):
             di2_df = scalar(2.0) * (i1 * f - f * cg)
-            b2 = di2_df - (scalar(4.0 / 3.0) * i2) * g
+            b2 = di2_df - (four_thirds * i2) * g
             dcg = wp.transpose(df) * f + wp.transpose(f) * df
             ddi2 = scalar(2.0) * (di1 * f + i1 * df - df * cg - f * dcg)
             dd2 = (a * a) * (
-                (scalar(-4.0 / 3.0) * q) * b2
+                (-four_thirds * q) * b2
                 + ddi2
-                - (scalar(4.0 / 3.0) * wp.ddot(di2_df, df)) * g
-                - (scalar(4.0 / 3.0) * i2) * dg
+                - (four_thirds * wp.ddot(di2_df, df)) * g
+                - (four_thirds * i2) * dg
             )
             result += c[1] * dd2
         jm = j - scalar(1.0)
