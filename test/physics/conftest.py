@@ -1,0 +1,38 @@
+"""Tables that are computed once for all tests, in a cache of the session's own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from gel_cases import FRICTIONLESS, YOUNGS_PA, pad_gel, pad_skin
+
+from dotsim_ros.gel.implicit import ImplicitGel
+from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.geometry.indenter import sphere
+
+
+@pytest.fixture(scope="session")
+def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """An empty cache folder that the tests of a session share."""
+    folder = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DOTSIM_ROS_CACHE", str(folder))
+        yield folder
+
+
+def _refined_pad(poisson_ratio: float) -> ImplicitGel:
+    return pad_gel(
+        law=NeoHookean(YOUNGS_PA, poisson_ratio),
+        skin=pad_skin(0.6e-3),
+        contact=FRICTIONLESS,
+        indenter=sphere(20.0e-3),
+        solver={"grid_spacing_m": 2.4e-3, "refined": True},
+    )
+
+
+@pytest.fixture(scope="session")
+def refined_pads(cache_folder: Path) -> dict[float, ImplicitGel]:
+    """Refined pads under a sphere of 20 mm, by Poisson's ratio; reset them before use."""
+    return {ratio: _refined_pad(ratio) for ratio in (0.3, 0.49)}

@@ -1,0 +1,219 @@
+"""The implicit gel under frictionless indenters: Hertz, refinement, balance of forces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from closed_forms import hertz_force_n
+from gel_cases import (
+    FRICTIONLESS,
+    LAWS,
+    PAD_TOP_M,
+    YOUNGS_PA,
+    FloatArray,
+    at,
+    dome_gel,
+    one,
+    pad_gel,
+    pressed,
+    towards_centre,
+)
+
+from dotsim_ros.gel.body import Pad
+from dotsim_ros.gel.implicit import GelState, ImplicitGel
+from dotsim_ros.gel.material import Material
+from dotsim_ros.geometry.indenter import Indenter, box_edge, flat_punch, sphere
+from dotsim_ros.geometry.skin_mesh import flat_pad_skin
+from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecification
+
+HERTZ_RADIUS_M = 20.0e-3
+
+
+def bonded_layer_factor(poisson_ratio: float, confinement: float) -> float:
+    """Return by how much a bonded layer of finite thickness is stiffer than Hertz's half space.
+
+    Dimitriadis et al., "Determination of elastic moduli of thin layers of soft material using the
+    atomic force microscope", 2002, equations 11 and 12; confinement is sqrt(R d) / thickness.
+    """
+    nu, x = poisson_ratio, confinement
+    alpha = -(1.2876 - 1.4678 * nu + 1.3442 * nu**2) / (1.0 - nu)
+    beta = (0.6387 - 1.0277 * nu + 1.5164 * nu**2) / (1.0 - nu)
+    return float(
+        1.0
+        - 2.0 * alpha / np.pi * x
+        + 4.0 * alpha**2 / np.pi**2 * x**2
+        - 8.0 / np.pi**3 * (alpha**3 + 4.0 * np.pi**2 / 15.0 * beta) * x**3
+        + 16.0 * alpha / np.pi**4 * (alpha**3 + 3.0 * np.pi**2 / 5.0 * beta) * x**4
+    )
+
+
+def sunk_m(gel: ImplicitGel, state: GelState) -> float:
+    """Return how far the middle of the pad's skin has sunk: the depth without the contact's gap."""
+    rest = gel.skin.rest_position_m
+    middle = np.argmin(np.linalg.norm(rest[:, :2], axis=1))
+    # Markers lie up to half their distance beside the tip.
+    beside = np.linalg.norm(state.skin_position_m[middle, :2])
+    return float(
+        rest[middle, 2] - state.skin_position_m[middle, 2] + beside**2 / 2 / HERTZ_RADIUS_M
+    )
+
+
+def hertz_presses(gel: ImplicitGel) -> tuple[FloatArray, FloatArray]:
+    """Return depths and forces of presses by a sphere."""
+    gel.reset()
+    states = [one(gel, pressed(depth)) for depth in (0.1e-3, 0.2e-3, 0.4e-3)]
+    assert all(state.converged for state in states)
+    depth = np.array([sunk_m(gel, state) for state in states])
+    return depth, np.array([state.wrench.force_n[2] for state in states])
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.49])
+def test_force_of_a_sphere_is_hertz(
+    refined_pads: dict[float, ImplicitGel], poisson_ratio: float
+) -> None:
+    depth, force = hertz_presses(refined_pads[poisson_ratio])
+    layer = np.array(
+        [bonded_layer_factor(poisson_ratio, np.sqrt(HERTZ_RADIUS_M * d) / PAD_TOP_M) for d in depth]
+    )
+    exponent = np.polyfit(np.log(depth), np.log(force / layer), 1)[0]
+    assert exponent == pytest.approx(1.5, abs=0.06)
+    hertz = np.array([hertz_force_n(HERTZ_RADIUS_M, YOUNGS_PA, poisson_ratio, d) for d in depth])
+    # The shallowest contact is narrower than three cells of the refinement.
+    assert force / (hertz * layer) == pytest.approx(1.0, abs=0.06)
+    assert force[1:] / (hertz * layer)[1:] == pytest.approx(1.0, abs=0.04)
+
+
+def test_nearly_incompressible_gel_does_not_lock(refined_pads: dict[float, ImplicitGel]) -> None:
+    depth, soft = hertz_presses(refined_pads[0.3])
+    stiff_depth, stiff = hertz_presses(refined_pads[0.49])
+    ratio = stiff / soft * (depth / stiff_depth) ** 1.5
+    half_space = (1.0 - 0.3**2) / (1.0 - 0.49**2)
+    # A layer that is wide beside its thickness is confined, this one less so, a half space not.
+    confinement = np.sqrt(HERTZ_RADIUS_M * depth[-1]) / PAD_TOP_M
+    layer = bonded_layer_factor(0.49, confinement) / bonded_layer_factor(0.3, confinement)
+    assert np.all(ratio > 0.97 * half_space)
+    assert np.all(ratio < 1.03 * half_space * layer)
+    assert ratio == pytest.approx(half_space, rel=0.04)
+
+
+def test_press_force_converges_with_the_grid() -> None:
+    size = (28.8e-3, 28.8e-3, 14.4e-3)
+    skin = flat_pad_skin(size[:2], size[2], 0.9e-3)
+    force = []
+    for spacing in (4.8e-3, 3.6e-3, 2.4e-3):
+        gel = ImplicitGel(
+            Pad(size),
+            skin,
+            Material(LAWS["neo_hookean"]),
+            contact=FRICTIONLESS,
+            solver=SolverSpecification(grid_spacing_m=spacing, refined=False),
+            indenter=sphere(10.0e-3),
+            exact=True,
+        )
+        state = one(gel, at(0.0, 0.0, size[2] - 1.0e-3))
+        assert state.converged
+        force.append(state.wrench.force_n[2])
+    # A finer grid gives way more, and the steps get smaller.
+    assert force[0] > force[1] > force[2]
+    assert force[1] - force[2] < 0.75 * (force[0] - force[1])
+    assert force[1] == pytest.approx(force[2], rel=0.06)
+
+
+def test_refinement_gives_the_force_of_the_finer_grid(
+    refined_pads: dict[float, ImplicitGel],
+) -> None:
+    gel = refined_pads[0.3]
+    force = {}
+    gel.reset()
+    force["refined"] = one(gel, pressed(0.5e-3)).wrench.force_n[2]
+    for name, spacing in (("coarse", 2.4e-3), ("fine", 1.2e-3)):
+        plain = pad_gel(
+            law=gel.material.law,
+            skin=gel.skin,
+            indenter=sphere(HERTZ_RADIUS_M),
+            solver={"grid_spacing_m": spacing, "tolerance_m": 4.0e-6},
+            exact=True,
+        )
+        force[name] = one(plain, pressed(0.5e-3)).wrench.force_n[2]
+    assert force["refined"] == pytest.approx(force["fine"], rel=0.01)
+    assert abs(force["refined"] - force["fine"]) < 0.4 * abs(force["coarse"] - force["fine"])
+
+
+@pytest.mark.parametrize("direction", [(0.0, 0.0, 1.0), (0.5, 0.2, 1.0), (-1.0, 0.4, 0.7)])
+def test_frictionless_sphere_feels_no_torque_about_its_centre(
+    direction: tuple[float, float, float],
+) -> None:
+    radius = 4.0e-3
+    gel = dome_gel(sphere(radius), contact=FRICTIONLESS)
+    pose = towards_centre(direction, 1.0e-3)
+    wrench = one(gel, pose).wrench
+    centre = pose.apply(np.array([0.0, 0.0, radius]))
+    size = np.linalg.norm(wrench.force_n)
+    assert size > 0.1
+    assert wrench.torque_nm == pytest.approx(np.cross(centre, wrench.force_n), abs=1e-9 * size)
+    # The gel pushes the sphere out along the press.
+    axis = np.array(direction) / np.linalg.norm(direction)
+    assert wrench.force_n @ axis > 0.98 * size
+
+
+@pytest.mark.parametrize(
+    ("indenter", "friction"),
+    [(sphere(10.0e-3), 0.0), (box_edge([10e-3, 6e-3, 6e-3], 0.5e-3), 0.6)],
+    ids=["sphere", "box_edge"],
+)
+def test_base_carries_what_the_indenter_presses(indenter: Indenter, friction: float) -> None:
+    gel = pad_gel(
+        indenter=indenter,
+        contact=ContactSpecification(friction_coefficient=friction),
+        solver={"tolerance_m": 1e-8, "iterations": 40},
+        exact=True,
+    )
+    one(gel, pressed(0.6e-3, 2.0e-3, -1.5e-3))
+    state = one(gel, pressed(0.6e-3, 2.3e-3, -1.4e-3))
+    assert state.converged
+    force = gel.body.force(state.displacement_m[None])[1][0]
+    position = gel.discretization.node_position_m
+    # A virtual displacement that grows from nothing at the base to a rigid one: the work of the
+    # stress in between is the load that passes through to the base.
+    ramp = np.clip(position[:, 2] / (0.5 * PAD_TOP_M), 0.0, 1.0)[:, None]
+    load = np.linalg.norm(state.wrench.force_n)
+    assert load > 0.1
+    assert (ramp * force).sum(axis=0) == pytest.approx(-state.wrench.force_n, abs=1e-5 * load)
+    turned = np.cross(position + state.displacement_m, ramp * force).sum(axis=0)
+    assert turned == pytest.approx(-state.wrench.torque_nm, abs=1e-5 * load * PAD_TOP_M)
+
+
+def test_flat_punch_presses_evenly_around_its_axis() -> None:
+    gel = pad_gel(indenter=flat_punch(4.0e-3, 8.0e-3, 0.3e-3))
+    wrench = one(gel, pressed(0.8e-3)).wrench
+    size = wrench.force_n[2]
+    assert size > 0.0
+    assert np.abs(wrench.force_n[:2]).max() < 1e-3 * size
+    assert np.abs(wrench.torque_nm).max() < 1e-3 * size * 4.0e-3
+
+
+def test_force_scales_with_the_modulus_and_the_shape_does_not() -> None:
+    states = []
+    for factor in (1.0, 2.0):
+        law = type(LAWS["mooney_rivlin"])(12.0e3 * factor, 6.0e3 * factor, 4.0e5 * factor)
+        states.append(one(pad_gel(law=law), pressed(1.0e-3)))
+    assert states[1].wrench.force_n[2] == pytest.approx(2.0 * states[0].wrench.force_n[2], rel=1e-5)
+    assert states[1].skin_position_m == pytest.approx(states[0].skin_position_m, abs=1e-8)
+
+
+def test_fast_solve_finds_the_exact_equilibrium() -> None:
+    found = [
+        one(
+            dome_gel(
+                sphere(4.0e-3),
+                contact=FRICTIONLESS,
+                exact=exact,
+                solver={"tolerance_m": 1e-8, "iterations": 40},
+            ),
+            towards_centre((0.3, 0.2, 1.0), 1.5e-3),
+        )
+        for exact in (False, True)
+    ]
+    assert all(state.converged for state in found)
+    assert found[0].skin_position_m == pytest.approx(found[1].skin_position_m, abs=2e-8)
+    assert found[0].wrench.force_n == pytest.approx(found[1].wrench.force_n, rel=1e-4, abs=1e-6)
