@@ -101,10 +101,17 @@ class TactileSim(Node):
             load_sensor(self._settings.sensor),
             indenter=indenter_of(self._settings.indenter),
             device=self._settings.device,
+            progress=self._tell_progress,
         )
         if self._settings.idle_image:
             sensor.set_idle_image(read_rgb(self._settings.idle_image))
         return sensor
+
+    def _tell_progress(self, share: float) -> None:
+        self.get_logger().info(
+            f"computing the gel's tables, once for each sensor: {100.0 * share:.0f} %",
+            throttle_duration_sec=2.0,
+        )
 
     def _new_pace(self) -> FramePace:
         return FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
