@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from dotsim_ros.gel.body import Body
+from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
@@ -105,6 +106,29 @@ def spline_weights(points_m: FloatArray, spacing_m: float) -> tuple[FloatArray, 
     return x * y * z, gradient
 
 
+def spline_curvatures(points_m: FloatArray, spacing_m: float) -> FloatArray:
+    """Return the second derivatives (P, 27, 3, 3) of the weights of points (P, 3), in 1/m^2."""
+    fraction = points_m / spacing_m - np.floor(points_m / spacing_m) - 0.5
+    value = np.stack(
+        [0.5 * (0.5 - fraction) ** 2, 0.75 - fraction**2, 0.5 * (0.5 + fraction) ** 2], axis=1
+    )
+    slope = np.stack([fraction - 0.5, -2.0 * fraction, fraction + 0.5], axis=1) / spacing_m
+    bend = np.array([1.0, -2.0, 1.0]) / spacing_m**2
+    number = (STENCIL + 1).T
+    result = np.empty((len(points_m), 27, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            product = np.ones((len(points_m), 27))
+            for axis in range(3):
+                order = (axis == i) + (axis == j)
+                if order == 2:
+                    product *= bend[number[axis]]
+                else:
+                    product *= (slope if order else value)[:, number[axis], axis]
+            result[:, :, i, j] = product
+    return result
+
+
 def _quadrature(body: Body, spacing_m: float) -> tuple[FloatArray, FloatArray]:
     """Return particle positions (P, 3) and volumes (P,): Gauss points in full cells of the grid,
     centroids of the material in the eighths of cut cells."""
@@ -135,16 +159,21 @@ def _quadrature(body: Body, spacing_m: float) -> tuple[FloatArray, FloatArray]:
     return position, volume
 
 
+def _nodes_of_cells(cells: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return the grid coordinates (n, 3), with repetitions, of all nodes of cells (C, 3)."""
+    stencil = (cells[:, None, :] + STENCIL[None]).reshape(-1, 3)
+    mirrored = np.where(stencil[:, 2] < 0)[0]
+    stencil[mirrored, 2] = -1 - stencil[mirrored, 2]
+    return stencil
+
+
 class _NodeNumbers:
     """Numbers of the active nodes; nodes below the base are mirrored with the opposite sign."""
 
-    def __init__(self, cells: NDArray[np.int64]) -> None:
-        stencil = (cells[:, None, :] + STENCIL[None]).reshape(-1, 3)
-        mirrored = np.where(stencil[:, 2] < 0)[0]
-        stencil[mirrored, 2] = -1 - stencil[mirrored, 2]
-        self.lower = stencil.min(axis=0)
-        self.shape = tuple(stencil.max(axis=0) - self.lower + 1)
-        flat = np.ravel_multi_index(tuple((stencil - self.lower).T), self.shape)
+    def __init__(self, node_cell: NDArray[np.int64]) -> None:
+        self.lower = node_cell.min(axis=0)
+        self.shape = tuple(node_cell.max(axis=0) - self.lower + 1)
+        flat = np.ravel_multi_index(tuple((node_cell - self.lower).T), self.shape)
         self.cells_flat = np.unique(flat)
         self.number = np.full(int(np.prod(self.shape)), -1, dtype=np.int32)
         self.number[self.cells_flat] = np.arange(len(self.cells_flat), dtype=np.int32)
@@ -208,6 +237,27 @@ def images_of_cells(cells: NDArray[np.int64], body: Body) -> NDArray[np.int64]:
     return np.floor((unique + 0.5) @ body.symmetries.transpose(0, 2, 1)).astype(np.int64)
 
 
+def bonded_points(body: Body, spacing_m: float) -> tuple[FloatArray, FloatArray]:
+    """Return points (B, 3) on the bonded surface above the base, and their areas (B,)."""
+    if isinstance(body, ReshapedDome | ReshapedPad):
+        points, area = bonded_points(body.reference, spacing_m)
+        moved, _, ratio = body.from_reference(points)
+        return moved, area * ratio
+    return body.bonded_surface(0.25 * spacing_m)
+
+
+def interpolation_at(
+    discretization: Discretization, points_m: FloatArray
+) -> tuple[Interpolation, FloatArray, FloatArray]:
+    """Return the weights of points (P, 3) of the gel, their gradients (P, 27, 3), 1/m, and their
+    second derivatives (P, 27, 3, 3), 1/m^2."""
+    h = discretization.spacing_m
+    numbers = _NodeNumbers(discretization.node_cell)
+    interpolation, gradient = _interpolation(points_m, h, numbers)
+    _, sign = numbers.look_up(np.floor(points_m / h).astype(np.int64)[:, None, :] + STENCIL[None])
+    return interpolation, gradient, spline_curvatures(points_m, h) * sign[..., None, None]
+
+
 def discretize(body: Body, skin_position_m: FloatArray, spacing_m: float) -> Discretization:
     """Build particles, nodes and weights of a body.
 
@@ -228,10 +278,17 @@ def discretize(body: Body, skin_position_m: FloatArray, spacing_m: float) -> Dis
     # Markers on a knot plane belong to the cell inside; the base ring lies on z = 0 exactly.
     inward = 1.0 - 1e-9
     skin = skin_position_m * inward
-    position, volume = _quadrature(body, spacing_m)
-    bonded, bonded_area = body.bonded_surface(0.25 * spacing_m)
+    bonded, bonded_area = bonded_points(body, spacing_m)
+    if isinstance(body, ReshapedDome | ReshapedPad):
+        position, volume = _quadrature(body.reference, spacing_m)
+        position, ratio, _ = body.from_reference(position)
+        volume = volume * ratio
+    else:
+        position, volume = _quadrature(body, spacing_m)
     cells = np.floor(np.concatenate([position, skin, bonded]) / spacing_m).astype(np.int64)
-    numbers = _NodeNumbers(np.unique(images_of_cells(cells, body).reshape(-1, 3), axis=0))
+    numbers = _NodeNumbers(
+        _nodes_of_cells(np.unique(images_of_cells(cells, body).reshape(-1, 3), axis=0))
+    )
     node_cell = numbers.node_cells()
     particles, gradient = _interpolation(position, spacing_m, numbers)
     skin_interpolation, _ = _interpolation(skin, spacing_m, numbers)

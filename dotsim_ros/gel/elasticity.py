@@ -32,6 +32,8 @@ BOND_STIFFNESS = 30.0
 class Cells:
     """Particles grouped by the cell that they lie in; a cell's particles share their 27 nodes.
 
+    A grid cell of a reshaped body may hold more than eight particles; it then counts as several.
+
     Attributes:
         particle: (C, 8) particles of each cell, -1 where there are fewer.
         node: (C, 27) nodes of each cell.
@@ -52,7 +54,10 @@ def group_by_cell(discretization: Discretization) -> Cells:
     first = np.concatenate([[0], np.cumsum(size)[:-1]])
     slot = np.empty(len(cell_of), dtype=int)
     slot[order] = np.arange(len(cell_of)) - first[cell_of[order]]
-    particle = np.full((len(size), 8), -1, dtype=np.int32)
+    part_count = -(-size // 8)
+    cell_of = (np.cumsum(part_count) - part_count)[cell_of] + slot // 8
+    slot %= 8
+    particle = np.full((int(part_count.sum()), 8), -1, dtype=np.int32)
     particle[cell_of, slot] = np.arange(len(cell_of))
     gradient = np.where(
         (particle >= 0)[:, :, None, None],
@@ -63,7 +68,7 @@ def group_by_cell(discretization: Discretization) -> Cells:
     return Cells(
         particle=particle,
         node=discretization.particle_interpolation.node_index[particle[:, 0]],
-        gradient=gradient.transpose(0, 1, 3, 2).reshape(len(size), 24, 27),
+        gradient=gradient.transpose(0, 1, 3, 2).reshape(len(particle), 24, 27),
     )
 
 

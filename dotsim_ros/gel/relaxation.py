@@ -8,12 +8,37 @@ the step still has an energy: fast_share * psi(F) + history : F^T F / 2.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gel.material import PronySeries
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class StressMemory:
+    """What relaxation remembers: internal stresses (K, P, 3, 3) and the last stress (P, 3, 3), or
+    a loss's derivatives by them."""
+
+    internal_pa: Array
+    last_pa: Array
+
+
+@dataclass(frozen=True)
+class RelaxationAdjoint:
+    """A loss's derivatives by what a step's relaxation depends on.
+
+    Attributes:
+        memory: by the memory at the step's start.
+        shares, times_s: (K,) by the Prony series.
+    """
+
+    memory: StressMemory
+    shares: Array
+    times_s: Array
 
 
 class Relaxation:
@@ -24,6 +49,57 @@ class Relaxation:
         self.times_s = np.array(prony.times_s)
         self._internal: Array | None = None
         self._last_stress: Array | None = None
+
+    def memory(self, particle_count: int) -> StressMemory:
+        """Return what is remembered now."""
+        if self._internal is None or self._last_stress is None:
+            zero = np.zeros((len(self.shares), particle_count, 3, 3))
+            return StressMemory(zero, np.zeros((particle_count, 3, 3)))
+        return StressMemory(self._internal, self._last_stress)
+
+    def stress_adjoint(self, dt_s: float, after: StressMemory) -> Array:
+        """Return the derivatives (P, 3, 3) by the stress at a step's end, from those by the memory
+        that `finish_step` makes of it."""
+        _, gain = self._factors(dt_s)
+        weighted: Array = np.tensordot(self.shares * gain, after.internal_pa, axes=1)
+        return after.last_pa + weighted
+
+    def step_adjoint(
+        self,
+        dt_s: float,
+        before: StressMemory,
+        stress_pa: Array,
+        *,
+        after: StressMemory,
+        fast_share: float,
+        history_pa: Array,
+    ) -> RelaxationAdjoint:
+        """Return the derivatives of `step_terms` and `finish_step` together.
+
+        Args:
+            dt_s: duration of the step.
+            before: the memory at its start.
+            stress_pa: (P, 3, 3) the stress at its end.
+            after, fast_share, history_pa: derivatives by the memory at the end, and by what
+                `step_terms` returned.
+        """
+        decay, gain = self._factors(dt_s)
+        ratio = dt_s / self.times_s
+        gain_slope = (np.exp(-ratio) * (1.0 + ratio) - 1.0) / ratio**2
+        by_internal = after.internal_pa + history_pa
+        change = stress_pa - before.last_pa
+        by_weight = np.tensordot(after.internal_pa, change, axes=3) - np.vdot(
+            history_pa, before.last_pa
+        )
+        by_weight = by_weight + fast_share
+        by_decay = np.einsum("kpij,kpij->k", by_internal, before.internal_pa)
+        by_ratio = -decay * by_decay + self.shares * gain_slope * by_weight
+        carried = np.tensordot(self.shares * gain, by_internal, axes=1)
+        return RelaxationAdjoint(
+            StressMemory(decay[:, None, None, None] * by_internal, -carried),
+            gain * by_weight - fast_share,
+            by_ratio * (-ratio / self.times_s),
+        )
 
     def _factors(self, dt_s: float) -> tuple[Array, Array]:
         ratio = dt_s / self.times_s
@@ -36,10 +112,14 @@ class Relaxation:
         if self._internal is None:
             self._internal = np.zeros((len(self.shares), particle_count, 3, 3))
             self._last_stress = np.zeros((particle_count, 3, 3))
+        return self.terms_of(dt_s, self.memory(particle_count))
+
+    def terms_of(self, dt_s: float, memory: StressMemory) -> tuple[float, Array]:
+        """Return what `step_terms` does, of a given memory."""
         decay, gain = self._factors(dt_s)
         fast = 1.0 - float(np.sum(self.shares * (1.0 - gain)))
-        history = np.einsum("k,kpij->pij", decay, self._internal)
-        history -= float(np.sum(self.shares * gain)) * self._last_stress
+        history = np.einsum("k,kpij->pij", decay, memory.internal_pa)
+        history -= float(np.sum(self.shares * gain)) * memory.last_pa
         return fast, history
 
     def finish_step(self, dt_s: float, stress_pa: Array) -> None:

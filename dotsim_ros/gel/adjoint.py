@@ -1,0 +1,643 @@
+"""Derivatives of a loss of skin and wrench by everything that the implicit gel depends on.
+
+Each substep ends at an equilibrium g(u, x; theta) = 0 (see `equilibrium`), and hands on to the next
+one the contact's memory, the relaxed stresses and the velocity. Going back through the substeps,
+each takes one solve with the transposed exact derivative, A^T lambda = dL/du, and
+dL/dtheta = -lambda . dg/dtheta (Giles and Pierce, "An introduction to the adjoint approach to
+design", 2000). Warp's tape differentiates the residual.
+
+    recorder = Recorder(gel)
+    states = [recorder.step([pose], dt_s) for pose in poses]
+    gradient = trajectory_gradient(gel, recorder.trajectories[0], losses)
+
+With a refinement its added compliance counts as 1/E times a constant: derivatives leave out how it
+varies with Poisson's ratio and with the gel's lengths.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dotsim_ros.gel.adjoint_kernels import adjoint_kernels
+from dotsim_ros.gel.contact import REFERENCE_SPACING_M
+from dotsim_ros.gel.differentiable_contact import ContactAdjoint, MarkerContact
+from dotsim_ros.gel.discretization import bonded_points, interpolation_at
+from dotsim_ros.gel.elasticity import BOND_STIFFNESS, GHOST_PENALTY
+from dotsim_ros.gel.equilibrium import (
+    ElasticFactor,
+    Linearisation,
+    contact_on_nodes,
+    contact_response_matrix,
+    fine_part,
+)
+from dotsim_ros.gel.implicit import ImplicitGel
+from dotsim_ros.gel.material import ElasticLaw
+from dotsim_ros.gel.relaxation import StressMemory
+from dotsim_ros.gel.reshape import shape_rates
+from dotsim_ros.gel.trajectory import ContactRecord, Substep, Trajectory, elastic_stiffness
+from dotsim_ros.geometry.pose import Pose
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class LossGradient:
+    """Derivatives of a loss by what a step returned, in units of the loss per SI unit.
+
+    Attributes:
+        skin: (V, 3) by `skin_position_m`; None for zero.
+        force, torque: (3,) by the wrench on the indenter.
+    """
+
+    skin: Array | None = None
+    force: Array = field(default_factory=lambda: np.zeros(3))
+    torque: Array = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Derivatives of a loss by the gel's parameters, in units of the loss per SI unit.
+
+    Attributes:
+        coefficients: (5,) by C10, C01, C20, C30, K. What the gel scales with Young's modulus at
+            small strain follows: the contact's stiffness, the bond, the ghost penalty and the
+            refinement.
+        prony_shares, prony_times_s: (K,) by the Prony series.
+        density_kg_m3: by the density; zero without inertia.
+        friction_coefficient, contact_stiffness, tangential_ratio: by `ContactSpecification`.
+        indenter_parameters: (n,) by `Indenter.parameters`.
+        indenter_twist: (6,) by a translation (m) and a rotation (rad) about the base's origin, both
+            along the axes of the base, that the poses of all steps have in common.
+        indenter_offset: (6,) the same along the indenter's axes and about its origin.
+        substep_twist: (S, 6) `indenter_twist` of each recorded substep alone.
+        geometry: by the gel's lengths (`reshape.shape_rates`); the skin moves with them, and so do
+            its rest positions, by which the loss has further derivatives of its own.
+    """
+
+    coefficients: Array
+    prony_shares: Array
+    prony_times_s: Array
+    density_kg_m3: float
+    friction_coefficient: float
+    contact_stiffness: float
+    tangential_ratio: float
+    indenter_parameters: Array
+    indenter_twist: Array
+    indenter_offset: Array
+    substep_twist: Array
+    geometry: dict[str, float]
+
+    def by_law(self, law: ElasticLaw) -> dict[str, float]:
+        """Return the derivatives by a law's own parameters, such as Young's modulus and nu.
+
+        Raises:
+            TypeError: the law is no dataclass of numbers.
+        """
+        if not dataclasses.is_dataclass(law) or isinstance(law, type):
+            raise TypeError(f"{type(law).__name__} is no dataclass, expected one of numbers")
+        result = {}
+        for name, value in dataclasses.asdict(law).items():
+            # Laws are smooth and cheap: a five-point difference is exact to rounding.
+            step = 1.0e-3 * (abs(value) or 1.0)
+            if name == "poisson_ratio":
+                step = 1.0e-3 * (0.5 - value)
+            slope = np.zeros(5)
+            for shift, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
+                changed = dataclasses.replace(law, **{name: value + shift * step})
+                slope += weight * changed.coefficients_pa()
+            result[name] = float(self.coefficients @ slope) / (12.0 * step)
+        return result
+
+
+def trajectory_gradient(
+    gel: ImplicitGel,
+    trajectory: Trajectory,
+    loss_gradient: Sequence[LossGradient | None],
+    *,
+    environment: int = 0,
+) -> Gradient:
+    """Return the derivatives of a loss of one environment's recorded steps.
+
+    Args:
+        gel: as it was recorded, with the same indenter.
+        trajectory: of that environment.
+        loss_gradient: for each recorded step; None where the loss does not depend on it.
+
+    Raises:
+        ValueError: another number of steps than recorded, or a derivative of a wrong shape.
+    """
+    if len(loss_gradient) != len(trajectory.step_end):
+        raise ValueError(
+            f"{len(loss_gradient)} loss gradients for {len(trajectory.step_end)} recorded steps"
+        )
+    shape = gel.skin.rest_position_m.shape
+    backward = _Backward(gel, environment)
+    losses: list[LossGradient | None] = [None] * len(trajectory.substeps)
+    for step, loss in enumerate(loss_gradient):
+        if loss is None:
+            continue
+        if loss.skin is not None and loss.skin.shape != shape:
+            raise ValueError(f"step {step}: skin has shape {loss.skin.shape}, expected {shape}")
+        if trajectory.is_at_rest[step]:
+            if loss.skin is not None:
+                backward.sums.marker += loss.skin
+        else:
+            losses[trajectory.step_end[step] - 1] = loss
+    for substep, loss in zip(reversed(trajectory.substeps), reversed(losses), strict=True):
+        backward.go_back(substep, loss or LossGradient())
+    return backward.gradient()
+
+
+@dataclass
+class _Carried:
+    """Derivatives by what a substep hands on to the next one."""
+
+    memory: Array
+    skin: Array
+    displacement: Array
+    velocity: Array
+    relaxation: StressMemory
+
+
+@dataclass
+class _Sums:
+    """Derivatives that add up over the substeps: by the law's constants with everything else held
+    (`coefficients`, `youngs_modulus`, `shear_modulus` for what scales with them), by the rest
+    positions, volumes and areas of particles, markers and bonded points, and by the rest."""
+
+    coefficients: Array
+    shares: Array
+    times_s: Array
+    shape: Array
+    particle: Array
+    volume: Array
+    marker: Array
+    marker_area: Array
+    bonded: Array
+    bonded_area: Array
+    offset: Array = field(default_factory=lambda: np.zeros(6))
+    twists: list[Array] = field(default_factory=list)
+    youngs_modulus: float = 0.0
+    shear_modulus: float = 0.0
+    density: float = 0.0
+    friction: float = 0.0
+    stiffness: float = 0.0
+    tangential_ratio: float = 0.0
+
+
+class _Backward:
+    """Goes back through the substeps, last first."""
+
+    def __init__(self, gel: ImplicitGel, environment: int) -> None:
+        self.gel, self.environment = gel, environment
+        d = gel.discretization
+        terms = len(gel.material.prony.shares)
+        self.carried = _Carried(
+            np.zeros((gel.skin.vertex_count, 3)),
+            np.zeros((gel.skin.vertex_count, 3)),
+            np.zeros((d.node_count, 3)),
+            np.zeros((d.node_count, 3)),
+            StressMemory(
+                np.zeros((terms, d.particle_count, 3, 3)), np.zeros((d.particle_count, 3, 3))
+            ),
+        )
+        self.points = _RestPoints(gel)
+        bonded = len(self.points.bonded_m)
+        self.sums = _Sums(
+            coefficients=np.zeros(5),
+            shares=np.zeros(terms),
+            times_s=np.zeros(terms),
+            shape=np.zeros(len(gel.contact.field.parameters)),
+            particle=np.zeros((d.particle_count, 3)),
+            volume=np.zeros(d.particle_count),
+            marker=np.zeros((gel.skin.vertex_count, 3)),
+            marker_area=np.zeros(gel.skin.vertex_count),
+            bonded=np.zeros((bonded, 3)),
+            bonded_area=np.zeros(bonded),
+        )
+        self.kernels = adjoint_kernels()
+
+    def go_back(self, substep: Substep, loss: LossGradient) -> None:
+        """Add a substep's share of the derivatives, and replace what it was handed on by what was
+        handed on to it."""
+        gel = self.gel
+        self.twist = np.zeros(6)
+        by_skin = self.carried.skin
+        if loss.skin is not None:
+            by_skin = by_skin + loss.skin
+        by_node = self.carried.displacement + self.carried.velocity / substep.dt_s
+        stress = self._stress_adjoint(substep)
+        if stress is not None:
+            by_node = by_node + stress
+        record = substep.contact
+        if record is not None:
+            by_skin = by_skin + self._remembered_position(substep, record.pose)
+        contact = _LoadedContact(gel, substep, record, loss, self.carried.memory)
+        by_skin = contact.add_to(by_skin)
+        fast_share, history_pa = self._history(substep)
+        virtual, by_force, by_position = contact.solve(
+            elastic_stiffness(gel, substep.displacement_m, substep.inertia, self.environment),
+            by_node,
+            by_skin,
+        )
+        self._add_markers(substep, contact, virtual, by_force, by_position)
+        power = self._add_particles(substep, virtual, fast_share, history_pa)
+        self._add_bond_and_ghost(substep, virtual)
+        carried_displacement = self._add_inertia(substep, virtual)
+        velocity = carried_displacement * substep.dt_s
+        carried_displacement = carried_displacement - self.carried.velocity / substep.dt_s
+        self.carried.displacement, self.carried.velocity = carried_displacement, velocity
+        self._go_back_in_relaxation(substep, *power)
+        self.carried.skin = np.zeros_like(by_skin)
+        self.carried.memory = np.zeros_like(by_skin)
+        if record is not None and contact.marker_contact is not None:
+            adjoint = contact.marker_contact.adjoint(by_force, contact.by_slip)
+            self._add_contact(substep, record, adjoint)
+        self.sums.twists.append(self.twist)
+        if record is not None:
+            self.sums.offset += _in_frame(self.twist, record.pose)
+
+    def _remembered_position(self, substep: Substep, pose: Pose) -> Array:
+        """Return the derivatives (V, 3) by the skin through the position that contact remembers."""
+        by_position = -self.carried.memory @ pose.rotation().T
+        self._turn_indenter(substep.skin_position_m, by_position)
+        return by_position
+
+    def _turn_indenter(self, position_m: Array, by_position: Array) -> None:
+        """Add the twist of a pose that sees positions (V, 3) in its frame."""
+        self.twist[:3] -= by_position.sum(axis=0)
+        self.twist[3:] -= np.cross(position_m, by_position).sum(axis=0)
+
+    def _add_contact(
+        self, substep: Substep, record: ContactRecord, adjoint: ContactAdjoint
+    ) -> None:
+        sums, specification = self.sums, self.gel.contact_specification
+        youngs = self.gel.body.youngs_modulus_pa
+        normal = adjoint.stiffness + specification.tangential_ratio * adjoint.tangential_stiffness
+        sums.stiffness += normal * youngs / REFERENCE_SPACING_M
+        sums.youngs_modulus += normal * specification.stiffness / REFERENCE_SPACING_M
+        sums.tangential_ratio += adjoint.tangential_stiffness * self.gel.contact.law.stiffness
+        sums.friction += adjoint.friction
+        sums.shape += adjoint.shape
+        self.twist += adjoint.twist
+        if not record.is_fresh:
+            self.carried.memory[record.marker] = adjoint.memory
+            return
+        by_position = -adjoint.memory @ record.pose.rotation().T
+        self._turn_indenter(substep.skin_before_m[record.marker], by_position)
+        if self.gel._remembers():
+            self.carried.skin[record.marker] = by_position
+        else:
+            sums.marker[record.marker] += by_position
+
+    def _add_markers(
+        self,
+        substep: Substep,
+        contact: _LoadedContact,
+        virtual: Array,
+        by_force: Array,
+        by_position: Array,
+    ) -> None:
+        sums, gradient = self.sums, self.points.marker_gradient
+        sums.marker += by_position
+        sums.marker += _pulled(gradient.at(substep.displacement_m), by_position)
+        if contact.marker_contact is None:
+            return
+        marker, force = contact.marker, contact.marker_contact.force_n
+        sums.marker[marker] += _pulled(gradient.at(virtual)[marker], force)
+        sums.marker_area[marker] += (
+            np.sum(force * by_force, axis=1) / self.gel.skin.rest_area_m2[marker]
+        )
+        if self.gel.refinement is not None:
+            added = contact.added_displacement(force)
+            sums.youngs_modulus -= float(np.vdot(by_position, added)) / (
+                self.gel.body.youngs_modulus_pa
+            )
+
+    def _history(self, substep: Substep) -> tuple[float, Array]:
+        """Give the body the relaxation of a substep; return its fast share and history."""
+        if not self.gel.material.prony.shares:
+            return 1.0, substep.relaxation.last_pa
+        relaxation = self.gel._relaxation[self.environment]
+        fast_share, history_pa = relaxation.terms_of(substep.dt_s, substep.relaxation)
+        self.gel.body.set_history(fast_share, history_pa, self.environment)
+        return fast_share, history_pa
+
+    def _add_particles(
+        self, substep: Substep, virtual: Array, fast: float, history_pa: Array
+    ) -> tuple[float, Array]:
+        """Add what elasticity depends on; return the derivatives by the fast share and by the
+        history (P, 3, 3) of relaxation."""
+        body, k = self.gel.body, self.kernels
+        d = self.gel.discretization
+        weight_gradient = self._array(d.particle_weight_gradient, k.vec3)
+        coefficients = self._coefficients()
+        fast_share = self._array(np.array([fast]), wp.float64)
+        history_stress = self._array(history_pa[None], k.mat33)
+        power = self._array(np.zeros(d.particle_count), wp.float64)
+        with wp.Tape() as tape:
+            wp.launch(
+                k.stress_power,
+                dim=d.particle_count,
+                inputs=[
+                    body.node_index,
+                    weight_gradient,
+                    body.volume,
+                    coefficients,
+                    fast_share,
+                    history_stress,
+                    self._array(substep.displacement_m[None], k.vec3),
+                    self._array(virtual[None], k.vec3),
+                ],
+                outputs=[power],
+                device=body.device,
+            )
+        power.grad.fill_(-1.0)
+        tape.backward()
+        self.sums.coefficients += coefficients.grad.numpy()[0]
+        self.sums.volume -= power.numpy() / d.particle_volume_m3
+        self._move_particles(weight_gradient.grad.numpy())
+        return float(fast_share.grad.numpy()[0]), history_stress.grad.numpy()[0].copy()
+
+    def _stress_adjoint(self, substep: Substep) -> Array | None:
+        """Return the derivatives (N, 3) by the nodes through the stress that relaxation remembers;
+        add those by the law and the geometry."""
+        self.stress: Array | None = None
+        if not self.gel.material.prony.shares:
+            return None
+        body, k = self.gel.body, self.kernels
+        relaxation = self.gel._relaxation[self.environment]
+        seed = relaxation.stress_adjoint(substep.dt_s, self.carried.relaxation)
+        weight_gradient = self._array(self.gel.discretization.particle_weight_gradient, k.vec3)
+        coefficients = self._coefficients()
+        displacement = self._array(substep.displacement_m[None], k.vec3)
+        stress = self._array(np.zeros((1, *seed.shape)), k.mat33)
+        with wp.Tape() as tape:
+            wp.launch(
+                k.material_stress,
+                dim=stress.shape,
+                inputs=[body.node_index, weight_gradient, coefficients, displacement],
+                outputs=[stress],
+                device=body.device,
+            )
+        stress.grad.assign(seed[None])
+        tape.backward()
+        self.stress = stress.numpy()[0].copy()
+        self.sums.coefficients += coefficients.grad.numpy()[0]
+        self._move_particles(weight_gradient.grad.numpy())
+        by_node: Array = displacement.grad.numpy()[0].copy()
+        return by_node
+
+    def _go_back_in_relaxation(self, substep: Substep, by_fast: float, by_history: Array) -> None:
+        if self.stress is None:
+            return
+        adjoint = self.gel._relaxation[self.environment].step_adjoint(
+            substep.dt_s,
+            substep.relaxation,
+            self.stress,
+            after=self.carried.relaxation,
+            fast_share=by_fast,
+            history_pa=by_history,
+        )
+        self.carried.relaxation = adjoint.memory
+        self.sums.shares += adjoint.shares
+        self.sums.times_s += adjoint.times_s
+
+    def _move_particles(self, by_weight_gradient: Array) -> None:
+        self.sums.particle += np.einsum(
+            "paj,paij->pi", by_weight_gradient, self.points.particle_curvature
+        )
+
+    def _add_bond_and_ghost(self, substep: Substep, virtual: Array) -> None:
+        gel, sums, points = self.gel, self.sums, self.points
+        d, h, u = gel.discretization, gel.discretization.spacing_m, substep.displacement_m
+        scale = BOND_STIFFNESS / h
+        sums.youngs_modulus -= scale * float(np.vdot(virtual, d.bond @ u))
+        sums.shear_modulus -= GHOST_PENALTY * h * float(np.vdot(virtual, d.ghost @ u))
+        scale *= gel.body.youngs_modulus_pa
+        here, there = points.bonded_weight @ u, points.bonded_weight @ virtual
+        sums.bonded_area -= scale * np.sum(here * there, axis=1)
+        moved = _pulled(points.bonded_gradient.at(u), there)
+        moved += _pulled(points.bonded_gradient.at(virtual), here)
+        sums.bonded -= scale * points.bonded_area_m2[:, None] * moved
+
+    def _add_inertia(self, substep: Substep, virtual: Array) -> Array:
+        """Return the derivatives (N, 3) by where the nodes would go without forces."""
+        inertia = substep.inertia
+        if inertia is None:
+            return np.zeros_like(virtual)
+        sums, points = self.sums, self.points
+        change = substep.displacement_m - inertia.predicted_m
+        pull = inertia.stiffness @ virtual
+        density = self.gel.material.density_kg_m3
+        sums.density -= float(np.vdot(pull, change)) / density
+        scale = density / substep.dt_s**2
+        here, there = points.particle_weight @ change, points.particle_weight @ virtual
+        sums.volume -= scale * np.sum(here * there, axis=1)
+        moved = _pulled(points.particle_gradient.at(change), there)
+        moved += _pulled(points.particle_gradient.at(virtual), here)
+        volume = self.gel.discretization.particle_volume_m3
+        sums.particle -= scale * volume[:, None] * moved
+        return np.asarray(pull)
+
+    def _coefficients(self) -> Any:
+        chosen = self.gel.body.coefficients.numpy()[self.environment : self.environment + 1]
+        return self._array(chosen, self.kernels.vec5)
+
+    def _array(self, values: Array, dtype: Any) -> Any:
+        contiguous = np.ascontiguousarray(values)
+        return wp.array(contiguous, dtype=dtype, device=self.gel.device, requires_grad=True)
+
+    def gradient(self) -> Gradient:
+        """Return the sums, as derivatives by the parameters that the gel is made from."""
+        sums, gel = self.sums, self.gel
+        # What still is carried belongs to the skin at rest, before the first substep.
+        sums.marker += self.carried.skin
+        coefficients = sums.coefficients.copy()
+        c10, c01, *_, bulk = gel.material.law.coefficients_pa()
+        mu = 2.0 * (c10 + c01)
+        by_mu = sums.shear_modulus + sums.youngs_modulus * 27.0 * bulk**2 / (3.0 * bulk + mu) ** 2
+        coefficients[:2] += 2.0 * by_mu
+        coefficients[4] += sums.youngs_modulus * 9.0 * mu**2 / (3.0 * bulk + mu) ** 2
+        twists = np.array(sums.twists[::-1]).reshape(-1, 6)
+        return Gradient(
+            coefficients=coefficients,
+            prony_shares=sums.shares,
+            prony_times_s=sums.times_s,
+            density_kg_m3=sums.density,
+            friction_coefficient=sums.friction,
+            contact_stiffness=sums.stiffness,
+            tangential_ratio=sums.tangential_ratio,
+            indenter_parameters=sums.shape[: len(gel.contact.indenter.parameters)],
+            indenter_twist=twists.sum(axis=0),
+            indenter_offset=sums.offset,
+            substep_twist=twists,
+            geometry=self._geometry(),
+        )
+
+    def _geometry(self) -> dict[str, float]:
+        gel, sums = self.gel, self.sums
+        d = gel.discretization
+        particle = shape_rates(gel.shape, d.particle_position_m)
+        marker = shape_rates(gel.shape, gel.skin.rest_position_m)
+        bonded = shape_rates(gel.shape, self.points.bonded_m)
+        result = {}
+        for name in particle:
+            total = float(np.vdot(sums.particle, particle[name].velocity))
+            total += float(sums.volume @ (particle[name].volume * d.particle_volume_m3))
+            total += float(np.vdot(sums.marker, marker[name].velocity))
+            total += float(sums.marker_area @ (marker[name].area * gel.skin.rest_area_m2))
+            total += float(np.vdot(sums.bonded, bonded[name].velocity))
+            total += float(sums.bonded_area @ (bonded[name].area * self.points.bonded_area_m2))
+            result[name] = total
+        return result
+
+
+class _LoadedContact:
+    """The contact at the end of a substep, its derivatives, and the adjoint's solve with them."""
+
+    def __init__(
+        self,
+        gel: ImplicitGel,
+        substep: Substep,
+        record: ContactRecord | None,
+        loss: LossGradient,
+        by_memory: Array,
+    ) -> None:
+        self.gel, self.loss = gel, loss
+        self.marker = np.zeros(0, dtype=np.int32)
+        self.marker_contact: MarkerContact | None = None
+        self.by_slip = np.zeros((0, 3))
+        if record is None or len(record.marker) == 0:
+            return
+        self.marker = record.marker
+        self.position_m = substep.skin_position_m[record.marker]
+        self.marker_contact = MarkerContact(
+            gel.contact,
+            gel.skin.rest_area_m2[record.marker],
+            self.position_m,
+            record.pose,
+            record.memory_m,
+        )
+        self.by_slip = by_memory[record.marker]
+
+    def add_to(self, by_skin: Array) -> Array:
+        """Add the derivatives by the markers' positions through the torque and the slip."""
+        if self.marker_contact is None:
+            return by_skin
+        force = self.marker_contact.force_n
+        adjoint = self.marker_contact.adjoint(np.zeros_like(force), self.by_slip)
+        result = by_skin.copy()
+        result[self.marker] += adjoint.position - np.cross(force, self.loss.torque)
+        return result
+
+    def solve(
+        self, stiffness: sparse.csr_matrix, by_node: Array, by_skin: Array
+    ) -> tuple[Array, Array, Array]:
+        """Return the virtual displacement (N, 3), and the derivatives by the forces (A, 3) and by
+        the positions of the skin (V, 3) once all follows from equilibrium."""
+        gel = self.gel
+        right = by_node + gel.skin_weight.T @ by_skin
+        node_cell = gel.discretization.node_cell
+        if self.marker_contact is None:
+            factor = ElasticFactor(stiffness, node_cell, np.zeros(0, dtype=np.int32))
+            return factor.solve(right.ravel()).reshape(-1, 3), np.zeros((0, 3)), by_skin
+        own = self.marker_contact.stiffness()
+        fine = None if gel.refinement is None else fine_part(gel.refinement, self.marker)
+        response = contact_response_matrix(own, fine, np.arange(len(own)))
+        weight = gel.skin_weight[self.marker]
+        node = np.unique(weight.indices).astype(np.int32)
+        by_force = -self.loss.force - np.cross(self.loss.torque, self.position_m)
+        if gel.refinement is not None:
+            by_force = by_force + self.added_displacement_adjoint(by_skin)
+        # With phi = (1 - B H^T)^-1 (by_force + S lambda): H^T phi = response^T (...)
+        pulled = (response.T @ by_force.ravel()).reshape(-1, 3)
+        right = right + weight.T @ pulled
+        solver = Linearisation(
+            ElasticFactor(stiffness, node_cell, node), contact_on_nodes(response, weight, node)
+        )
+        virtual = solver.solve_transposed(right.ravel()).reshape(-1, 3)
+        total = by_force + weight @ virtual
+        pulled = (response.T @ total.ravel()).reshape(-1, 3)
+        if fine is not None:
+            total = total + fine.displacement(pulled)
+        by_position = by_skin.copy()
+        by_position[self.marker] += pulled
+        return virtual, total, by_position
+
+    def added_displacement(self, force_n: Array) -> Array:
+        """Return B f (V, 3), the refinement's displacement of the skin under forces (A, 3)."""
+        refinement = self.gel.refinement
+        assert refinement is not None
+        nodal = refinement.skin_weight[self.marker].T @ force_n
+        loaded = np.flatnonzero(np.any(nodal, axis=1)).astype(np.int32)
+        moved: Array = refinement.skin_weight @ refinement.displacement(loaded, nodal[loaded])
+        return moved
+
+    def added_displacement_adjoint(self, by_skin: Array) -> Array:
+        """Return B^T (A, 3) of derivatives (V, 3) by the skin."""
+        refinement = self.gel.refinement
+        assert refinement is not None
+        nodal = refinement.skin_weight.T @ by_skin
+        loaded = np.flatnonzero(np.any(nodal, axis=1)).astype(np.int32)
+        added = refinement.displacement(loaded, nodal[loaded])
+        result: Array = refinement.skin_weight[self.marker] @ added
+        return result
+
+
+@dataclass(frozen=True)
+class _FieldGradient:
+    """Evaluates the gradient of a nodal field at fixed points."""
+
+    node_index: IntArray
+    weight_gradient: Array
+
+    def at(self, nodal: Array) -> Array:
+        """Return (P, 3, 3) of nodal values (N, 3), [point, component, direction]."""
+        # Node by node, so that no array of (P, 27, 3, 3) arises.
+        result = np.zeros((len(self.node_index), 3, 3))
+        for a in range(27):
+            result += (
+                nodal[self.node_index[:, a]][:, :, None] * self.weight_gradient[:, a][:, None, :]
+            )
+        return result
+
+
+def _pulled(gradient: Array, by_value: Array) -> Array:
+    """Return the derivatives (P, 3) by positions, of a field's gradient (P, 3, 3) there and the
+    derivatives (P, 3) by its values."""
+    result: Array = np.einsum("pij,pi->pj", gradient, by_value)
+    return result
+
+
+class _RestPoints:
+    """Weights at particles, markers and bonded points, and how they vary with the points."""
+
+    def __init__(self, gel: ImplicitGel) -> None:
+        d = gel.discretization
+        particles, gradient, self.particle_curvature = interpolation_at(d, d.particle_position_m)
+        self.particle_weight = particles.matrix(d.node_count)
+        self.particle_gradient = _FieldGradient(particles.node_index, gradient)
+        inward = 1.0 - 1e-9
+        markers, gradient, _ = interpolation_at(d, gel.skin.rest_position_m * inward)
+        self.marker_gradient = _FieldGradient(markers.node_index, gradient)
+        self.bonded_m, self.bonded_area_m2 = bonded_points(gel.shape, d.spacing_m)
+        bonded, gradient, _ = interpolation_at(d, self.bonded_m)
+        self.bonded_weight = bonded.matrix(d.node_count)
+        self.bonded_gradient = _FieldGradient(bonded.node_index, gradient)
+
+
+def _in_frame(twist: Array, pose: Pose) -> Array:
+    """Return the derivatives by a motion along a pose's axes and about its origin, from those by a
+    motion along the base's axes and about the base's origin."""
+    about_origin = twist[3:] - np.cross(pose.position_m, twist[:3])
+    return (np.stack([twist[:3], about_origin]) @ pose.rotation()).ravel()
