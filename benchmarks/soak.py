@@ -85,9 +85,10 @@ def soak(minutes: float) -> dict[str, Any]:
         count = int(60.0 * minutes * RATE_HZ)
         for index in range(count):
             due_s = begun_s + index / RATE_HZ
+            given_up_s = max(due_s, time.monotonic()) + LAST_FRAME_TIMEOUT_S
             while time.monotonic() < due_s or len(waiting) >= MOST_IN_FLIGHT:
                 executor.spin_once(timeout_sec=max(0.0, min(0.02, due_s - time.monotonic())))
-                if time.monotonic() - due_s > LAST_FRAME_TIMEOUT_S:
+                if time.monotonic() > given_up_s:
                     break
             pose = press.at(index / RATE_HZ % press.duration_s)
             stamp_ns = node.get_clock().now().nanoseconds
