@@ -65,7 +65,7 @@ def test_slide_ends_at_coulombs_limit() -> None:
     assert np.ptp(ratios[3:8]) < 0.01 * coefficient
     assert ratios[3:8] == pytest.approx(coefficient, rel=0.03)
     # The shape pushes a little to one side, there and back alike: half the difference is friction.
-    assert 0.5 * (ratios[3:5] - ratios[16:14:-1]) == pytest.approx(coefficient, rel=0.005)
+    assert 0.5 * (ratios[2:4] - ratios[17:15:-1]) == pytest.approx(coefficient, rel=0.005)
     assert abs(states[7].wrench.force_n[1]) < 1e-3 * states[7].wrench.force_n[2]
 
 
