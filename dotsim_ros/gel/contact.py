@@ -2,8 +2,8 @@
 
 Pressure grows with the penetration of a marker, C2 near zero; friction is Coulomb's law with a
 tangential spring while sticking and return to the limit while slipping (Wriggers, "Computational
-Contact Mechanics", 2006, chapters 5 and 9). The limit uses the pressure of the previous iteration,
-so that every iteration has an energy.
+Contact Mechanics", 2006, chapters 5 and 9). Its limit and its plane use pressure and normal of the
+previous iteration, so that every iteration has an energy.
 """
 
 from __future__ import annotations
@@ -42,6 +42,7 @@ class ContactResponse:
         energy_j: sum of the contact energies.
         hessian: (C, 3, 3) positive semi-definite part of the stiffness, N/m.
         local_position_m, slip_m: (C, 3) in the indenter's frame, the history if the step ends.
+        normal: (C, 3) gradient of the distance, base frame.
     """
 
     distance_m: Array
@@ -51,6 +52,16 @@ class ContactResponse:
     hessian: Array
     local_position_m: Array
     slip_m: Array
+    normal: Array
+
+
+@dataclass(frozen=True)
+class Lag:
+    """What an iteration's friction takes from the one before: pressure (C,) and normal (C, 3) of
+    the candidates, a zero normal for none."""
+
+    pressure_pa: Array
+    normal: Array
 
 
 @dataclass
@@ -92,7 +103,8 @@ class Contact:
         self.device = device
         self.kernels = contact_kernels(wp.float64)
         self.field: Any = indenter_field(indenter, scalar=wp.float64, device=device)
-        self.area = wp.array(area_m2, dtype=wp.float64, device=device)
+        self._area_m2 = area_m2
+        self.area: Any = wp.array(area_m2, dtype=wp.float64, device=device)
         law = self.kernels.ContactLaw()
         law.stiffness = specification.stiffness * youngs_modulus_pa / REFERENCE_SPACING_M
         law.tangential_stiffness = specification.tangential_ratio * law.stiffness
@@ -101,13 +113,21 @@ class Contact:
         law.smoothing = SMOOTHING_M
         self.law = law
 
+    def marker_stiffness(self, marker: IntArray) -> Array:
+        """Return (A, 3, 3) stiffness of markers that are stuck to the indenter, N/m."""
+        return self.normal_stiffness(marker)[:, None, None] * np.eye(3)
+
+    def normal_stiffness(self, marker: IntArray) -> Array:
+        """Return (A,) stiffness of markers in full contact along the normal, N/m."""
+        return np.asarray(self.law.stiffness * self._area_m2[marker])
+
     def respond(
         self,
         candidate: IntArray,
         position_m: Array,
         pose: Pose,
         history: ContactHistory,
-        lagged_pressure_pa: Array,
+        lag: Lag,
     ) -> ContactResponse:
         """Return the response of candidate markers (C,) at positions (C, 3) to the indenter."""
         k, device, count = self.kernels, self.device, len(candidate)
@@ -119,7 +139,7 @@ class Contact:
             return wp.empty(count, dtype=dtype, device=device)
 
         outputs = [empty(wp.float64), empty(wp.float64), empty(k.vec3), empty(wp.float64)]
-        outputs += [empty(k.mat33), empty(k.vec3), empty(k.vec3)]
+        outputs += [empty(k.mat33), empty(k.vec3), empty(k.vec3), empty(k.vec3)]
         wp.launch(
             k.contact_response,
             dim=count,
@@ -131,15 +151,16 @@ class Contact:
                 k.mat33(*pose.rotation().ravel().tolist()),
                 k.vec3(*pose.position_m.tolist()),
                 self.law,
-                wp.array(lagged_pressure_pa, dtype=wp.float64, device=device, copy=False),
+                wp.array(lag.pressure_pa, dtype=wp.float64, device=device, copy=False),
+                vectors(lag.normal),
                 vectors(history.local_position_m),
                 vectors(history.slip_m),
             ],
             outputs=outputs,
             device=device,
         )
-        distance, pressure, force, energy, hessian, local, slip = (o.numpy() for o in outputs)
-        return ContactResponse(distance, pressure, force, float(energy.sum()), hessian, local, slip)
+        distance, pressure, force, energy, *others = (o.numpy() for o in outputs)
+        return ContactResponse(distance, pressure, force, float(energy.sum()), *others)
 
 
 def wrench_on_indenter(position_m: Array, force_on_marker_n: Array) -> Wrench:

@@ -68,6 +68,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         origin: vec3,
         law: ContactLaw,
         lagged_pressure: wp.array(dtype=scalar),
+        lagged_normal: wp.array(dtype=vec3),
         start_position: wp.array(dtype=vec3),
         start_slip: wp.array(dtype=vec3),
         distance: wp.array(dtype=scalar),
@@ -77,12 +78,14 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         hessian: wp.array(dtype=mat33),
         local_position: wp.array(dtype=vec3),
         slip: wp.array(dtype=vec3),
+        normal: wp.array(dtype=vec3),
     ):
         """Distance, pressure, force on the marker, energy and positive part of the stiffness of
         the listed markers; positions of the candidates in their order, histories of all markers.
 
         Histories are kept in the indenter's frame: where a marker was at the start of the step,
-        and its elastic slip. The friction's limit is mu times the lagged pressure.
+        and its elastic slip. Friction lies in the plane of the lagged normal (zero: the present
+        one), its limit is mu times the lagged pressure.
         """
         i = wp.tid()
         m = candidate[i]
@@ -98,8 +101,13 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         psi = a * pressure_energy(law, depth)
         h = (a * pressure_slope(law, depth)) * wp.outer(n, n)
         tangent_slip = vec3()
-        if depth > scalar(0.0) and law.friction > scalar(0.0):
-            projector = wp.identity(3, dtype=scalar) - wp.outer(n, n)
+        if lagged_pressure[i] > scalar(0.0) and law.friction > scalar(0.0):
+            m0 = lagged_normal[i]
+            if wp.length_sq(m0) == scalar(0.0):
+                m0 = n
+            else:
+                m0 = wp.transpose(rotation) * m0
+            projector = wp.identity(3, dtype=scalar) - wp.outer(m0, m0)
             s = projector * (start_slip[m] + y - start_position[m])
             length = wp.length(s)
             limit = law.friction * lagged_pressure[i] / law.tangential_stiffness
@@ -116,6 +124,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
                 h += (force_limit / length) * (projector - wp.outer(direction, direction))
                 tangent_slip = limit * direction
         slip[i] = tangent_slip
+        normal[i] = rotation * n
         force[i] = rotation * f
         energy[i] = psi
         hessian[i] = rotation * h * wp.transpose(rotation)

@@ -29,6 +29,8 @@ IntArray = NDArray[np.int32]
 
 SETTLED_M = 1.0e-10
 """Newton's method ends when an iteration moves neither a marker nor a node farther."""
+LARGEST_MOVE_M = 50.0e-6
+"""An iteration moves nothing farther: the contact's stiffness changes over some micrometres."""
 ITERATIONS = 60
 NEARBY_M = 0.1e-3
 """Markers closer than this to the indenter may come into contact while the gel settles."""
@@ -162,7 +164,7 @@ class Candidates:
 
     Attributes:
         marker: (C,) their numbers.
-        rest_position_m, memory_m: (C, 3); the latter as `MarkerContact` takes it.
+        rest_position_m, start_m: (C, 3) their positions at rest and in the state to begin with.
         weight: (C, N) their weights.
         fine: what the refinement adds, if there is one.
         respond: the contact of some of them (their rows) at positions (A, 3).
@@ -170,7 +172,7 @@ class Candidates:
 
     marker: IntArray
     rest_position_m: Array
-    memory_m: Array
+    start_m: Array
     weight: sparse.csr_matrix
     fine: FinePart | None
     respond: Callable[[NDArray[np.int64], Array], MarkerContact]
@@ -230,7 +232,7 @@ class _Settling:
     ) -> None:
         self.displacement_m, self.node_cell = start_m, node_cell
         self.forces, self.stiffness, self.candidates = forces, stiffness, candidates
-        self.position_m = candidates.rest_position_m + candidates.weight @ start_m
+        self.position_m = candidates.start_m
         self.factor: ElasticFactor | None = None
         self.moved_m = np.inf
 
@@ -279,9 +281,11 @@ class _Settling:
             change = np.zeros_like(force)
             change[active] = (response @ move[active].ravel()).reshape(-1, 3)
             move += c.fine.displacement(change)
+        moved = max(float(np.abs(move).max(initial=0.0)), float(np.abs(step).max()))
+        scale = min(scale, LARGEST_MOVE_M / max(moved, LARGEST_MOVE_M))
         self.displacement_m = self.displacement_m + scale * step
         self.position_m = self.position_m + scale * move
-        return max(float(np.abs(move).max(initial=0.0)), float(np.abs(step).max()))
+        return moved
 
     def _renew_factor(self, weight: sparse.csr_matrix) -> ElasticFactor:
         needed = np.unique(weight.indices)

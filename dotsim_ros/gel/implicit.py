@@ -14,22 +14,31 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.gel.block_solver import BlockCholesky
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.contact import (
     ONSET_M,
+    SMOOTHING_M,
     Contact,
     ContactHistory,
     ContactResponse,
+    Lag,
     fresh_history,
     wrench_on_indenter,
 )
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.material import Material
-from dotsim_ros.gel.patch import EffectiveContact, Patch, effective_contact, make_patch
+from dotsim_ros.gel.patch import EffectiveContact, NearContact, Patch, contact_set, make_patch
 from dotsim_ros.gel.refinement import Refinement, refine
 from dotsim_ros.gel.relaxation import Relaxation
-from dotsim_ros.gel.tangent import ExactTangent, LocalFactor, LocalTangent, Region
+from dotsim_ros.gel.tangent import (
+    ExactTangent,
+    LocalFactor,
+    LocalTangent,
+    Region,
+    compliance_between,
+)
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -50,6 +59,18 @@ REGION_MARGIN_M = 0.8e-3
 CORE_CLEARANCE_M = 1.5e-3
 """The indenter must stay this far from whatever the gel is bonded to."""
 SMALLEST_SCALE = 1.0e-3
+NEAR_CONTACT_M = 100.0e-6
+"""Markers that come closer than this may enter contact in the next iteration."""
+CARRIED_M = 30.0e-6
+"""A motion that extrapolation leaves out by more than this carries the contact along first."""
+LARGEST_STEP_M = 0.3e-3
+FRICTION_PASSES = 2
+"""How often a substep renews the pressure that limits friction; the first is the last substep's."""
+CALM_STEP_M = 50.0e-6
+"""It is renewed after an iteration that moves less than this."""
+RELINEARISE_EVERY = 4
+SLOW_CONVERGENCE = 0.3
+"""An iteration that moves farther than this share of the one before renews the factor."""
 
 
 class PressTooDeepError(ValueError):
@@ -117,6 +138,10 @@ class _Inertia:
     predicted_m: Array
 
 
+Observer = Callable[[World, Pose | None, _Point, _Inertia | None, float, int], _Point]
+"""Told world, pose, solution, inertia, duration and environment of a substep before it is
+finished; returns the solution to go on with."""
+
 NO_RESPONSE = ContactResponse(
     distance_m=np.zeros(0),
     pressure_pa=np.zeros(0),
@@ -125,6 +150,7 @@ NO_RESPONSE = ContactResponse(
     hessian=np.zeros((0, 3, 3)),
     local_position_m=np.zeros((0, 3)),
     slip_m=np.zeros((0, 3)),
+    normal=np.zeros((0, 3)),
 )
 
 
@@ -143,6 +169,7 @@ class ImplicitGel:
         progress: told the finished share of a refinement that is not in the cache.
 
     Attributes:
+        observer: called in every substep, None for none.
         trace: of the last substep, how far each iteration moved a marker (m) and the step's scale.
     """
 
@@ -160,7 +187,7 @@ class ImplicitGel:
         exact: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        self.skin, self.material, self.solver = skin, material, solver
+        self.shape, self.skin, self.material, self.solver = shape, skin, material, solver
         self.contact_specification, self.device = contact, device
         self.environment_count, self.exact = environment_count, exact
         self.discretization = discretize(shape, skin.rest_position_m, solver.grid_spacing_m)
@@ -198,6 +225,7 @@ class ImplicitGel:
         plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
         self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
         self.trace: list[tuple[float, float]] = []
+        self.observer: Observer | None = None
         self.set_indenter(indenter)
 
     def set_indenter(self, indenter: Indenter) -> None:
@@ -334,6 +362,8 @@ class ImplicitGel:
             self._prepare_contact(world, pose, timings)
         start = (world.displacement_m, world.fine_force_n)
         point, iterations, converged = self._minimise(world, pose, inertia, environment, timings)
+        if self.observer is not None:
+            point = self.observer(world, pose, point, inertia, dt_s, environment)
         clock = time.perf_counter()
         self._finish(world, pose, point, start, dt_s, environment)
         _add(timings, "skin", clock)
@@ -373,7 +403,7 @@ class ImplicitGel:
             world.history = fresh_history(world.skin_position_m, pose)
         every = np.arange(self.skin.vertex_count, dtype=np.int32)
         distance = self.contact.respond(
-            every, world.skin_position_m, pose, world.history, world.history.pressure_pa
+            every, world.skin_position_m, pose, world.history, _no_lag(self.skin.vertex_count)
         ).distance_m
         free = ~self.skin.on_base
         kept = free & (distance < PATCH_KEPT_M)
@@ -384,14 +414,13 @@ class ImplicitGel:
             )
         _add(timings, "contact", clock)
 
-    def _renew_region(self, world: World, near: NDArray[np.bool_], local: LocalTangent) -> Region:
-        assert world.patch is not None
-        centre = world.patch.rest_position_m[near]
+    def _renew_region(self, patch: Patch, near: NDArray[np.bool_], local: LocalTangent) -> Region:
+        centre = patch.rest_position_m[near]
         gap = np.min(
             np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
         )
         cell = np.flatnonzero(gap < REGION_RADIUS_M).astype(np.int32)
-        node = np.unique(world.patch.weight[near].indices).astype(np.int32)
+        node = np.unique(patch.weight[near].indices).astype(np.int32)
         return local.region(cell, node)
 
     def _evaluate(
@@ -399,7 +428,7 @@ class ImplicitGel:
         world: World,
         pose: Pose | None,
         unknowns: tuple[Array, Array],
-        lagged_pressure_pa: Array,
+        lag: Lag,
         inertia: _Inertia | None,
         environment: int,
         timings: dict[str, float],
@@ -427,7 +456,7 @@ class ImplicitGel:
             patch.position(displacement, added),
             pose,
             world.history,
-            lagged_pressure_pa,
+            lag,
         )
         energy += response.energy_j + 0.5 * float(np.vdot(local_force, added))
         _add(timings, "contact", clock)
@@ -441,28 +470,47 @@ class ImplicitGel:
         environment: int,
         timings: dict[str, float],
     ) -> tuple[_Point, int, bool]:
-        def evaluate(unknowns: tuple[Array, Array], lag: Array) -> _Point:
+        def evaluate(unknowns: tuple[Array, Array], lag: Lag) -> _Point:
             return self._evaluate(world, pose, unknowns, lag, inertia, environment, timings)
 
         patch = world.patch
-        lag = np.zeros(0)
+        lag = _no_lag(0)
         if patch is not None and world.history is not None:
-            lag = world.history.pressure_pa[patch.marker]
-        point = evaluate((world.displacement_m, world.fine_force_n), lag)
-        guess = self._extrapolate(world, pose)
-        if guess is not None:
-            guessed = evaluate(guess, lag)
-            if guessed.energy_j < point.energy_j:
-                point = guessed
+            lag = _no_lag(len(patch.marker))
+            lag.pressure_pa[:] = world.history.pressure_pa[patch.marker]
+        point = evaluate(self._extrapolate(world, pose), lag)
+        if not np.isfinite(point.energy_j):
+            point = evaluate((world.displacement_m, world.fine_force_n), lag)
         solver = _Direction(self, world, environment)
         self.trace.clear()
+        carried = self._carried_markers(world, pose)
+        if carried is not None:
+            clock = time.perf_counter()
+            step = solver.carry(point, *carried)
+            _add(timings, "solve", clock)
+            unknowns = (
+                point.displacement_m + step.displacement_m,
+                _plus(point.fine_force_n, patch, step.fine_force_n),
+            )
+            moved = evaluate(unknowns, lag)
+            if moved.energy_j < point.energy_j:
+                point = moved
+        passes = 1
         for iteration in range(1, self.solver.iterations + 1):
-            lag = point.response.pressure_pa
-            point = self._with_lag(world, pose, point, lag)
+            if iteration == 1:
+                lag = replace(lag, normal=point.response.normal)
+                point = self._with_lag(world, pose, point, lag)
+            elif self.trace[-1][0] < CALM_STEP_M and passes < FRICTION_PASSES:
+                passes += 1
+                lag = Lag(point.response.pressure_pa, point.response.normal)
+                point = self._with_lag(world, pose, point, lag)
             clock = time.perf_counter()
             step, slope = solver.step(point)
             _add(timings, "solve", clock)
-            scale = 1.0
+            scale = min(1.0, LARGEST_STEP_M / max(step.largest_m, LARGEST_STEP_M))
+            if step.largest_m < self.solver.tolerance_m:
+                self.trace.append((step.largest_m, scale))
+                return self._moved(world, pose, point, step, lag), iteration, True
             while True:
                 unknowns = (
                     point.displacement_m + scale * step.displacement_m,
@@ -475,11 +523,9 @@ class ImplicitGel:
                 scale *= 0.5
             point = trial
             self.trace.append((step.largest_m, scale))
-            if step.largest_m * scale < self.solver.tolerance_m and scale == 1.0:
-                return point, iteration, True
         return point, self.solver.iterations, False
 
-    def _with_lag(self, world: World, pose: Pose | None, point: _Point, lag: Array) -> _Point:
+    def _with_lag(self, world: World, pose: Pose | None, point: _Point, lag: Lag) -> _Point:
         """Return the point with friction limited by a newer pressure."""
         patch = world.patch
         if pose is None or patch is None or world.history is None:
@@ -494,19 +540,60 @@ class ImplicitGel:
         energy = point.energy_j - point.response.energy_j + response.energy_j
         return replace(point, energy_j=energy, response=response)
 
-    def _extrapolate(self, world: World, pose: Pose | None) -> tuple[Array, Array] | None:
-        """Return the unknowns if the gel goes on moving in proportion to the indenter."""
-        if world.last_change is None or pose is None or world.pose is None:
-            return None
-        displacement, fine_force, move = world.last_change
+    def _moved(
+        self, world: World, pose: Pose | None, point: _Point, step: _Step, lag: Lag
+    ) -> _Point:
+        """Return the point after a last, small step; energy and gradient are not renewed."""
+        patch = world.patch
+        point = replace(
+            point,
+            displacement_m=point.displacement_m + step.displacement_m,
+            fine_force_n=_plus(point.fine_force_n, patch, step.fine_force_n),
+        )
+        if patch is not None:
+            added = patch.added_displacement(point.fine_force_n[patch.fine_node])
+            point = replace(point, added_m=added)
+        return self._with_lag(world, pose, point, lag)
+
+    def _share_of_last_move(self, world: World, pose: Pose) -> float:
+        """Return how much of the last step's motion this one repeats: 1 at constant velocity."""
+        if world.last_change is None or world.pose is None:
+            return 0.0
+        move = world.last_change[2]
         length = float(move @ move)
         if length == 0.0:
-            return None
-        share = float(np.clip((pose.position_m - world.pose.position_m) @ move / length, -1.0, 2.0))
+            return 0.0
+        along = float((pose.position_m - world.pose.position_m) @ move) / length
+        return float(np.clip(along, -1.0, 2.0))
+
+    def _extrapolate(self, world: World, pose: Pose | None) -> tuple[Array, Array]:
+        """Return the unknowns if the gel goes on moving in proportion to the indenter."""
+        if world.last_change is None or pose is None:
+            return (world.displacement_m, world.fine_force_n)
+        share = self._share_of_last_move(world, pose)
+        displacement, fine_force, _ = world.last_change
         return (
             world.displacement_m + share * displacement,
             world.fine_force_n + share * fine_force,
         )
+
+    def _carried_markers(
+        self, world: World, pose: Pose | None
+    ) -> tuple[NDArray[np.int64], Array] | None:
+        """Return the patch's rows that were in contact, and how the part of the indenter's motion
+        that does not repeat the last step would carry them (A, 3); None where it is small."""
+        patch, before = world.patch, world.pose
+        if pose is None or patch is None or before is None or world.history is None:
+            return None
+        rows = np.flatnonzero(world.history.pressure_pa[patch.marker] > 0.0)
+        if len(rows) == 0:
+            return None
+        position = world.skin_position_m[patch.marker[rows]]
+        local = (position - before.position_m) @ before.rotation()
+        move = pose.apply(local) - position
+        if world.last_change is not None:
+            move -= self._share_of_last_move(world, pose) * world.last_change[2]
+        return (rows, move) if float(np.abs(move).max()) > CARRIED_M else None
 
     def _finish(
         self,
@@ -547,6 +634,10 @@ class ImplicitGel:
         world.history = history
 
 
+def _no_lag(count: int) -> Lag:
+    return Lag(np.zeros(count), np.zeros((count, 3)))
+
+
 def _add(timings: dict[str, float], part: str, since: float) -> None:
     timings[part] = timings.get(part, 0.0) + time.perf_counter() - since
 
@@ -574,77 +665,184 @@ class _Direction:
 
     def __init__(self, gel: ImplicitGel, world: World, environment: int) -> None:
         self.gel, self.world, self.environment = gel, world, environment
+        self.near: NearContact | None = None
         self.contact: EffectiveContact | None = None
+        self.touching: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self.surplus_n: Array = np.zeros((0, 3))
+        self.free: LocalFactor | BlockCholesky | None = None
         self.factor: LocalFactor | None = None
         self.stiffness: NDArray[np.float32] | None = None
         self.last_m = np.inf
+        self.is_slow = False
+        self.count = 0
+        self.linearise_at_m = world.displacement_m
 
     def step(self, point: _Point) -> tuple[_Step, float]:
         """Return the step from a point and the energy's slope along it, J."""
         patch, response = self.world.patch, point.response
         residual = -point.gradient_n
-        active = np.flatnonzero(response.pressure_pa > 0.0)
-        mismatch = np.zeros((0, 3))
-        if patch is None or len(active) == 0:
-            self.contact = None
-            right = residual.ravel()
-        else:
+        if patch is not None:
             residual = residual + patch.weight.T @ response.force_n
-            mismatch = self._mismatch(patch, point)
-            if self.contact is None or not np.array_equal(self.contact.active, active):
-                self.contact = effective_contact(patch, active, response.hessian[active])
-                self.factor = None
-            right = residual.copy()
-            back = self.contact.force(patch.fine_weight[active] @ mismatch)
-            right += patch.weight[active].T @ back
-            right = right.ravel()
-        displacement = self._solve(point, right).reshape(-1, 3)
-        if patch is None or self.contact is None:
+        if patch is None or not self._renew_contact(patch, point, residual):
+            displacement = self._solve(point, residual.ravel()).reshape(-1, 3)
             largest = float(np.abs(displacement).max())
-            self.last_m = largest
-            slope = -float(np.vdot(residual, displacement))
             unloading = np.zeros((0, 3)) if patch is None else -point.fine_force_n[patch.fine_node]
-            return _Step(displacement, unloading, largest), slope
-        move = patch.weight[active] @ displacement + patch.fine_weight[active] @ mismatch
-        change = self.contact.force(move)
-        force = response.force_n.copy()
-        force[active] += change
-        fine_change = patch.fine_weight.T @ force - point.fine_force_n[patch.fine_node]
+            step = _Step(displacement, unloading, largest)
+            return step, -float(np.vdot(residual, displacement))
+        contact = self.contact
+        assert contact is not None
+        rows = contact.rows
+        weight, fine_weight = patch.weight[rows], patch.fine_weight[rows]
+        # Where contact is about to begin or end, the linear law's force stands for the true one.
+        expected = response.force_n + self.surplus_n
+        fine_force = point.fine_force_n[patch.fine_node]
+        mismatch = fine_weight @ patch.added_displacement(
+            patch.fine_weight.T @ expected - fine_force
+        )
+        right = residual + patch.weight.T @ self.surplus_n + weight.T @ contact.force(mismatch)
+        displacement = self._solve(point, right.ravel()).reshape(-1, 3)
+        force = expected.copy()
+        force[rows] += contact.force(weight @ displacement + mismatch)
+        fine_change = patch.fine_weight.T @ force - fine_force
         added_change = patch.added_displacement(fine_change)
-        marker_move = patch.weight @ displacement + patch.fine_weight @ added_change
-        largest = float(np.abs(marker_move[active]).max())
-        if largest > 0.3 * self.last_m:
-            self.factor = self.contact = None
+        largest = float(np.abs(weight @ displacement + fine_weight @ added_change).max())
+        out_of_balance = patch.fine_weight.T @ response.force_n - fine_force
+        slope = -float(np.vdot(residual, displacement) + np.vdot(out_of_balance, added_change))
+        self.is_slow = largest > SLOW_CONVERGENCE * self.last_m
+        self.count += 1
+        if self.is_slow and self.count % RELINEARISE_EVERY == 0:
+            self.linearise_at_m = point.displacement_m
+            self.stiffness = self.free = self.factor = None
         self.last_m = largest
-        out_of_balance = (
-            patch.fine_weight.T @ response.force_n - point.fine_force_n[patch.fine_node]
-        )
-        slope = -float(np.vdot(residual, displacement)) - float(
-            np.vdot(out_of_balance, added_change)
-        )
         return _Step(displacement, fine_change, largest), slope
 
-    def _mismatch(self, patch: Patch, point: _Point) -> Array:
-        """Return the displacement (F, 3) by which the refinement lags behind the contact force."""
-        force = patch.fine_weight.T @ point.response.force_n
-        return patch.added_displacement(force - point.fine_force_n[patch.fine_node])
+    def carry(self, point: _Point, rows: NDArray[np.int64], move_m: Array) -> _Step:
+        """Return the step if the given rows of the patch stuck to the indenter and moved with it.
+
+        Newton's method would let go of every marker that a shifted indenter leaves behind by a
+        hair; carried along first, the contact stays whole and then slips.
+        """
+        patch = self.world.patch
+        assert patch is not None
+        self.near = NearContact(patch, rows)
+        stiffness = np.zeros((len(patch.marker), 3, 3))
+        stiffness[rows] = self.gel.contact.marker_stiffness(patch.marker[rows])
+        contact = self.near.effective(stiffness)
+        self.contact = contact
+        weight = patch.weight[rows]
+        right = -(weight.T @ contact.force(move_m))
+        displacement = self._solve(point, right.ravel()).reshape(-1, 3)
+        force = np.zeros((len(patch.marker), 3))
+        force[rows] = contact.force(weight @ displacement - move_m)
+        self.contact = self.factor = None
+        largest = float(np.abs(weight @ displacement).max())
+        return _Step(displacement, patch.fine_weight.T @ force, largest)
+
+    def _renew_contact(self, patch: Patch, point: _Point, residual_n: Array) -> bool:
+        """Predict which markers touch after the step and renew what depends on it; return whether
+        any does."""
+        response = point.response
+        rows = np.flatnonzero(response.distance_m < ONSET_M + NEAR_CONTACT_M)
+        if len(rows) == 0:
+            self.contact = None
+            return False
+        if self.near is None or not np.all(np.isin(rows, self.near.rows)):
+            self.near = NearContact(patch, rows)
+        rows = self.near.rows
+        touching = self._touching(patch, point, residual_n)
+        if not touching.any():
+            self.contact = None
+            return False
+        normal = response.normal[rows]
+        stiffness = self.gel.contact.normal_stiffness(patch.marker[rows])
+        # The linear law of full contact, less what the smooth onset takes off.
+        linear = stiffness * (ONSET_M - 0.5 * SMOOTHING_M - response.distance_m[rows])
+        now = response.pressure_pa[rows] > 0.0
+        begins, ends = touching & ~now, now & ~touching
+        self.surplus_n = np.zeros_like(response.force_n)
+        self.surplus_n[rows[begins]] = linear[begins, None] * normal[begins]
+        self.surplus_n[rows[ends]] = -response.force_n[rows[ends]]
+        changed = not np.array_equal(touching, self.touching)
+        if self.contact is None or changed or self.is_slow:
+            hessian = response.hessian.copy()
+            hessian[rows[ends]] = 0.0
+            hessian[rows[begins]] = stiffness[begins, None, None] * (
+                normal[begins, :, None] * normal[begins, None, :]
+            )
+            self.contact = self.near.effective(hessian)
+            self.touching = touching
+            self.factor = None
+        return True
+
+    def _touching(self, patch: Patch, point: _Point, residual_n: Array) -> NDArray[np.bool_]:
+        """Return which of the near markers touch after a linear step."""
+        assert self.near is not None
+        response, rows = point.response, self.near.rows
+        free = self._free_factor(point)
+        normal = response.normal[rows]
+        load = _directed(patch.weight[rows], normal)
+        pushed = np.einsum("ai,ai->a", response.force_n[rows], normal)
+        compliance = compliance_between(free, load) + self.near.normal_compliance(response.normal)
+        drift = load @ _near_solution(free, residual_n.ravel())
+        # The refinement will also follow the force that is there already.
+        lag_n = patch.fine_weight.T @ response.force_n - point.fine_force_n[patch.fine_node]
+        late = patch.fine_weight[rows] @ patch.added_displacement(lag_n)
+        drift += np.einsum("ai,ai->a", late, normal)
+        stiffness = self.gel.contact.normal_stiffness(patch.marker[rows])
+        penetration = ONSET_M - 0.5 * SMOOTHING_M - response.distance_m[rows]
+        unpushed = penetration - drift + compliance @ pushed
+        return contact_set(compliance, stiffness, unpushed, response.pressure_pa[rows] > 0.0)
+
+    def _free_factor(self, point: _Point) -> LocalFactor | BlockCholesky:
+        """Return the factored stiffness without contact."""
+        if self.free is None:
+            gel = self.gel
+            if gel._local_tangent is None:
+                self.free = gel._exact_tangent.factor(point.displacement_m, None, self.environment)
+            else:
+                region, stiffness = self._region_stiffness(point, gel._local_tangent)
+                self.free = gel._local_tangent.factor(region, stiffness, None)
+        return self.free
+
+    def _region_stiffness(
+        self, point: _Point, local: LocalTangent
+    ) -> tuple[Region, NDArray[np.float32]]:
+        world, near = self.world, self.near
+        assert world.patch is not None and near is not None
+        if world.region is None or np.any(world.region.number[near.node] < 0):
+            close = point.response.distance_m < REGION_MARGIN_M
+            close[near.rows] = True
+            world.region = self.gel._renew_region(world.patch, close, local)
+            self.stiffness = None
+        if self.stiffness is None:
+            # At the last equilibrium it is positive definite; at a guess it need not be.
+            self.stiffness = local.assemble(world.region, self.linearise_at_m, self.environment)
+        return world.region, self.stiffness
 
     def _solve(self, point: _Point, right: Array) -> Array:
-        gel, world = self.gel, self.world
+        gel = self.gel
         local = gel._local_tangent
         if local is None:
             factor = gel._exact_tangent.factor(point.displacement_m, self.contact, self.environment)
-            return np.asarray(factor.solve(right))
+            return np.asarray(factor.solve(right.astype(np.float32)), dtype=np.float64)
         if self.contact is None:
             return local.solve_at_rest(right)
-        if self.factor is not None:
-            return self.factor.solve_near(right)
-        assert world.patch is not None
-        if world.region is None or np.any(world.region.number[self.contact.node] < 0):
-            near = point.response.distance_m < REGION_MARGIN_M
-            world.region = gel._renew_region(world, near, local)
-            self.stiffness = None
-        if self.stiffness is None:
-            self.stiffness = local.assemble(world.region, point.displacement_m, self.environment)
-        self.factor = local.factor(world.region, self.stiffness, self.contact)
+        if self.factor is None:
+            region, stiffness = self._region_stiffness(point, local)
+            self.factor = local.factor(region, stiffness, self.contact)
         return self.factor.solve(right)
+
+
+def _directed(weight: sparse.csr_matrix, direction: Array) -> sparse.csr_matrix:
+    """Return (A, 3 N) rows that take the displacement of points along directions (A, 3)."""
+    count = len(direction)
+    entries = np.diff(weight.indptr)
+    data = (weight.data[:, None] * np.repeat(direction, entries, axis=0)).ravel()
+    column = (3 * weight.indices[:, None] + np.arange(3)).ravel()
+    return sparse.csr_matrix((data, column, 3 * weight.indptr), shape=(count, 3 * weight.shape[1]))
+
+
+def _near_solution(factor: LocalFactor | BlockCholesky, right: Array) -> Array:
+    if isinstance(factor, BlockCholesky):
+        return np.asarray(factor.solve(right.astype(np.float32)), dtype=np.float64)
+    return factor.solve_near(right)

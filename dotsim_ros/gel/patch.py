@@ -19,6 +19,9 @@ SOFTENING = 1.0e-3
 that free directions can be inverted; the solution does not depend on it."""
 
 
+CONTACT_SET_ITERATIONS = 10
+
+
 @dataclass(frozen=True)
 class Patch:
     """Markers that may come into contact, with their weights on the grid and on the refinement.
@@ -72,58 +75,124 @@ def make_patch(
     )
 
 
+class NearContact:
+    """Markers in contact or close to it, and how the refinement lets them give way.
+
+    Args:
+        patch: the patch.
+        rows: (A,) its rows that may be in contact in this step.
+
+    Attributes:
+        rows: as given.
+        node: (n,) grid nodes beside them.
+        weight: (A, n) their weights.
+        compliance: (A, 3, A, 3) dC, the refinement's compliance between them, m/N.
+    """
+
+    def __init__(self, patch: Patch, rows: NDArray[np.int64]) -> None:
+        self.rows = rows
+        weight = patch.weight[rows]
+        self.node = np.unique(weight.indices).astype(np.int32)
+        self.weight: FloatArray = weight[:, self.node].toarray().astype(np.float32)
+        count = len(rows)
+        self._spread = np.zeros((count, 3, len(self.node), 3), dtype=np.float32)
+        for i in range(3):
+            self._spread[:, i, :, i] = self.weight
+        self.compliance = np.zeros((count, 3, count, 3), dtype=np.float32)
+        if len(patch.fine_node):
+            fine_rows = patch.fine_weight[rows]
+            fine = np.unique(fine_rows.indices)
+            fine_weight = fine_rows[:, fine].toarray().astype(np.float32)
+            dof = (3 * fine[:, None] + np.arange(3)).ravel()
+            added = patch.added_compliance[dof][:, dof].reshape(len(fine), 9 * len(fine))
+            half = (fine_weight @ added).reshape(count, 3, len(fine), 3).transpose(0, 1, 3, 2)
+            whole = half.reshape(9 * count, len(fine)) @ fine_weight.T
+            self.compliance = np.ascontiguousarray(
+                whole.reshape(count, 3, 3, count).transpose(0, 1, 3, 2)
+            )
+
+    def normal_compliance(self, normal: Array) -> Array:
+        """Return (A, A) of dC along the normals (C, 3) of the patch's markers."""
+        own = normal[self.rows].astype(np.float32)
+        half = np.einsum("aibj,bj->aib", self.compliance, own)
+        return np.asarray(np.einsum("aib,ai->ab", half, own).astype(np.float64))
+
+    def effective(self, hessian: Array) -> EffectiveContact:
+        """Return their effective stiffness for the Hessians (C, 3, 3) of the patch's markers."""
+        own = hessian[self.rows]
+        size = np.trace(own, axis1=1, axis2=2)
+        softened = own + SOFTENING * np.maximum(size, size.max())[:, None, None] * np.eye(3)
+        count = len(self.rows)
+        each = np.arange(count)
+        compliance = self.compliance.copy()
+        compliance[each, :, each, :] += np.linalg.inv(softened)
+        matrix = compliance.reshape(3 * count, 3 * count)
+        root = _positive_root(matrix)
+        reduced = linalg.blas.strsm(1.0, root, self._spread.reshape(3 * count, -1), lower=1)
+        return EffectiveContact(self.rows, self.node, self.weight, root, reduced.T @ reduced)
+
+
 @dataclass(frozen=True)
 class EffectiveContact:
     """The contact's stiffness against the grid, once the refinement has given way.
 
-    With marker Hessians H and the added compliance dC of the markers in contact, their force
-    answers a displacement of the grid with (H^-1 + dC)^-1.
+    With marker Hessians H and the added compliance dC, the markers' force answers a displacement
+    of the grid with (H^-1 + dC)^-1.
 
     Attributes:
-        active: (A,) rows of the patch in contact.
+        rows: (A,) rows of the patch that it covers.
         node: (n,) grid nodes beside them.
         weight: (A, n) their weights.
         root: (3 A, 3 A) lower Cholesky factor of H^-1 + dC.
         stiffness: (3 n, 3 n) on the grid's nodes.
     """
 
-    active: NDArray[np.int64]
+    rows: NDArray[np.int64]
     node: IntArray
     weight: FloatArray
     root: FloatArray
     stiffness: FloatArray
 
     def force(self, displacement_m: Array) -> Array:
-        """Return the change of force (A, 3) for displacements (A, 3) of the markers in contact."""
+        """Return the change of force (A, 3) for displacements (A, 3) of its markers."""
         right = -displacement_m.astype(np.float32).ravel()
-        solved = linalg.cho_solve((self.root, True), right, check_finite=False)
+        solved, _ = linalg.lapack.spotrs(self.root, right, lower=1)
         return solved.astype(np.float64).reshape(-1, 3)
 
 
-def effective_contact(patch: Patch, active: NDArray[np.int64], hessian: Array) -> EffectiveContact:
-    """Return the effective stiffness of the active markers with Hessians (A, 3, 3)."""
-    count = len(active)
-    rows = patch.weight[active]
-    node = np.unique(rows.indices).astype(np.int32)
-    weight = rows[:, node].toarray().astype(np.float32)
-    softened = hessian + SOFTENING * np.trace(hessian, axis1=1, axis2=2)[:, None, None] * np.eye(3)
-    compliance = np.zeros((count, 3, count, 3), dtype=np.float32)
-    if len(patch.fine_node):
-        fine_rows = patch.fine_weight[active]
-        fine = np.unique(fine_rows.indices)
-        fine_weight = fine_rows[:, fine].toarray().astype(np.float32)
-        dof = (3 * fine[:, None] + np.arange(3)).ravel()
-        added = patch.added_compliance[np.ix_(dof, dof)].reshape(len(fine), 9 * len(fine))
-        half = (fine_weight @ added).reshape(count, 3, len(fine), 3).transpose(0, 1, 3, 2)
-        whole = half.reshape(9 * count, len(fine)) @ fine_weight.T
-        compliance += whole.reshape(count, 3, 3, count).transpose(0, 1, 3, 2)
-    compliance[np.arange(count), :, np.arange(count), :] += np.linalg.inv(softened)
-    matrix = compliance.reshape(3 * count, 3 * count)
-    root = linalg.cholesky(matrix, lower=True, check_finite=False, overwrite_a=True)
-    spread = np.zeros((count, 3, len(node), 3), dtype=np.float32)
-    for i in range(3):
-        spread[:, i, :, i] = weight
-    reduced = linalg.solve_triangular(
-        root, spread.reshape(3 * count, -1), lower=True, check_finite=False
-    )
-    return EffectiveContact(active, node, weight, root, reduced.T @ reduced)
+def _positive_root(matrix: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor; fading dG out may have left it indefinite by a hair."""
+    mean = float(np.trace(matrix)) / len(matrix)
+    for share in (0.0, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1):
+        shifted = matrix + np.diag(np.full(len(matrix), share * mean, dtype=np.float32))
+        root, info = linalg.lapack.spotrf(shifted.T, lower=1, overwrite_a=1, clean=0)
+        if info == 0:
+            result: FloatArray = root
+            return result
+    raise np.linalg.LinAlgError("the compliance of the contact is not positive definite")
+
+
+def contact_set(
+    compliance: Array, stiffness: Array, penetration_m: Array, start: NDArray[np.bool_]
+) -> NDArray[np.bool_]:
+    """Return which markers (A,) touch in the linearised problem p = k (q - D p), p >= 0.
+
+    Primal-dual active set method (Hintermueller, Ito and Kunisch, 2002).
+
+    Args:
+        compliance: (A, A) D, normal displacements under normal forces, m/N.
+        stiffness: (A,) k of the contact, N/m.
+        penetration_m: (A,) q, the penetration if no marker were pushed.
+        start: (A,) the first guess.
+    """
+    active = start
+    for _ in range(CONTACT_SET_ITERATIONS):
+        rows = np.flatnonzero(active)
+        matrix = compliance[np.ix_(rows, rows)] + np.diag(1.0 / stiffness[rows])
+        force = np.zeros(len(active))
+        force[rows] = linalg.solve(matrix, penetration_m[rows], assume_a="pos", check_finite=False)
+        touching = penetration_m - compliance @ force > 0.0
+        if np.array_equal(touching, active):
+            break
+        active = touching
+    return active

@@ -7,8 +7,6 @@ Contact then acts on positions x = X + S u + S_fine dG S_fine^T f. dG is compute
 pairs of nodes near each other, and cached on disk; it scales as 1/E.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import tempfile
@@ -17,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
@@ -34,7 +33,27 @@ IntArray = NDArray[np.int32]
 REACH_M = 7.0e-3
 """Pairs of nodes farther apart than this are left out of dG."""
 
+TAPER_M = 5.5e-3
+"""Length of the Gaussian that fades dG out towards its reach; a sharp end would make it indefinite
+for contacts as wide as the reach."""
+
 _FORMAT = 1
+
+
+@wp.kernel
+def _add_columns(
+    node: wp.array(dtype=wp.int32),
+    force: wp.array(dtype=wp.vec3),
+    indptr: wp.array(dtype=wp.int32),
+    index: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33),
+    displacement: wp.array(dtype=wp.vec3),
+):
+    """Add dG times the forces on some nodes; dG is symmetric, so a row's transpose is a column."""
+    i = wp.tid()
+    n = node[i]
+    for k in range(indptr[n], indptr[n + 1]):
+        wp.atomic_add(displacement, index[k], wp.transpose(block[k]) * force[i])
 
 
 @dataclass(frozen=True)
@@ -70,13 +89,21 @@ class Refinement:
 
     def displacement(self, nodes: IntArray, force_n: Array) -> Array:
         """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some."""
-        rows, entries = self._rows(nodes)
-        # dG is symmetric, so a row of blocks, transposed, is a column.
-        parts = np.einsum("bij,bi->bj", self.block[entries], force_n.astype(np.float32)[rows])
-        target = self.index[entries]
-        return np.stack(
-            [np.bincount(target, parts[:, i], minlength=self.node_count) for i in range(3)], axis=1
+        result = wp.zeros(self.node_count, dtype=wp.vec3, device="cpu")
+        wp.launch(
+            _add_columns,
+            dim=len(nodes),
+            inputs=[
+                wp.array(nodes, dtype=wp.int32, device="cpu"),
+                wp.array(force_n.astype(np.float32), dtype=wp.vec3, device="cpu"),
+                wp.array(self.indptr, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(self.index, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(self.block, dtype=wp.mat33, device="cpu", copy=False),
+            ],
+            outputs=[result],
+            device="cpu",
         )
+        return result.numpy().astype(np.float64)
 
     def _rows(self, nodes: IntArray) -> tuple[IntArray, NDArray[np.int64]]:
         start, stop = self.indptr[nodes], self.indptr[nodes + 1]
@@ -147,6 +174,10 @@ def refine(
         unit = _compute(body, fine, nodes, coarse, coarse_compliance * youngs, law, progress)
         _store(path, unit)
     indptr, index, block = unit
+    position = fine.node_position_m[nodes]
+    row = np.repeat(np.arange(len(nodes)), np.diff(indptr))
+    distance = np.linalg.norm(position[row] - position[index], axis=1)
+    block = block * np.exp(-((distance / TAPER_M) ** 2))[:, None, None]
     return Refinement(weight[:, nodes], indptr, index, (block / youngs).astype(np.float32))
 
 

@@ -146,6 +146,17 @@ class LocalFactor:
         return whole
 
 
+def compliance_between(factor: LocalFactor | BlockCholesky, load: sparse.csr_matrix) -> Array:
+    """Return (A, A) displacements that unit loads, rows of (A, 3 N), cause along each other."""
+    if isinstance(factor, BlockCholesky):
+        dense = load.T.toarray()
+        return np.asarray(load @ factor.solve(dense))
+    local = load[:, factor.region.dof].toarray().astype(np.float32)
+    lower, _ = factor.factor
+    half = linalg.blas.strsm(1.0, lower, local.T, lower=1)
+    return np.asarray((half.T @ half).astype(np.float64))
+
+
 class LocalTangent:
     """The fast solve, in single precision (its error is one of the step, not of the solution).
 

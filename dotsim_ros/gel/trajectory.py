@@ -130,28 +130,24 @@ class Recorder:
 
         candidates = None
         if pose is not None and world.patch is not None and world.history is not None:
-            candidates = _candidates(gel, world, pose)
+            candidates = _candidates(gel, world, pose, point)
         cell = gel.discretization.node_cell
         settled = settle(point.displacement_m, cell, forces, stiffness, candidates)
         displacement = settled.displacement_m
-        skin = gel.skin.rest_position_m + gel.skin_weight @ displacement
         fine_force = np.zeros_like(point.fine_force_n)
         contact, lag = None, _present(np.zeros(0))
-        if pose is not None and candidates is not None and world.history is not None:
+        if pose is not None and candidates is not None:
             if gel.refinement is not None:
                 fine_force = gel.refinement.skin_weight[candidates.marker].T @ settled.force_n
-                loaded = np.flatnonzero(np.any(fine_force, axis=1)).astype(np.int32)
-                added = gel.refinement.displacement(loaded, fine_force[loaded])
-                skin = skin + gel.refinement.skin_weight @ added
             active = np.flatnonzero(np.any(settled.force_n != 0.0, axis=1))
-            marker, memory = candidates.marker[active], candidates.memory_m[active]
-            contact = ContactRecord(pose, marker, memory, world.response is None)
+            marker = candidates.marker[active]
+            contact = ContactRecord(pose, marker, _memory(world)[marker], world.response is None)
             lag = _present(settled.pressure_pa)
         self.trajectories[environment].substeps.append(
             Substep(
                 dt_s,
                 displacement,
-                skin,
+                _skin(gel, displacement, fine_force),
                 world.skin_position_m,
                 contact,
                 gel._relaxation[environment].memory(gel.discretization.particle_count),
@@ -189,12 +185,26 @@ def elastic_stiffness(
     return result.tocsr()
 
 
-def _candidates(gel: ImplicitGel, world: World, pose: Pose) -> Candidates:
-    history = world.history
+def _skin(gel: ImplicitGel, displacement_m: Array, fine_force_n: Array) -> Array:
+    """Return the skin (V, 3) at displacements of the nodes, under forces on the refinement."""
+    result: Array = gel.skin.rest_position_m + gel.skin_weight @ displacement_m
+    if gel.refinement is not None:
+        loaded = np.flatnonzero(np.any(fine_force_n, axis=1)).astype(np.int32)
+        added = gel.refinement.displacement(loaded, fine_force_n[loaded])
+        result = result + gel.refinement.skin_weight @ added
+    return result
+
+
+def _memory(world: World) -> Array:
+    """Return slip minus position (V, 3) at the end of the last substep, indenter's frame."""
+    assert world.history is not None
+    return world.history.slip_m - world.history.local_position_m
+
+
+def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: _Point) -> Candidates:
     assert world.patch is not None
-    assert history is not None
     marker = world.patch.marker
-    memory = (history.slip_m - history.local_position_m)[marker]
+    memory = _memory(world)[marker]
     area = gel.skin.rest_area_m2[marker]
     rotation = pose.rotation()
 
@@ -207,7 +217,7 @@ def _candidates(gel: ImplicitGel, world: World, pose: Pose) -> Candidates:
     return Candidates(
         marker,
         gel.skin.rest_position_m[marker],
-        memory,
+        _skin(gel, point.displacement_m, point.fine_force_n)[marker],
         gel.skin_weight[marker],
         None if gel.refinement is None else fine_part(gel.refinement, marker),
         respond,

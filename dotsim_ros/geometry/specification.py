@@ -115,7 +115,7 @@ class SolverSpecification:
     method: str = "implicit"
     grid_spacing_m: float = 2.4e-3
     refined: bool = True
-    tolerance_m: float = 4.0e-6
+    tolerance_m: float = 10.0e-6
     iterations: int = 15
     dynamic: bool = False
 
