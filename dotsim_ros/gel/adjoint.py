@@ -10,8 +10,8 @@ design", 2000). Warp's tape differentiates the residual.
     states = [recorder.step([pose], dt_s) for pose in poses]
     gradient = trajectory_gradient(gel, recorder.trajectories[0], losses)
 
-With a refinement its added compliance counts as 1/E times a constant: derivatives leave out how it
-varies with Poisson's ratio and with the gel's lengths.
+With a refinement its added compliance counts as 1/E times a constant, unless the derivative by
+Poisson's ratio is given; how it varies with the gel's lengths is left out.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ from dotsim_ros.gel.equilibrium import (
 )
 from dotsim_ros.gel.implicit import ImplicitGel
 from dotsim_ros.gel.material import ElasticLaw
+from dotsim_ros.gel.refinement import Refinement
 from dotsim_ros.gel.relaxation import StressMemory
 from dotsim_ros.gel.reshape import shape_rates
 from dotsim_ros.gel.trajectory import ContactRecord, Substep, Trajectory, elastic_stiffness
@@ -124,6 +125,7 @@ def trajectory_gradient(
     loss_gradient: Sequence[LossGradient | None],
     *,
     environment: int = 0,
+    by_poisson: Refinement | None = None,
 ) -> Gradient:
     """Return the derivatives of a loss of one environment's recorded steps.
 
@@ -131,6 +133,9 @@ def trajectory_gradient(
         gel: as it was recorded, with the same indenter.
         trajectory: of that environment.
         loss_gradient: for each recorded step; None where the loss does not depend on it.
+        environment: which of the gel's.
+        by_poisson: `refinement_rate.poisson_rate` of the gel; None leaves out how the refinement
+            varies with Poisson's ratio.
 
     Raises:
         ValueError: another number of steps than recorded, or a derivative of a wrong shape.
@@ -140,7 +145,7 @@ def trajectory_gradient(
             f"{len(loss_gradient)} loss gradients for {len(trajectory.step_end)} recorded steps"
         )
     shape = gel.skin.rest_position_m.shape
-    backward = _Backward(gel, environment)
+    backward = _Backward(gel, environment, by_poisson)
     losses: list[LossGradient | None] = [None] * len(trajectory.substeps)
     for step, loss in enumerate(loss_gradient):
         if loss is None:
@@ -170,9 +175,10 @@ class _Carried:
 
 @dataclass
 class _Sums:
-    """Derivatives that add up over the substeps: by the law's constants with everything else held
-    (`coefficients`, `youngs_modulus`, `shear_modulus` for what scales with them), by the rest
-    positions, volumes and areas of particles, markers and bonded points, and by the rest."""
+    """Derivatives that add up over the substeps: by the law's constants alone (`coefficients`), by
+    the moduli that contact, bond, ghost penalty and refinement are made with (`youngs_modulus`,
+    `shear_modulus`, `poisson_ratio`), by the rest positions, volumes and areas of particles,
+    markers and bonded points, and by the rest."""
 
     coefficients: Array
     shares: Array
@@ -188,6 +194,7 @@ class _Sums:
     twists: list[Array] = field(default_factory=list)
     youngs_modulus: float = 0.0
     shear_modulus: float = 0.0
+    poisson_ratio: float = 0.0
     density: float = 0.0
     friction: float = 0.0
     stiffness: float = 0.0
@@ -197,8 +204,8 @@ class _Sums:
 class _Backward:
     """Goes back through the substeps, last first."""
 
-    def __init__(self, gel: ImplicitGel, environment: int) -> None:
-        self.gel, self.environment = gel, environment
+    def __init__(self, gel: ImplicitGel, environment: int, by_poisson: Refinement | None) -> None:
+        self.gel, self.environment, self.by_poisson = gel, environment, by_poisson
         d = gel.discretization
         terms = len(gel.material.prony.shares)
         self.carried = _Carried(
@@ -317,11 +324,14 @@ class _Backward:
         sums.marker_area[marker] += (
             np.sum(force * by_force, axis=1) / self.gel.skin.rest_area_m2[marker]
         )
-        if self.gel.refinement is not None:
-            added = contact.added_displacement(force)
-            sums.youngs_modulus -= float(np.vdot(by_position, added)) / (
-                self.gel.body.youngs_modulus_pa
-            )
+        refinement = self.gel.refinement
+        if refinement is not None:
+            added = contact.added_displacement(refinement, force)
+            youngs = self.gel.body.youngs_modulus_pa
+            sums.youngs_modulus -= float(np.vdot(by_position, added)) / youngs
+        if self.by_poisson is not None:
+            added = contact.added_displacement(self.by_poisson, force)
+            sums.poisson_ratio += float(np.vdot(by_position, added))
 
     def _history(self, substep: Substep) -> tuple[float, Array]:
         """Give the body the relaxation of a substep; return its fast share and history."""
@@ -465,6 +475,9 @@ class _Backward:
         coefficients = sums.coefficients.copy()
         c10, c01, *_, bulk = gel.material.law.coefficients_pa()
         mu = 2.0 * (c10 + c01)
+        # nu = 1/2 - E / (6 K)
+        sums.youngs_modulus -= sums.poisson_ratio / (6.0 * bulk)
+        coefficients[4] += sums.poisson_ratio * gel.body.youngs_modulus_pa / (6.0 * bulk**2)
         by_mu = sums.shear_modulus + sums.youngs_modulus * 27.0 * bulk**2 / (3.0 * bulk + mu) ** 2
         coefficients[:2] += 2.0 * by_mu
         coefficients[4] += sums.youngs_modulus * 9.0 * mu**2 / (3.0 * bulk + mu) ** 2
@@ -574,10 +587,8 @@ class _LoadedContact:
         by_position[self.marker] += pulled
         return virtual, total, by_position
 
-    def added_displacement(self, force_n: Array) -> Array:
-        """Return B f (V, 3), the refinement's displacement of the skin under forces (A, 3)."""
-        refinement = self.gel.refinement
-        assert refinement is not None
+    def added_displacement(self, refinement: Refinement, force_n: Array) -> Array:
+        """Return B f (V, 3), a refinement's displacement of the skin under forces (A, 3)."""
         nodal = refinement.skin_weight[self.marker].T @ force_n
         loaded = np.flatnonzero(np.any(nodal, axis=1)).astype(np.int32)
         moved: Array = refinement.skin_weight @ refinement.displacement(loaded, nodal[loaded])

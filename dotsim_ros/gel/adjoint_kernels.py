@@ -35,6 +35,7 @@ def adjoint_kernels() -> SimpleNamespace:
     @wp.kernel(module="unique")
     def marker_force(
         position: wp.array(dtype=vec3),
+        anchor: wp.array(dtype=vec3),
         memory: wp.array(dtype=vec3),
         area: wp.array(dtype=scalar),
         field: field_type,
@@ -47,10 +48,16 @@ def adjoint_kernels() -> SimpleNamespace:
         """Force on markers and their elastic slip, all in the indenter's frame.
 
         `memory` is slip minus position at the end of the last step; `unit_law` has stiffness 1.
+        `anchor` is the position once more: the tape takes derivatives by it for the indenter's
+        parameters alone. Those by the position come from the distance's Hessian, which unlike the
+        tape's own holds on an indenter's axis too.
         """
         i = wp.tid()
         y = position[i]
-        d, n, _curvature = indenter_distance(field, y)
+        at_anchor, n_at_anchor, curvature = indenter_distance(field, anchor[i])
+        away = y - anchor[i]
+        d = at_anchor + wp.dot(n_at_anchor, away)
+        n = n_at_anchor + curvature * away
         depth = unit_law.onset - d  # type: ignore[attr-defined]
         p = constants[STIFFNESS] * pressure(unit_law, depth)
         a = area[i]

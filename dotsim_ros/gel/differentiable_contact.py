@@ -66,7 +66,8 @@ class MarkerContact:
         law, unit = contact.law, self._kernels.ContactLaw()
         unit.stiffness, unit.onset, unit.smoothing = 1.0, law.onset, law.smoothing
         vec3 = self._kernels.vec3
-        self._local = self._array((position_m - pose.position_m) @ self._rotation, vec3)
+        local = np.ascontiguousarray((position_m - pose.position_m) @ self._rotation)
+        self._local = self._array(local, vec3)
         self._memory = self._array(memory_m, vec3)
         self._constants = self._array(
             np.array([law.stiffness, law.tangential_stiffness, law.friction]), wp.float64
@@ -81,6 +82,7 @@ class MarkerContact:
                 dim=len(area_m2),
                 inputs=[
                     self._local,
+                    wp.array(local, dtype=vec3, device=self._device),
                     self._memory,
                     wp.array(area_m2, dtype=wp.float64, device=self._device),
                     self._field,

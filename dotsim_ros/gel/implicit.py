@@ -64,12 +64,16 @@ NEAR_CONTACT_M = 100.0e-6
 CARRIED_M = 30.0e-6
 """A motion that extrapolation leaves out by more than this carries the contact along first."""
 LARGEST_STEP_M = 0.3e-3
+LAG_TOLERANCE = 0.15
+"""Differences of pressure below this share of the largest leave friction as it is."""
 FRICTION_PASSES = 2
 """How often a substep renews the pressure that limits friction; the first is the last substep's."""
 CALM_STEP_M = 50.0e-6
 """It is renewed after an iteration that moves less than this."""
+NEGLIGIBLE_FAR_SHARE = 0.1
+"""Residual forces outside of the region that are smaller than this share of those in it can wait."""
 RELINEARISE_EVERY = 4
-SLOW_CONVERGENCE = 0.3
+SLOW_CONVERGENCE = 0.4
 """An iteration that moves farther than this share of the one before renews the factor."""
 
 
@@ -112,7 +116,7 @@ class World:
     skin_position_m: Array
     pose: Pose | None = None
     history: ContactHistory | None = None
-    last_change: tuple[Array, Array, Array] | None = None
+    last_change: tuple[Array, Array, Array, Array] | None = None
     patch: Patch | None = None
     region: Region | None = None
     response: ContactResponse | None = None
@@ -220,8 +224,11 @@ class ImplicitGel:
                     material.law,
                     progress=progress,
                 )
+        self._shape = shape
         lower, upper = shape.bounds_m()
-        base = np.linspace(lower, upper, 9)
+        # So dense that no tip gets through between them.
+        count = int(np.ceil(np.ptp(shape.bounds_m(), axis=0)[:2].max() / CORE_CLEARANCE_M)) + 1
+        base = np.linspace(lower, upper, count)
         plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
         self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
         self.trace: list[tuple[float, float]] = []
@@ -237,6 +244,7 @@ class ImplicitGel:
             self.contact_specification,
             device=self.device,
         )
+        self._inner_point_m = _inner_point_m(indenter)
         self.reset()
 
     def reset(self) -> None:
@@ -263,17 +271,16 @@ class ImplicitGel:
             dt_s: duration of the step; without inertia or relaxation it does not matter.
 
         Raises:
-            PressTooDeepError: a pose brings the indenter too close to what the gel is bonded to.
+            PressTooDeepError: a pose, or the way to it, brings the indenter too close to what the
+                gel is bonded to.
             ValueError: as many poses as environments are needed, and a positive duration.
         """
         if len(poses) != self.environment_count:
             raise ValueError(f"{len(poses)} poses for {self.environment_count} environments")
         if not dt_s > 0.0:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
-        for pose in poses:
-            if pose is not None:
-                self._check_depth(pose)
-        return [self._step_world(e, pose, dt_s) for e, pose in enumerate(poses)]
+        paths = [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
+        return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
 
     def _check_depth(self, pose: Pose) -> None:
         local = (self._rigid_points_m - pose.position_m) @ pose.rotation()
@@ -285,21 +292,20 @@ class ImplicitGel:
                 f"{CORE_CLEARANCE_M * 1e3:.1f} mm; press less deep"
             )
 
-    def _step_world(self, environment: int, pose: Pose | None, dt_s: float) -> GelState:
+    def _step_world(self, environment: int, path: Sequence[Pose | None], dt_s: float) -> GelState:
         world = self.worlds[environment]
         timings: dict[str, float] = {}
-        path = self._path(world, pose)
         iterations, converged = 0, True
         for waypoint in path:
             used, reached = self._substep(world, waypoint, dt_s / len(path), environment, timings)
             iterations += used
             converged = converged and reached
-        world.pose = pose
+        world.pose = path[-1]
         response, patch = world.response, world.patch
         wrench, penetration, count = Wrench(), 0.0, 0
         if response is not None and patch is not None:
             wrench = wrench_on_indenter(world.skin_position_m[patch.marker], response.force_n)
-            penetration = max(0.0, -float(response.distance_m.min()))
+            penetration = max(0.0, -float(response.distance_m.min(initial=np.inf)))
             count = int(np.count_nonzero(response.pressure_pa))
         return GelState(
             world.displacement_m.copy(),
@@ -329,11 +335,16 @@ class ImplicitGel:
         )
         count = max(1, int(np.ceil(length / LARGEST_SUBSTEP_M)))
         path = [interpolate(start, pose, k / count) for k in range(1, count)] + [pose]
+        for waypoint in path:
+            self._check_depth(waypoint)
         while len(path) > 1 and world.response is None and not self._touches_rest(path[0]):
             path.pop(0)
         return list(path)
 
     def _touches_rest(self, pose: Pose) -> bool:
+        """Return whether the indenter meets the gel at rest: its skin, or all of it within."""
+        if self._shape.contains(pose.apply(self._inner_point_m)):
+            return True
         local = (self.skin.rest_position_m - pose.position_m) @ pose.rotation()
         lower, upper = self.contact.indenter.bounds_m()
         near = np.all((local > lower - ONSET_M) & (local < upper + ONSET_M), axis=1)
@@ -358,7 +369,9 @@ class ImplicitGel:
             self._come_to_rest(world)
             return 0, True
         inertia = self._prepare_memory(world, dt_s, environment)
-        if pose is not None:
+        if pose is None:
+            self._let_go(world)
+        else:
             self._prepare_contact(world, pose, timings)
         start = (world.displacement_m, world.fine_force_n)
         point, iterations, converged = self._minimise(world, pose, inertia, environment, timings)
@@ -373,8 +386,12 @@ class ImplicitGel:
         """Without contact, inertia and relaxation the equilibrium is rest, exactly."""
         world.displacement_m = np.zeros_like(world.displacement_m)
         world.velocity_m_s = np.zeros_like(world.velocity_m_s)
-        world.fine_force_n = np.zeros_like(world.fine_force_n)
         world.skin_position_m = self.skin.rest_position_m.copy()
+        self._let_go(world)
+
+    def _let_go(self, world: World) -> None:
+        """Forget the contact; only contact moves the refinement."""
+        world.fine_force_n = np.zeros_like(world.fine_force_n)
         world.history = world.last_change = world.patch = world.response = world.region = None
 
     def _prepare_memory(self, world: World, dt_s: float, environment: int) -> _Inertia | None:
@@ -477,7 +494,7 @@ class ImplicitGel:
         lag = _no_lag(0)
         if patch is not None and world.history is not None:
             lag = _no_lag(len(patch.marker))
-            lag.pressure_pa[:] = world.history.pressure_pa[patch.marker]
+            lag.pressure_pa[:] = self._expected_pressure(world, pose)[patch.marker]
         point = evaluate(self._extrapolate(world, pose), lag)
         if not np.isfinite(point.energy_j):
             point = evaluate((world.displacement_m, world.fine_force_n), lag)
@@ -500,7 +517,11 @@ class ImplicitGel:
             if iteration == 1:
                 lag = replace(lag, normal=point.response.normal)
                 point = self._with_lag(world, pose, point, lag)
-            elif self.trace[-1][0] < CALM_STEP_M and passes < FRICTION_PASSES:
+            elif (
+                self.trace[-1][0] < CALM_STEP_M
+                and passes < FRICTION_PASSES
+                and _differs(point.response.pressure_pa, lag.pressure_pa)
+            ):
                 passes += 1
                 lag = Lag(point.response.pressure_pa, point.response.normal)
                 point = self._with_lag(world, pose, point, lag)
@@ -566,12 +587,21 @@ class ImplicitGel:
         along = float((pose.position_m - world.pose.position_m) @ move) / length
         return float(np.clip(along, -1.0, 2.0))
 
+    def _expected_pressure(self, world: World, pose: Pose | None) -> Array:
+        """Return the pressure (V,) if it goes on changing in proportion to the motion."""
+        assert world.history is not None
+        pressure = world.history.pressure_pa
+        if world.last_change is None or pose is None:
+            return pressure
+        share = self._share_of_last_move(world, pose)
+        return np.maximum(0.0, pressure + share * world.last_change[3])
+
     def _extrapolate(self, world: World, pose: Pose | None) -> tuple[Array, Array]:
         """Return the unknowns if the gel goes on moving in proportion to the indenter."""
         if world.last_change is None or pose is None:
             return (world.displacement_m, world.fine_force_n)
         share = self._share_of_last_move(world, pose)
-        displacement, fine_force, _ = world.last_change
+        displacement, fine_force, _, _ = world.last_change
         return (
             world.displacement_m + share * displacement,
             world.fine_force_n + share * fine_force,
@@ -612,30 +642,44 @@ class ImplicitGel:
             stress = self.body.material_stress(point.displacement_m, environment)
             self._relaxation[environment].finish_step(dt_s, stress)
         if pose is None or patch is None or world.history is None:
-            world.history = world.last_change = world.patch = world.response = world.region = None
             world.pose = None
             return
         if self.refinement is not None:
             loaded = np.flatnonzero(np.any(point.fine_force_n, axis=1)).astype(np.int32)
             added = self.refinement.displacement(loaded, point.fine_force_n[loaded])
             world.skin_position_m += self.refinement.skin_weight @ added
-        if world.pose is not None:
-            world.last_change = (
-                point.displacement_m - start[0],
-                point.fine_force_n - start[1],
-                pose.position_m - world.pose.position_m,
-            )
-        world.pose = pose
+        before, world.pose = world.pose, pose
         world.response = point.response
         history = fresh_history(world.skin_position_m, pose)
         history.local_position_m[patch.marker] = point.response.local_position_m
         history.slip_m[patch.marker] = point.response.slip_m
         history.pressure_pa[patch.marker] = point.response.pressure_pa
+        if before is not None:
+            world.last_change = (
+                point.displacement_m - start[0],
+                point.fine_force_n - start[1],
+                pose.position_m - before.position_m,
+                history.pressure_pa - world.history.pressure_pa,
+            )
         world.history = history
+
+
+def _differs(pressure_pa: Array, lagged_pa: Array) -> bool:
+    largest = float(pressure_pa.max(initial=0.0))
+    return bool(np.abs(pressure_pa - lagged_pa).max(initial=0.0) > LAG_TOLERANCE * largest)
 
 
 def _no_lag(count: int) -> Lag:
     return Lag(np.zeros(count), np.zeros((count, 3)))
+
+
+def _inner_point_m(indenter: Indenter) -> Array:
+    """Return a point (3,) of the indenter's inside, in its frame: the innermost of a grid."""
+    lower, upper = indenter.bounds_m()
+    axes = np.linspace(lower, upper, 17)
+    points = np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    innermost: Array = points[np.argmin(indenter.signed_distance(points))]
+    return innermost
 
 
 def _add(timings: dict[str, float], part: str, since: float) -> None:
@@ -670,6 +714,7 @@ class _Direction:
         self.touching: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         self.surplus_n: Array = np.zeros((0, 3))
         self.free: LocalFactor | BlockCholesky | None = None
+        self.compliance: Array | None = None
         self.factor: LocalFactor | None = None
         self.stiffness: NDArray[np.float32] | None = None
         self.last_m = np.inf
@@ -712,7 +757,7 @@ class _Direction:
         self.count += 1
         if self.is_slow and self.count % RELINEARISE_EVERY == 0:
             self.linearise_at_m = point.displacement_m
-            self.stiffness = self.free = self.factor = None
+            self.stiffness = self.free = self.factor = self.compliance = None
         self.last_m = largest
         return _Step(displacement, fine_change, largest), slope
 
@@ -748,8 +793,14 @@ class _Direction:
             return False
         if self.near is None or not np.all(np.isin(rows, self.near.rows)):
             self.near = NearContact(patch, rows)
+            self.compliance = None
+            self.touching = np.zeros(len(rows), dtype=bool)
         rows = self.near.rows
-        touching = self._touching(patch, point, residual_n)
+        pressed = response.pressure_pa[rows] > 0.0
+        if self.count == 0 or self.is_slow or not np.array_equal(pressed, self.touching):
+            touching = self._touching(patch, point, residual_n)
+        else:
+            touching = self.touching
         if not touching.any():
             self.contact = None
             return False
@@ -757,8 +808,7 @@ class _Direction:
         stiffness = self.gel.contact.normal_stiffness(patch.marker[rows])
         # The linear law of full contact, less what the smooth onset takes off.
         linear = stiffness * (ONSET_M - 0.5 * SMOOTHING_M - response.distance_m[rows])
-        now = response.pressure_pa[rows] > 0.0
-        begins, ends = touching & ~now, now & ~touching
+        begins, ends = touching & ~pressed, pressed & ~touching
         self.surplus_n = np.zeros_like(response.force_n)
         self.surplus_n[rows[begins]] = linear[begins, None] * normal[begins]
         self.surplus_n[rows[ends]] = -response.force_n[rows[ends]]
@@ -782,7 +832,10 @@ class _Direction:
         normal = response.normal[rows]
         load = _directed(patch.weight[rows], normal)
         pushed = np.einsum("ai,ai->a", response.force_n[rows], normal)
-        compliance = compliance_between(free, load) + self.near.normal_compliance(response.normal)
+        if self.compliance is None or len(self.compliance) != len(rows):
+            added = self.near.normal_compliance(response.normal)
+            self.compliance = compliance_between(free, load) + added
+        compliance = self.compliance
         drift = load @ _near_solution(free, residual_n.ravel())
         # The refinement will also follow the force that is there already.
         lag_n = patch.fine_weight.T @ response.force_n - point.fine_force_n[patch.fine_node]
@@ -830,6 +883,10 @@ class _Direction:
         if self.factor is None:
             region, stiffness = self._region_stiffness(point, local)
             self.factor = local.factor(region, stiffness, self.contact)
+        near = float(np.linalg.norm(right[self.factor.region.dof]))
+        far = np.sqrt(max(0.0, float(right @ right) - near * near))
+        if far < NEGLIGIBLE_FAR_SHARE * near:
+            return self.factor.solve_near(right)
         return self.factor.solve(right)
 
 

@@ -114,8 +114,8 @@ class NearContact:
     def normal_compliance(self, normal: Array) -> Array:
         """Return (A, A) of dC along the normals (C, 3) of the patch's markers."""
         own = normal[self.rows].astype(np.float32)
-        half = np.einsum("aibj,bj->aib", self.compliance, own)
-        return np.asarray(np.einsum("aib,ai->ab", half, own).astype(np.float64))
+        half = sum(self.compliance[:, :, :, j] * own[:, j] for j in range(3))
+        return np.asarray(sum(half[:, i] * own[:, i, None] for i in range(3)), dtype=np.float64)
 
     def effective(self, hessian: Array) -> EffectiveContact:
         """Return their effective stiffness for the Hessians (C, 3, 3) of the patch's markers."""
