@@ -23,6 +23,7 @@ from dotsim_ros.gel.material import (
     PronySeries,
     Yeoh,
 )
+from dotsim_ros.gel.refinement_rate import poisson_rate
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 from dotsim_ros.gel.trajectory import Recorder
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind, cone, sphere
@@ -47,8 +48,8 @@ SPHERE = sphere(0.004)
 BLUNT_CONE = cone(1.2, 0.004, 0.0005)
 DOME = Dome(RADIUS, CORE)
 COARSE = SolverSpecification(grid_spacing_m=4.8e-3, refined=False, iterations=40)
-STILL = Pose(np.zeros(3))
-TILTED = Pose(np.zeros(3), [0.02, -0.01, 0.0, np.sqrt(1.0 - 0.0005)])
+LEVEL = (0.0, 0.0, 0.0, 1.0)
+TILTED = (0.02, -0.01, 0.0, float(np.sqrt(1.0 - 0.0005)))
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,7 @@ class Case:
     indenter: Indenter = SPHERE
     body: Body = DOME
     path: tuple[tuple[float, float, float], ...] = SLIDE
+    orientation: tuple[float, float, float, float] = TILTED
     twist: tuple[float, ...] = (0.0,) * 6
     offset: tuple[float, ...] = (0.0,) * 6
     solver: SolverSpecification = COARSE
@@ -96,7 +98,7 @@ class Case:
 
     def poses(self) -> list[Pose]:
         apex = RADIUS if isinstance(self.body, Dome) else PAD.size_m[2]
-        at_tip = [Pose(np.array([x, y, apex + z]), TILTED.quaternion_xyzw) for x, y, z in self.path]
+        at_tip = [Pose(np.array([x, y, apex + z]), self.orientation) for x, y, z in self.path]
         turn, own_turn = small_motion(self.twist), small_motion(self.offset)
         return [product(product(turn, pose), own_turn) for pose in at_tip]
 
@@ -358,6 +360,13 @@ def test_gradient_through_dynamic_steps(name: str) -> None:
     check(DYNAMIC, name, value, share * value, derivative)
 
 
+@pytest.mark.parametrize("index", [0, 1, 3])
+def test_gradient_with_a_marker_on_the_indenters_axis(index: int) -> None:
+    case = replace(SLIDING, path=((0.0, 0.0, -0.0006), (0.0, 0.0, -0.0009)), orientation=LEVEL)
+    step = 1e-7 if index < 3 else 1e-5
+    check(case, f"twist.{index}", 0.0, step, float(adjoint(case).indenter_twist[index]))
+
+
 def test_gradient_after_the_indenter_has_left_and_come_back() -> None:
     away = (0.0, 0.0, 0.003)
     case = replace(SLIDING, path=(*SLIDING.path[:3], away, *PRESS))
@@ -376,6 +385,13 @@ def test_gradient_with_a_refined_contact(
     check(case, "contact.friction_coefficient", 0.4, 2e-3, gradient.friction_coefficient)
     check(case, "indenter.0", 0.004, 4e-6, float(gradient.indenter_parameters[0]))
     check(case, "twist.2", 0.0, 1e-6, float(gradient.indenter_twist[2]))
+    gel, recorder, _ = recorded(case)
+    complete = trajectory_gradient(
+        gel, recorder.trajectories[0], weights(case), by_poisson=poisson_rate(gel)
+    )
+    derivative = complete.by_law(case.law)["poisson_ratio"]
+    check(case, "law.poisson_ratio", 0.45, 3e-4, derivative)
+    assert derivative != pytest.approx(gradient.by_law(case.law)["poisson_ratio"], rel=TOLERANCE)
 
 
 def test_twists_of_the_substeps_add_up() -> None:
