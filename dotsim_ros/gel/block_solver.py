@@ -1,7 +1,8 @@
 """A direct solver for the grid's stiffness: block-tridiagonal Cholesky over slabs of the grid.
 
 Quadratic splines couple nodes two grid lines apart, the ghost penalty's third differences three; so
-slabs of three planes couple only with their neighbours. All the work is dense matrix products, in which a processor is fastest.
+slabs of three planes couple only with their neighbours. All the work is dense matrix products, in
+which a processor is fastest.
 """
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         i = wp.tid()
         m = candidate[i]
         y = wp.transpose(rotation) * (position[i] - origin)
-        d, n, curvature = indenter_distance(field, y)
+        d, n, _curvature = indenter_distance(field, y)
         depth = law.onset - d
         p = pressure(law, depth)
         a = area[m]
@@ -102,11 +102,9 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         h = (a * pressure_slope(law, depth)) * wp.outer(n, n)
         tangent_slip = vec3()
         if lagged_pressure[i] > scalar(0.0) and law.friction > scalar(0.0):
-            m0 = lagged_normal[i]
-            if wp.length_sq(m0) == scalar(0.0):
-                m0 = n
-            else:
-                m0 = wp.transpose(rotation) * m0
+            m0 = n
+            if wp.length_sq(lagged_normal[i]) > scalar(0.0):
+                m0 = wp.transpose(rotation) * lagged_normal[i]
             projector = wp.identity(3, dtype=scalar) - wp.outer(m0, m0)
             s = projector * (start_slip[m] + y - start_position[m])
             length = wp.length(s)

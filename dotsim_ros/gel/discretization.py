@@ -298,7 +298,7 @@ def discretize(body: Body, skin_position_m: FloatArray, spacing_m: float) -> Dis
     np.add.at(support, particles.node_index, np.abs(particles.weight) * volume[:, None])
     return Discretization(
         spacing_m=spacing_m,
-        node_position_m=(node_cell + 0.5) * spacing_m,
+        node_position_m=np.asarray((node_cell + 0.5) * spacing_m, dtype=np.float64),
         node_cell=node_cell,
         particle_position_m=position,
         particle_volume_m3=volume,

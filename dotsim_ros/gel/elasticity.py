@@ -8,6 +8,7 @@ core and the ghost penalty.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import warp as wp
@@ -101,15 +102,17 @@ class ElasticBody:
         self.cells = group_by_cell(discretization)
         self.cell_gradient = self.cells.gradient.astype(dtype)
         d, k = discretization, self.kernels
-        self.node_index = wp.array(
+        self.node_index: Any = wp.array(
             d.particle_interpolation.node_index, dtype=wp.int32, device=device
         )
-        self.weight_gradient = wp.array(
+        self.weight_gradient: Any = wp.array(
             d.particle_weight_gradient.astype(dtype), dtype=k.vec3, device=device
         )
-        self.volume = wp.array(d.particle_volume_m3.astype(dtype), dtype=k.scalar, device=device)
-        self.cell_particle = wp.array(self.cells.particle, dtype=wp.int32, device=device)
-        self.all_particles = wp.array(
+        self.volume: Any = wp.array(
+            d.particle_volume_m3.astype(dtype), dtype=k.scalar, device=device
+        )
+        self.cell_particle: Any = wp.array(self.cells.particle, dtype=wp.int32, device=device)
+        self.all_particles: Any = wp.array(
             np.arange(d.particle_count, dtype=np.int32), dtype=wp.int32, device=device
         )
         self.all_cells = np.arange(len(self.cells.node), dtype=np.int32)
@@ -120,7 +123,7 @@ class ElasticBody:
         self.energy_buffer = wp.zeros(shape, dtype=k.scalar, device=device)
         self._pattern: tuple[IntArray, IntArray, IntArray] | None = None
         self.set_coefficients(np.tile(law.coefficients_pa(), (environment_count, 1)))
-        self.fast_share = wp.array(
+        self.fast_share: Any = wp.array(
             np.ones(environment_count, dtype=dtype), dtype=k.scalar, device=device
         )
         youngs, _ = small_strain_moduli_pa(law)
@@ -129,7 +132,7 @@ class ElasticBody:
 
     def set_coefficients(self, coefficients_pa: Array) -> None:
         """Set the law's coefficients (E, 5) of every environment."""
-        self.coefficients = wp.array(
+        self.coefficients: Any = wp.array(
             coefficients_pa.astype(self.dtype), dtype=self.kernels.vec5, device=self.device
         )
 
@@ -263,7 +266,7 @@ class ElasticBody:
 def linear_stiffness(
     discretization: Discretization, law: ElasticLaw, ghost_penalty: float
 ) -> sparse.csr_matrix:
-    """Return the (N, N) stiffness, N/m, of the bond and the ghost penalty (the same for x, y, z)."""
+    """Return the (N, N) stiffness, N/m, of bond and ghost penalty, the same for x, y, z."""
     youngs, _ = small_strain_moduli_pa(law)
     c10, c01, *_ = law.coefficients_pa()
     h = discretization.spacing_m

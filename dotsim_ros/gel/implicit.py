@@ -71,7 +71,7 @@ FRICTION_PASSES = 2
 CALM_STEP_M = 50.0e-6
 """It is renewed after an iteration that moves less than this."""
 NEGLIGIBLE_FAR_SHARE = 0.1
-"""Residual forces outside of the region that are smaller than this share of those in it can wait."""
+"""Residual forces outside of the region below this share of those in it can wait."""
 RELINEARISE_EVERY = 4
 SLOW_CONVERGENCE = 0.4
 """An iteration that moves farther than this share of the one before renews the factor."""
@@ -639,7 +639,7 @@ class ImplicitGel:
         world.displacement_m, world.fine_force_n = point.displacement_m, point.fine_force_n
         world.skin_position_m = self.skin.rest_position_m + self.skin_weight @ point.displacement_m
         if self.material.prony.shares:
-            stress = self.body.material_stress(point.displacement_m, environment)
+            stress = self.body.material_stress(point.displacement_m, environment).astype(np.float64)
             self._relaxation[environment].finish_step(dt_s, stress)
         if pose is None or patch is None or world.history is None:
             world.pose = None
@@ -861,7 +861,8 @@ class _Direction:
         self, point: _Point, local: LocalTangent
     ) -> tuple[Region, NDArray[np.float32]]:
         world, near = self.world, self.near
-        assert world.patch is not None and near is not None
+        assert world.patch is not None
+        assert near is not None
         if world.region is None or np.any(world.region.number[near.node] < 0):
             close = point.response.distance_m < REGION_MARGIN_M
             close[near.rows] = True

@@ -114,8 +114,9 @@ class NearContact:
     def normal_compliance(self, normal: Array) -> Array:
         """Return (A, A) of dC along the normals (C, 3) of the patch's markers."""
         own = normal[self.rows].astype(np.float32)
-        half = sum(self.compliance[:, :, :, j] * own[:, j] for j in range(3))
-        return np.asarray(sum(half[:, i] * own[:, i, None] for i in range(3)), dtype=np.float64)
+        half = np.sum([self.compliance[:, :, :, j] * own[:, j] for j in range(3)], axis=0)
+        whole = np.sum([half[:, i] * own[:, i, None] for i in range(3)], axis=0)
+        return np.asarray(whole, dtype=np.float64)
 
     def effective(self, hessian: Array) -> EffectiveContact:
         """Return their effective stiffness for the Hessians (C, 3, 3) of the patch's markers."""

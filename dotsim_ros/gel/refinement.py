@@ -25,6 +25,7 @@ from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization, discretize, images_of_cells
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
+from dotsim_ros.gel.refinement_kernels import add_columns
 
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]
@@ -38,22 +39,6 @@ TAPER_M = 5.5e-3
 for contacts as wide as the reach."""
 
 _FORMAT = 1
-
-
-@wp.kernel
-def _add_columns(
-    node: wp.array(dtype=wp.int32),
-    force: wp.array(dtype=wp.vec3),
-    indptr: wp.array(dtype=wp.int32),
-    index: wp.array(dtype=wp.int32),
-    block: wp.array(dtype=wp.mat33),
-    displacement: wp.array(dtype=wp.vec3),
-):
-    """Add dG times the forces on some nodes; dG is symmetric, so a row's transpose is a column."""
-    i = wp.tid()
-    n = node[i]
-    for k in range(indptr[n], indptr[n + 1]):
-        wp.atomic_add(displacement, index[k], wp.transpose(block[k]) * force[i])
 
 
 @dataclass(frozen=True)
@@ -91,7 +76,7 @@ class Refinement:
         """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some."""
         result = wp.zeros(self.node_count, dtype=wp.vec3, device="cpu")
         wp.launch(
-            _add_columns,
+            add_columns,
             dim=len(nodes),
             inputs=[
                 wp.array(nodes, dtype=wp.int32, device="cpu"),

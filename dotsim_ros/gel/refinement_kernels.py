@@ -1,0 +1,22 @@
+"""Warp kernels of the refinement."""
+
+# Warp reads kernels by its own rules, which are none of a type checker's.
+# mypy: disable-error-code="no-untyped-def, valid-type, arg-type, assignment, index, operator, misc"
+
+import warp as wp
+
+
+@wp.kernel
+def add_columns(
+    node: wp.array(dtype=wp.int32),
+    force: wp.array(dtype=wp.vec3),
+    indptr: wp.array(dtype=wp.int32),
+    index: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=wp.mat33),
+    displacement: wp.array(dtype=wp.vec3),
+):
+    """Add dG times the forces on some nodes; dG is symmetric, so a row's transpose is a column."""
+    i = wp.tid()
+    n = node[i]
+    for k in range(indptr[n], indptr[n + 1]):
+        wp.atomic_add(displacement, index[k], wp.transpose(block[k]) * force[i])
