@@ -16,7 +16,6 @@ Poisson's ratio is given; how it varies with the gel's lengths is left out.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,99 +23,22 @@ from typing import Any
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
-from scipy import sparse
 
 from dotsim_ros.gel.adjoint_kernels import adjoint_kernels
 from dotsim_ros.gel.contact import REFERENCE_SPACING_M
-from dotsim_ros.gel.differentiable_contact import ContactAdjoint, MarkerContact
-from dotsim_ros.gel.discretization import bonded_points, interpolation_at
+from dotsim_ros.gel.differentiable_contact import ContactAdjoint
 from dotsim_ros.gel.elasticity import BOND_STIFFNESS, GHOST_PENALTY
-from dotsim_ros.gel.equilibrium import (
-    ElasticFactor,
-    Linearisation,
-    contact_on_nodes,
-    contact_response_matrix,
-    fine_part,
-)
+from dotsim_ros.gel.gradient import Gradient, LossGradient
 from dotsim_ros.gel.implicit import ImplicitGel
-from dotsim_ros.gel.material import ElasticLaw
+from dotsim_ros.gel.loaded_contact import LoadedContact
 from dotsim_ros.gel.refinement import Refinement
 from dotsim_ros.gel.relaxation import StressMemory
 from dotsim_ros.gel.reshape import shape_rates
+from dotsim_ros.gel.rest_points import RestPoints, pulled
 from dotsim_ros.gel.trajectory import ContactRecord, Substep, Trajectory, elastic_stiffness
 from dotsim_ros.geometry.pose import Pose
 
 Array = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-
-
-@dataclass(frozen=True)
-class LossGradient:
-    """Derivatives of a loss by what a step returned, in units of the loss per SI unit.
-
-    Attributes:
-        skin: (V, 3) by `skin_position_m`; None for zero.
-        force, torque: (3,) by the wrench on the indenter.
-    """
-
-    skin: Array | None = None
-    force: Array = field(default_factory=lambda: np.zeros(3))
-    torque: Array = field(default_factory=lambda: np.zeros(3))
-
-
-@dataclass(frozen=True)
-class Gradient:
-    """Derivatives of a loss by the gel's parameters, in units of the loss per SI unit.
-
-    Attributes:
-        coefficients: (5,) by C10, C01, C20, C30, K. What the gel scales with Young's modulus at
-            small strain follows: the contact's stiffness, the bond, the ghost penalty and the
-            refinement.
-        prony_shares, prony_times_s: (K,) by the Prony series.
-        density_kg_m3: by the density; zero without inertia.
-        friction_coefficient, contact_stiffness, tangential_ratio: by `ContactSpecification`.
-        indenter_parameters: (n,) by `Indenter.parameters`.
-        indenter_twist: (6,) by a translation (m) and a rotation (rad) about the base's origin, both
-            along the axes of the base, that the poses of all steps have in common.
-        indenter_offset: (6,) the same along the indenter's axes and about its origin.
-        substep_twist: (S, 6) `indenter_twist` of each recorded substep alone.
-        geometry: by the gel's lengths (`reshape.shape_rates`); the skin moves with them, and so do
-            its rest positions, by which the loss has further derivatives of its own.
-    """
-
-    coefficients: Array
-    prony_shares: Array
-    prony_times_s: Array
-    density_kg_m3: float
-    friction_coefficient: float
-    contact_stiffness: float
-    tangential_ratio: float
-    indenter_parameters: Array
-    indenter_twist: Array
-    indenter_offset: Array
-    substep_twist: Array
-    geometry: dict[str, float]
-
-    def by_law(self, law: ElasticLaw) -> dict[str, float]:
-        """Return the derivatives by a law's own parameters, such as Young's modulus and nu.
-
-        Raises:
-            TypeError: the law is no dataclass of numbers.
-        """
-        if not dataclasses.is_dataclass(law) or isinstance(law, type):
-            raise TypeError(f"{type(law).__name__} is no dataclass, expected one of numbers")
-        result = {}
-        for name, value in dataclasses.asdict(law).items():
-            # Laws are smooth and cheap: a five-point difference is exact to rounding.
-            step = 1.0e-3 * (abs(value) or 1.0)
-            if name == "poisson_ratio":
-                step = 1.0e-3 * (0.5 - value)
-            slope = np.zeros(5)
-            for shift, weight in ((-2, 1.0), (-1, -8.0), (1, 8.0), (2, -1.0)):
-                changed = dataclasses.replace(law, **{name: value + shift * step})
-                slope += weight * changed.coefficients_pa()
-            result[name] = float(self.coefficients @ slope) / (12.0 * step)
-        return result
 
 
 def trajectory_gradient(
@@ -217,7 +139,7 @@ class _Backward:
                 np.zeros((terms, d.particle_count, 3, 3)), np.zeros((d.particle_count, 3, 3))
             ),
         )
-        self.points = _RestPoints(gel)
+        self.points = RestPoints(gel)
         bonded = len(self.points.bonded_m)
         self.sums = _Sums(
             coefficients=np.zeros(5),
@@ -248,7 +170,7 @@ class _Backward:
         record = substep.contact
         if record is not None:
             by_skin = by_skin + self._remembered_position(substep, record.pose)
-        contact = _LoadedContact(gel, substep, record, loss, self.carried.memory)
+        contact = LoadedContact(gel, substep, record, loss, self.carried.memory)
         by_skin = contact.add_to(by_skin)
         fast_share, history_pa = self._history(substep)
         virtual, by_force, by_position = contact.solve(
@@ -309,18 +231,18 @@ class _Backward:
     def _add_markers(
         self,
         substep: Substep,
-        contact: _LoadedContact,
+        contact: LoadedContact,
         virtual: Array,
         by_force: Array,
         by_position: Array,
     ) -> None:
         sums, gradient = self.sums, self.points.marker_gradient
         sums.marker += by_position
-        sums.marker += _pulled(gradient.at(substep.displacement_m), by_position)
+        sums.marker += pulled(gradient.at(substep.displacement_m), by_position)
         if contact.marker_contact is None:
             return
         marker, force = contact.marker, contact.marker_contact.force_n
-        sums.marker[marker] += _pulled(gradient.at(virtual)[marker], force)
+        sums.marker[marker] += pulled(gradient.at(virtual)[marker], force)
         sums.marker_area[marker] += (
             np.sum(force * by_force, axis=1) / self.gel.skin.rest_area_m2[marker]
         )
@@ -436,8 +358,8 @@ class _Backward:
         scale *= gel.body.youngs_modulus_pa
         here, there = points.bonded_weight @ u, points.bonded_weight @ virtual
         sums.bonded_area -= scale * np.sum(here * there, axis=1)
-        moved = _pulled(points.bonded_gradient.at(u), there)
-        moved += _pulled(points.bonded_gradient.at(virtual), here)
+        moved = pulled(points.bonded_gradient.at(u), there)
+        moved += pulled(points.bonded_gradient.at(virtual), here)
         sums.bonded -= scale * points.bonded_area_m2[:, None] * moved
 
     def _add_inertia(self, substep: Substep, virtual: Array) -> Array:
@@ -453,8 +375,8 @@ class _Backward:
         scale = density / substep.dt_s**2
         here, there = points.particle_weight @ change, points.particle_weight @ virtual
         sums.volume -= scale * np.sum(here * there, axis=1)
-        moved = _pulled(points.particle_gradient.at(change), there)
-        moved += _pulled(points.particle_gradient.at(virtual), here)
+        moved = pulled(points.particle_gradient.at(change), there)
+        moved += pulled(points.particle_gradient.at(virtual), here)
         volume = self.gel.discretization.particle_volume_m3
         sums.particle -= scale * volume[:, None] * moved
         return np.asarray(pull)
@@ -513,138 +435,6 @@ class _Backward:
             total += float(sums.bonded_area @ (bonded[name].area * self.points.bonded_area_m2))
             result[name] = total
         return result
-
-
-class _LoadedContact:
-    """The contact at the end of a substep, its derivatives, and the adjoint's solve with them."""
-
-    def __init__(
-        self,
-        gel: ImplicitGel,
-        substep: Substep,
-        record: ContactRecord | None,
-        loss: LossGradient,
-        by_memory: Array,
-    ) -> None:
-        self.gel, self.loss = gel, loss
-        self.marker = np.zeros(0, dtype=np.int32)
-        self.marker_contact: MarkerContact | None = None
-        self.by_slip = np.zeros((0, 3))
-        if record is None or len(record.marker) == 0:
-            return
-        self.marker = record.marker
-        self.position_m = substep.skin_position_m[record.marker]
-        self.marker_contact = MarkerContact(
-            gel.contact,
-            gel.skin.rest_area_m2[record.marker],
-            self.position_m,
-            record.pose,
-            record.memory_m,
-        )
-        self.by_slip = by_memory[record.marker]
-
-    def add_to(self, by_skin: Array) -> Array:
-        """Add the derivatives by the markers' positions through the torque and the slip."""
-        if self.marker_contact is None:
-            return by_skin
-        force = self.marker_contact.force_n
-        adjoint = self.marker_contact.adjoint(np.zeros_like(force), self.by_slip)
-        result = by_skin.copy()
-        result[self.marker] += adjoint.position - np.cross(force, self.loss.torque)
-        return result
-
-    def solve(
-        self, stiffness: sparse.csr_matrix, by_node: Array, by_skin: Array
-    ) -> tuple[Array, Array, Array]:
-        """Return the virtual displacement (N, 3), and the derivatives by the forces (A, 3) and by
-        the positions of the skin (V, 3) once all follows from equilibrium."""
-        gel = self.gel
-        right = by_node + gel.skin_weight.T @ by_skin
-        node_cell = gel.discretization.node_cell
-        if self.marker_contact is None:
-            factor = ElasticFactor(stiffness, node_cell, np.zeros(0, dtype=np.int32))
-            return factor.solve(right.ravel()).reshape(-1, 3), np.zeros((0, 3)), by_skin
-        own = self.marker_contact.stiffness()
-        fine = None if gel.refinement is None else fine_part(gel.refinement, self.marker)
-        response = contact_response_matrix(own, fine, np.arange(len(own)))
-        weight = gel.skin_weight[self.marker]
-        node = np.unique(weight.indices).astype(np.int32)
-        by_force = -self.loss.force - np.cross(self.loss.torque, self.position_m)
-        if gel.refinement is not None:
-            by_force = by_force + self.added_displacement_adjoint(by_skin)
-        # With phi = (1 - B H^T)^-1 (by_force + S lambda): H^T phi = response^T (...)
-        pulled = (response.T @ by_force.ravel()).reshape(-1, 3)
-        right = right + weight.T @ pulled
-        solver = Linearisation(
-            ElasticFactor(stiffness, node_cell, node), contact_on_nodes(response, weight, node)
-        )
-        virtual = solver.solve_transposed(right.ravel()).reshape(-1, 3)
-        total = by_force + weight @ virtual
-        pulled = (response.T @ total.ravel()).reshape(-1, 3)
-        if fine is not None:
-            total = total + fine.displacement(pulled)
-        by_position = by_skin.copy()
-        by_position[self.marker] += pulled
-        return virtual, total, by_position
-
-    def added_displacement(self, refinement: Refinement, force_n: Array) -> Array:
-        """Return B f (V, 3), a refinement's displacement of the skin under forces (A, 3)."""
-        nodal = refinement.skin_weight[self.marker].T @ force_n
-        loaded = np.flatnonzero(np.any(nodal, axis=1)).astype(np.int32)
-        moved: Array = refinement.skin_weight @ refinement.displacement(loaded, nodal[loaded])
-        return moved
-
-    def added_displacement_adjoint(self, by_skin: Array) -> Array:
-        """Return B^T (A, 3) of derivatives (V, 3) by the skin."""
-        refinement = self.gel.refinement
-        assert refinement is not None
-        nodal = refinement.skin_weight.T @ by_skin
-        loaded = np.flatnonzero(np.any(nodal, axis=1)).astype(np.int32)
-        added = refinement.displacement(loaded, nodal[loaded])
-        result: Array = refinement.skin_weight[self.marker] @ added
-        return result
-
-
-@dataclass(frozen=True)
-class _FieldGradient:
-    """Evaluates the gradient of a nodal field at fixed points."""
-
-    node_index: IntArray
-    weight_gradient: Array
-
-    def at(self, nodal: Array) -> Array:
-        """Return (P, 3, 3) of nodal values (N, 3), [point, component, direction]."""
-        # Node by node, so that no array of (P, 27, 3, 3) arises.
-        result = np.zeros((len(self.node_index), 3, 3))
-        for a in range(27):
-            result += (
-                nodal[self.node_index[:, a]][:, :, None] * self.weight_gradient[:, a][:, None, :]
-            )
-        return result
-
-
-def _pulled(gradient: Array, by_value: Array) -> Array:
-    """Return the derivatives (P, 3) by positions, of a field's gradient (P, 3, 3) there and the
-    derivatives (P, 3) by its values."""
-    result: Array = np.einsum("pij,pi->pj", gradient, by_value)
-    return result
-
-
-class _RestPoints:
-    """Weights at particles, markers and bonded points, and how they vary with the points."""
-
-    def __init__(self, gel: ImplicitGel) -> None:
-        d = gel.discretization
-        particles, gradient, self.particle_curvature = interpolation_at(d, d.particle_position_m)
-        self.particle_weight = particles.matrix(d.node_count)
-        self.particle_gradient = _FieldGradient(particles.node_index, gradient)
-        inward = 1.0 - 1e-9
-        markers, gradient, _ = interpolation_at(d, gel.skin.rest_position_m * inward)
-        self.marker_gradient = _FieldGradient(markers.node_index, gradient)
-        self.bonded_m, self.bonded_area_m2 = bonded_points(gel.shape, d.spacing_m)
-        bonded, gradient, _ = interpolation_at(d, self.bonded_m)
-        self.bonded_weight = bonded.matrix(d.node_count)
-        self.bonded_gradient = _FieldGradient(bonded.node_index, gradient)
 
 
 def _in_frame(twist: Array, pose: Pose) -> Array:

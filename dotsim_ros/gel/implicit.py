@@ -59,7 +59,7 @@ REGION_MARGIN_M = 0.8e-3
 CORE_CLEARANCE_M = 1.5e-3
 """The indenter must stay this far from whatever the gel is bonded to."""
 SMALLEST_SCALE = 1.0e-3
-NEAR_CONTACT_M = 100.0e-6
+NEAR_CONTACT_M = 60.0e-6
 """Markers that come closer than this may enter contact in the next iteration."""
 CARRIED_M = 30.0e-6
 """A motion that extrapolation leaves out by more than this carries the contact along first."""
@@ -499,8 +499,9 @@ class ImplicitGel:
         if not np.isfinite(point.energy_j):
             point = evaluate((world.displacement_m, world.fine_force_n), lag)
         solver = _Direction(self, world, environment)
-        self.trace.clear()
         carried = self._carried_markers(world, pose)
+        solver.trusts_guess = world.last_change is not None and carried is None
+        self.trace.clear()
         if carried is not None:
             clock = time.perf_counter()
             step = solver.carry(point, *carried)
@@ -720,6 +721,7 @@ class _Direction:
         self.last_m = np.inf
         self.is_slow = False
         self.count = 0
+        self.trusts_guess = False
         self.linearise_at_m = world.displacement_m
 
     def step(self, point: _Point) -> tuple[_Step, float]:
@@ -755,6 +757,7 @@ class _Direction:
         slope = -float(np.vdot(residual, displacement) + np.vdot(out_of_balance, added_change))
         self.is_slow = largest > SLOW_CONVERGENCE * self.last_m
         self.count += 1
+        self.trusts_guess = self.trusts_guess and not self.is_slow
         if self.is_slow and self.count % RELINEARISE_EVERY == 0:
             self.linearise_at_m = point.displacement_m
             self.stiffness = self.free = self.factor = self.compliance = None
@@ -797,7 +800,9 @@ class _Direction:
             self.touching = np.zeros(len(rows), dtype=bool)
         rows = self.near.rows
         pressed = response.pressure_pa[rows] > 0.0
-        if self.count == 0 or self.is_slow or not np.array_equal(pressed, self.touching):
+        if self.trusts_guess and pressed.any():
+            touching = pressed
+        elif self.count == 0 or self.is_slow or not np.array_equal(pressed, self.touching):
             touching = self._touching(patch, point, residual_n)
         else:
             touching = self.touching
