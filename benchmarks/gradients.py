@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.gel.adjoint import Gradient, LossGradient, trajectory_gradient
+from dotsim_ros.gel.adjoint import trajectory_gradient
 from dotsim_ros.gel.body import Dome
+from dotsim_ros.gel.gradient import Gradient, LossGradient
 from dotsim_ros.gel.implicit import ImplicitGel
 from dotsim_ros.gel.refinement_rate import poisson_rate
 from dotsim_ros.gel.reshape import ReshapedDome

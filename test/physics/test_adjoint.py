@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.adjoint import Gradient, LossGradient, trajectory_gradient
+from dotsim_ros.gel.adjoint import trajectory_gradient
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.differentiable_contact import MarkerContact
 from dotsim_ros.gel.discretization import discretize
+from dotsim_ros.gel.gradient import Gradient, LossGradient
 from dotsim_ros.gel.implicit import ImplicitGel
 from dotsim_ros.gel.material import (
     ElasticLaw,
