@@ -40,7 +40,7 @@ def free_block(friction_coefficient: float = 0.0) -> ImplicitGel:
         Material(LAWS["neo_hookean"], density_kg_m3=DENSITY_KG_M3),
         contact=ContactSpecification(friction_coefficient=friction_coefficient),
         solver=SolverSpecification(
-            grid_spacing_m=2.4e-3, refined=False, tolerance_m=1e-9, iterations=40, dynamic=True
+            grid_spacing_m=2.4e-3, refined=False, tolerance_m=3e-8, iterations=40, dynamic=True
         ),
         indenter=sphere(8.0e-3),
         exact=True,
@@ -81,12 +81,12 @@ def test_impulse_changes_the_momentum(friction_coefficient: float) -> None:
         state = one(gel, at(0.6e-3 + 0.02e-3 * k, -0.4e-3, BLOCK_TOP_M - 0.05e-3 * k), dt)
         assert state.converged
         given = given + -state.wrench.force_n * dt
-        assert momentum_ns(gel) == pytest.approx(given, abs=1e-4 * np.linalg.norm(given))
+        assert momentum_ns(gel) == pytest.approx(given, abs=1e-3 * np.linalg.norm(given))
     assert given[2] < -1e-7
     # The block goes on as it was left.
     one(gel, None, dt)
     one(gel, None, dt)
-    assert momentum_ns(gel) == pytest.approx(given, abs=1e-4 * np.linalg.norm(given))
+    assert momentum_ns(gel) == pytest.approx(given, abs=1e-3 * np.linalg.norm(given))
 
 
 def test_free_motion_keeps_its_momentum_and_needs_no_energy() -> None:
