@@ -53,7 +53,7 @@ PATCH_MARGIN_M = 2.2e-3
 """Markers closer to the indenter than this are in a new patch..."""
 PATCH_KEPT_M = 1.0e-3
 """...which is kept while it holds all that are closer than this."""
-REGION_RADIUS_M = 4.5e-3
+REGION_RADIUS_M = 3.5e-3
 """Cells closer than this to a marker in contact are assembled anew."""
 REGION_MARGIN_M = 0.8e-3
 CORE_CLEARANCE_M = 1.5e-3
@@ -70,7 +70,7 @@ FRICTION_PASSES = 2
 """How often a substep renews the pressure that limits friction; the first is the last substep's."""
 CALM_STEP_M = 50.0e-6
 """It is renewed after an iteration that moves less than this."""
-NEGLIGIBLE_FAR_SHARE = 0.1
+NEGLIGIBLE_FAR_SHARE = 0.5
 """Residual forces outside of the region below this share of those in it can wait."""
 RELINEARISE_EVERY = 4
 SLOW_CONVERGENCE = 0.4
