@@ -1,0 +1,125 @@
+"""The gel's linear solves against SciPy's."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.sparse import linalg as sparse_linalg
+
+from dotsim_ros.gel.block_solver import BlockCholesky
+from dotsim_ros.gel.body import Dome, Pad
+from dotsim_ros.gel.discretization import Discretization, discretize
+from dotsim_ros.gel.elasticity import ElasticBody
+from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.gel.tangent import (
+    ExactTangent,
+    LocalTangent,
+    factor_shifted,
+    inverse_of_positive,
+)
+
+LAW = NeoHookean(1.0e5, 0.45)
+
+
+def random_grid(shape: tuple[int, int, int]) -> tuple[sparse.csr_matrix, np.ndarray]:
+    """Return a positive definite matrix that couples nodes up to three lines apart."""
+    random = np.random.default_rng(0)
+    cell = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1).reshape(-1, 3)
+    cell = cell[random.permutation(len(cell))] - 2
+    near = np.abs(cell[:, None] - cell[None]).max(axis=-1) <= 3
+    dense = np.kron(near, np.ones((3, 3))) * random.normal(size=(3 * len(cell),) * 2)
+    dense = dense + dense.T
+    dense += np.diag(np.abs(dense).sum(axis=1) + 1.0)
+    return sparse.csr_matrix(dense), cell
+
+
+@pytest.mark.parametrize("shape", [(8, 3, 2), (2, 11, 2), (2, 2, 2), (3, 3, 7)])
+@pytest.mark.parametrize("columns", [None, 4])
+def test_block_cholesky_agrees_with_scipy(shape: tuple[int, int, int], columns: int | None) -> None:
+    matrix, cell = random_grid(shape)
+    size = (matrix.shape[0],) if columns is None else (matrix.shape[0], columns)
+    right = np.random.default_rng(1).normal(size=size)
+    found = BlockCholesky(matrix, cell).solve(right)
+    expected = sparse_linalg.spsolve(matrix.tocsc(), right)
+    assert found == pytest.approx(expected, abs=1e-12)
+
+
+def test_block_cholesky_refuses_an_indefinite_matrix() -> None:
+    matrix, cell = random_grid((6, 2, 2))
+    with pytest.raises(np.linalg.LinAlgError):
+        BlockCholesky((-matrix).tocsr(), cell)
+
+
+@pytest.fixture(scope="module")
+def grid() -> Discretization:
+    return discretize(Dome(12.0e-3, 4.0e-3), np.array([[0.0, 0.0, 12.0e-3]]), 2.4e-3)
+
+
+def test_block_cholesky_of_the_gel(grid: Discretization) -> None:
+    matrix = ElasticBody(grid, LAW).stiffness(np.zeros((grid.node_count, 3)), 0)
+    right = np.random.default_rng(2).normal(size=matrix.shape[0])
+    found = BlockCholesky(matrix, grid.node_cell).solve(right)
+    assert np.abs(matrix @ found - right).max() < 1e-8
+
+
+def test_local_tangent_is_the_inverse_at_rest(grid: Discretization) -> None:
+    mass = grid.mass_over_density * (1070.0 / 1e-3**2)
+    single = ElasticBody(grid, LAW, dtype=np.float32)
+    local = LocalTangent(single, mass)
+    rest = np.zeros((grid.node_count, 3))
+    double = ElasticBody(grid, LAW).stiffness(rest, 0) + sparse.kron(mass, sparse.eye(3))
+    right = np.random.default_rng(3).normal(size=3 * grid.node_count)
+    expected = sparse_linalg.spsolve(double.tocsc(), right)
+    found = local.solve_at_rest(right)
+    assert np.linalg.norm(found - expected) < 1e-4 * np.linalg.norm(expected)
+    exact = ExactTangent(single, mass).factor(rest.astype(np.float32), None, 0)
+    solved = exact.solve(right.astype(np.float32))
+    assert np.linalg.norm(solved - expected) < 1e-4 * np.linalg.norm(expected)
+
+
+def test_region_step_is_exact_where_the_strain_lies_within() -> None:
+    """With all cells in the region the local step is the whole Newton step."""
+    body = Pad((9.6e-3, 9.6e-3, 7.2e-3))
+    grid = discretize(body, np.array([[0.0, 0.0, 7.2e-3]]), 2.4e-3)
+    single = ElasticBody(grid, LAW, dtype=np.float32)
+    local = LocalTangent(single, grid.mass_over_density * 0.0)
+    field = 0.05 * grid.node_position_m[:, 2:] * np.array([0.5, -0.3, 1.0])
+    every = np.arange(grid.node_count, dtype=np.int32)
+    region = local.region(single.all_cells, every)
+    stiffness = local.assemble(region, field.astype(np.float32), 0)
+    factor = local.factor(region, stiffness, None)
+    double = ElasticBody(grid, LAW).stiffness(field, 0)
+    right = np.random.default_rng(4).normal(size=3 * grid.node_count)
+    expected = sparse_linalg.spsolve(double.tocsc(), right)
+    assert np.linalg.norm(factor.solve(right) - expected) < 1e-3 * np.linalg.norm(expected)
+
+
+def test_inverse_of_positive() -> None:
+    random = np.random.default_rng(5).normal(size=(40, 40)).astype(np.float32)
+    matrix = np.asfortranarray(random @ random.T + 40.0 * np.eye(40, dtype=np.float32))
+    kept = matrix.copy()
+    inverse = inverse_of_positive(matrix)
+    assert inverse @ kept == pytest.approx(np.eye(40), abs=1e-4)
+    assert np.array_equal(inverse, inverse.T)
+    with pytest.raises(np.linalg.LinAlgError, match="40 rows"):
+        inverse_of_positive(np.asfortranarray(-kept))
+
+
+def test_shift_is_the_first_that_helps() -> None:
+    tried: list[float] = []
+
+    def factor(share: float) -> float:
+        tried.append(share)
+        if share < 0.05:
+            raise np.linalg.LinAlgError("not yet")
+        return share
+
+    assert factor_shifted(factor) == 0.1
+    assert tried == sorted(tried)
+
+    def hopeless(share: float) -> float:
+        raise np.linalg.LinAlgError(f"never, {share}")
+
+    with pytest.raises(np.linalg.LinAlgError, match="never"):
+        factor_shifted(hopeless)
