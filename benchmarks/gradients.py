@@ -36,8 +36,14 @@ COARSE_M = 3.6e-3
 COARSE_SKIN_M = 0.8e-3
 STEP_S = 0.02
 RELAXATION = ((0.2, 0.1), (0.05, 0.5))
-# Tip of the indenter from the apex, m: a press, then a slide.
-PATH = ((0.0, 0.0, -0.0006), (0.0, 0.0, -0.0011), (0.0004, 0.0, -0.0011), (0.0008, 0.0, -0.0011))
+# Tip of the indenter from the apex, m: outside, a press, then a slide.
+PATH = (
+    (0.0, 0.0, 0.0005),
+    (0.0, 0.0, -0.0006),
+    (0.0, 0.0, -0.0011),
+    (0.0004, 0.0, -0.0011),
+    (0.0008, 0.0, -0.0011),
+)
 Change = Callable[[SensorSpecification, float], SensorSpecification]
 
 
@@ -120,8 +126,8 @@ def parameters(
     m, c, g = specification.material, specification.contact, specification.gel
     by_law = gradient.by_law(gel.material.law)
     rows: dict[str, tuple[Change, float, float, float]] = {
-        name: (vary("material", name), getattr(m, name), 1e-6 * getattr(m, name), by_law[name])
-        for name in ("youngs_modulus_pa", "poisson_ratio")
+        name: (vary("material", name), getattr(m, name), share * getattr(m, name), by_law[name])
+        for name, share in (("youngs_modulus_pa", 1e-4), ("poisson_ratio", 1e-6))
     }
     for name, derivative in (
         ("friction_coefficient", gradient.friction_coefficient),
@@ -132,7 +138,7 @@ def parameters(
         rows[name] = (vary("contact", name), value, 1e-4 * value, derivative)
     for name, derivative in gradient.geometry.items():
         value = getattr(g, name)
-        rows[name] = (vary("gel", name), value, 1e-7 * value, derivative)
+        rows[name] = (vary("gel", name), value, 1e-6 * value, derivative)
     for i in range(len(m.prony_shares)):
         for name, values in (
             ("prony_shares", gradient.prony_shares),

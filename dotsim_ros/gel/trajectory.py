@@ -81,8 +81,9 @@ class Trajectory:
 class Recorder:
     """Steps a gel and keeps what its adjoint needs.
 
-    Every substep is solved to rounding, with friction limited by the current pressure: several
-    times as slow as a plain step.
+    Every substep is solved to rounding, with friction limited by the current pressure: about ten
+    times as slow as a plain step. Begin with a pose outside the gel: the way that the gel itself
+    chooses to a first pose inside depends on the skin's size, which derivatives leave out.
 
     Args:
         gel: is reset, and from then on to be stepped by `step` of this recorder alone.
