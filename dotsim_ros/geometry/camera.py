@@ -31,6 +31,8 @@ def _widest_angle(distortion: FloatArray) -> float:
     """Return the angle up to which theta_d grows with theta; pi where it always does."""
     slope = np.zeros(9)
     slope[0::2] = np.concatenate([[1.0], distortion * np.array([3.0, 5.0, 7.0, 9.0])])
+    # Division by a coefficient too small to matter at any angle overflows.
+    slope[np.abs(slope) * np.pi ** np.arange(9) < 1e-15] = 0.0
     roots = np.polynomial.polynomial.polyroots(np.trim_zeros(slope, "b"))
     real = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
     return float(min(real.min(initial=np.pi), np.pi))

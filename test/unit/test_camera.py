@@ -30,6 +30,11 @@ def test_unprojected_pixels_project_to_themselves(x, y, k1, k2):
     assert camera.project_optical(direction * 0.03) == pytest.approx([x, y], abs=1e-9)
 
 
+def test_a_distortion_too_small_to_matter_changes_nothing():
+    plain, tiny = make_camera(), make_camera((0.0, 5e-324, 0.0, 0.0))
+    assert tiny.unproject([3.0, 4.0]) == pytest.approx(plain.unproject([3.0, 4.0]), abs=1e-15)
+
+
 def test_agrees_with_opencv_in_front_of_the_camera():
     camera = make_camera((0.03, -0.01, 0.002, -0.0005))
     random = np.random.default_rng(1)
