@@ -27,7 +27,7 @@ from dotsim_ros.gel.refinement import Refinement
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
-SETTLED_M = 1.0e-10
+SETTLED_M = 1.0e-12
 """Newton's method ends when an iteration moves neither a marker nor a node farther."""
 LARGEST_MOVE_M = 50.0e-6
 """An iteration moves nothing farther: the contact's stiffness changes over some micrometres."""
