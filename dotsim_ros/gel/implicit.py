@@ -64,12 +64,8 @@ NEAR_CONTACT_M = 60.0e-6
 CARRIED_M = 30.0e-6
 """A motion that extrapolation leaves out by more than this carries the contact along first."""
 LARGEST_STEP_M = 0.3e-3
-LAG_TOLERANCE = 0.15
-"""Differences of pressure below this share of the largest leave friction as it is."""
-FRICTION_PASSES = 2
-"""How often a substep renews the pressure that limits friction; the first is the last substep's."""
 CALM_STEP_M = 50.0e-6
-"""It is renewed after an iteration that moves less than this."""
+"""Friction takes the newer pressure after an iteration that moves less than this."""
 NEGLIGIBLE_FAR_SHARE = 0.5
 """Residual forces outside of the region below this share of those in it can wait."""
 RELINEARISE_EVERY = 4
@@ -518,16 +514,15 @@ class ImplicitGel:
             if iteration == 1:
                 lag = replace(lag, normal=point.response.normal)
                 point = self._with_lag(world, pose, point, lag)
-            elif (
-                self.trace[-1][0] < CALM_STEP_M
-                and passes < FRICTION_PASSES
-                and _differs(point.response.pressure_pa, lag.pressure_pa)
-            ):
+            elif self.trace[-1][0] < CALM_STEP_M and passes < self.solver.friction_passes:
                 passes += 1
                 lag = Lag(point.response.pressure_pa, point.response.normal)
                 point = self._with_lag(world, pose, point, lag)
             clock = time.perf_counter()
             step, slope = solver.step(point)
+            if slope >= 0.0 and not solver.is_plain:
+                solver.be_plain(point)
+                step, slope = solver.step(point)
             _add(timings, "solve", clock)
             scale = min(1.0, LARGEST_STEP_M / max(step.largest_m, LARGEST_STEP_M))
             if step.largest_m < self.solver.tolerance_m:
@@ -543,8 +538,13 @@ class ImplicitGel:
                 if trial.energy_j <= allowed or scale < SMALLEST_SCALE:
                     break
                 scale *= 0.5
-            point = trial
             self.trace.append((step.largest_m, scale))
+            if scale < SMALLEST_SCALE:
+                if solver.is_plain:
+                    return point, iteration, False
+                solver.be_plain(point)
+                continue
+            point = trial
         return point, self.solver.iterations, False
 
     def _with_lag(self, world: World, pose: Pose | None, point: _Point, lag: Lag) -> _Point:
@@ -575,7 +575,10 @@ class ImplicitGel:
         if patch is not None:
             added = patch.added_displacement(point.fine_force_n[patch.fine_node])
             point = replace(point, added_m=added)
-        return self._with_lag(world, pose, point, lag)
+        point = self._with_lag(world, pose, point, lag)
+        # What is reported and remembered obeys Coulomb's law with the pressure that it ends with.
+        last = Lag(point.response.pressure_pa, point.response.normal)
+        return self._with_lag(world, pose, point, last)
 
     def _share_of_last_move(self, world: World, pose: Pose) -> float:
         """Return how much of the last step's motion this one repeats: 1 at constant velocity."""
@@ -665,11 +668,6 @@ class ImplicitGel:
         world.history = history
 
 
-def _differs(pressure_pa: Array, lagged_pa: Array) -> bool:
-    largest = float(pressure_pa.max(initial=0.0))
-    return bool(np.abs(pressure_pa - lagged_pa).max(initial=0.0) > LAG_TOLERANCE * largest)
-
-
 def _no_lag(count: int) -> Lag:
     return Lag(np.zeros(count), np.zeros((count, 3)))
 
@@ -722,6 +720,7 @@ class _Direction:
         self.is_slow = False
         self.count = 0
         self.trusts_guess = False
+        self.is_plain = False
         self.linearise_at_m = world.displacement_m
 
     def step(self, point: _Point) -> tuple[_Step, float]:
@@ -764,6 +763,13 @@ class _Direction:
         self.last_m = largest
         return _Step(displacement, fine_change, largest), slope
 
+    def be_plain(self, point: _Point) -> None:
+        """From now on take the contact as it is, linearise here, and leave out nothing: a direction
+        that does not descend calls for it."""
+        self.is_plain = True
+        self.linearise_at_m = point.displacement_m
+        self.stiffness = self.free = self.factor = self.compliance = self.contact = None
+
     def carry(self, point: _Point, rows: NDArray[np.int64], move_m: Array) -> _Step:
         """Return the step if the given rows of the patch stuck to the indenter and moved with it.
 
@@ -800,7 +806,7 @@ class _Direction:
             self.touching = np.zeros(len(rows), dtype=bool)
         rows = self.near.rows
         pressed = response.pressure_pa[rows] > 0.0
-        if self.trusts_guess and pressed.any():
+        if self.is_plain or (self.trusts_guess and pressed.any()):
             touching = pressed
         elif self.count == 0 or self.is_slow or not np.array_equal(pressed, self.touching):
             touching = self._touching(patch, point, residual_n)
@@ -818,7 +824,7 @@ class _Direction:
         self.surplus_n[rows[begins]] = linear[begins, None] * normal[begins]
         self.surplus_n[rows[ends]] = -response.force_n[rows[ends]]
         changed = not np.array_equal(touching, self.touching)
-        if self.contact is None or changed or self.is_slow:
+        if self.contact is None or changed or self.is_slow or self.is_plain:
             hessian = response.hessian.copy()
             hessian[rows[ends]] = 0.0
             hessian[rows[begins]] = stiffness[begins, None, None] * (
@@ -891,7 +897,7 @@ class _Direction:
             self.factor = local.factor(region, stiffness, self.contact)
         near = float(np.linalg.norm(right[self.factor.region.dof]))
         far = np.sqrt(max(0.0, float(right @ right) - near * near))
-        if far < NEGLIGIBLE_FAR_SHARE * near:
+        if far < NEGLIGIBLE_FAR_SHARE * near and not self.is_plain:
             return self.factor.solve_near(right)
         return self.factor.solve(right)
 

@@ -34,7 +34,7 @@ IntArray = NDArray[np.int32]
 REACH_M = 7.0e-3
 """Pairs of nodes farther apart than this are left out of dG."""
 
-TAPER_M = 5.5e-3
+TAPER_M = 14.0e-3
 """Length of the Gaussian that fades dG out towards its reach; a sharp end would make it indefinite
 for contacts as wide as the reach."""
 

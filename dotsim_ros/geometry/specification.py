@@ -109,6 +109,8 @@ class SolverSpecification:
         refined: contact acts on the skin of a grid of half the spacing (to first order).
         tolerance_m: Newton's method ends when an iteration moves no marker farther.
         iterations: most Newton iterations of a substep.
+        friction_passes: how many pressures limit friction in a substep, one after the other; the
+            first is extrapolated from the last substep.
         dynamic: backward Euler with inertia instead of quasi-static steps.
     """
 
@@ -117,6 +119,7 @@ class SolverSpecification:
     refined: bool = True
     tolerance_m: float = 10.0e-6
     iterations: int = 15
+    friction_passes: int = 2
     dynamic: bool = False
 
     def __post_init__(self) -> None:
@@ -127,6 +130,7 @@ class SolverSpecification:
             grid_spacing_m=self.grid_spacing_m,
             tolerance_m=self.tolerance_m,
             iterations=self.iterations,
+            friction_passes=self.friction_passes,
         )
 
 

@@ -98,7 +98,7 @@ def pad_gel(**changes: Any) -> ImplicitGel:
     arguments: dict[str, Any] = {
         "contact": FRICTIONLESS,
         "indenter": sphere(10.0e-3),
-        "solver": SolverSpecification(**solver),
+        "solver": SolverSpecification(**{"friction_passes": 100, **solver}),
     }
     skin = changes.pop("skin", None) or pad_skin()
     return ImplicitGel(Pad(PAD_SIZE_M), skin, material, **(arguments | changes))
@@ -112,7 +112,7 @@ def dome_gel(indenter: Indenter, **changes: Any) -> ImplicitGel:
     arguments: dict[str, Any] = {
         "contact": ContactSpecification(),
         "indenter": indenter,
-        "solver": SolverSpecification(**solver),
+        "solver": SolverSpecification(**{"friction_passes": 100, **solver}),
     }
     return ImplicitGel(
         DOME, dome_skin(DOME.outer_radius_m, 1.0e-3), material, **arguments | changes
