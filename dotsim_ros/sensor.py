@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gel.body import Body, Dome, Pad
-from dotsim_ros.gel.explicit import ExplicitGel, ExplicitSettings
+from dotsim_ros.gel.explicit import DivergenceError, ExplicitGel, ExplicitSettings
 from dotsim_ros.gel.implicit import ImplicitGel
 from dotsim_ros.gel.material import (
     ElasticLaw,
@@ -39,6 +39,13 @@ from dotsim_ros.resources import parameter_path
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
+
+
+class GelFailureError(ValueError):
+    """The gel could not be solved on the way to a valid pose; it is at rest again.
+
+    What was pressed before is lost: press again from outside.
+    """
 
 
 @dataclass(frozen=True)
@@ -76,13 +83,23 @@ class Frame:
 
 @dataclass(frozen=True)
 class GelFrame:
-    """What the sensor needs to know of the gel after a step."""
+    """The gel after a step; attributes as those of `Frame`.
+
+    Attributes:
+        skin_position_m: (V, 3) skin markers, base frame.
+        wrench: of the gel on the indenter.
+        max_penetration_m: largest penetration of a marker into the indenter.
+        converged: whether the gel's solver met its tolerance.
+        timings_s: seconds spent on contact and solve.
+        time_s: simulated time since the last reset.
+    """
 
     skin_position_m: FloatArray
     wrench: Wrench
     max_penetration_m: float
     converged: bool
     timings_s: dict[str, float]
+    time_s: float = 0.0
 
 
 class Gel(Protocol):
@@ -288,8 +305,8 @@ class TactileSensor:
         self._gel.reset()
         self._time_s = 0.0
 
-    def step(self, pose: Pose | None, dt_s: float) -> Frame:
-        """Move the indenter to a pose in the base frame (None: away) and return the frame.
+    def press(self, pose: Pose | None, dt_s: float) -> GelFrame:
+        """Move the indenter to a pose in the base frame (None: away) and return the gel.
 
         The motion from the last pose is followed in substeps; the first pose after a reset is
         approached along the indenter's axis.
@@ -300,9 +317,32 @@ class TactileSensor:
 
         Raises:
             ValueError: the pose presses too deep or dt_s is not positive; the state stays.
+            GelFailureError: the gel could not be solved; it has been reset.
         """
-        gel = self._gel.step(pose, dt_s)
+        try:
+            gel = self._gel.step(pose, dt_s)
+            if not np.all(np.isfinite(gel.skin_position_m)):
+                raise DivergenceError("the skin is not finite")
+        except (np.linalg.LinAlgError, DivergenceError) as error:
+            self.reset()
+            place = "away" if pose is None else f"{np.round(pose.position_m * 1e3, 2).tolist()} mm"
+            raise GelFailureError(
+                f"the gel could not be solved on the way of the indenter to {place} ({error}); the "
+                "gel has been reset and what was pressed is lost: press again from outside, in "
+                "smaller moves"
+            ) from error
         self._time_s += dt_s
+        return replace(gel, time_s=self._time_s)
+
+    def see(self, gel: GelFrame, pose: Pose | None) -> Frame:
+        """Return the frame that shows a gel.
+
+        It may run in a second thread beside `press`: it reads nothing of the gel but its argument.
+
+        Args:
+            gel: from `press`.
+            pose: of the indenter, that `press` was given.
+        """
         clock = time.perf_counter
         start = clock()
         view = self._renderer.render(gel.skin_position_m)
@@ -310,7 +350,7 @@ class TactileSensor:
         image = self._image.render(view)
         timings = {**gel.timings_s, "depth": seen - start, "image": clock() - seen}
         return Frame(
-            time_s=self._time_s,
+            time_s=gel.time_s,
             indenter_pose=pose,
             image=image,
             depth_m=view.depth_m,
@@ -323,3 +363,16 @@ class TactileSensor:
             timings_s=timings,
             converged=gel.converged,
         )
+
+    def step(self, pose: Pose | None, dt_s: float) -> Frame:
+        """Return the frame after a move of the indenter: `press`, then `see`.
+
+        Args:
+            pose: of the indenter's frame in the base frame, as for `press`.
+            dt_s: seconds since the last step.
+
+        Raises:
+            ValueError: the pose presses too deep or dt_s is not positive; the state stays.
+            GelFailureError: the gel could not be solved; it has been reset.
+        """
+        return self.see(self.press(pose, dt_s), pose)

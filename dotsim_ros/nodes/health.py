@@ -26,16 +26,23 @@ class FrameCounter:
 
     Attributes:
         count: frames since the start.
+        unconverged: those of them whose gel had not converged.
+        last_unconverged_s: when the last of these was.
     """
 
     def __init__(self) -> None:
         self.count = 0
+        self.unconverged = 0
+        self.last_unconverged_s = -np.inf
         self._times_s: deque[float] = deque()
         self._spent_s: deque[Mapping[str, float]] = deque(maxlen=SPENT_FRAME_COUNT)
 
-    def note(self, now_s: float, spent_s: Mapping[str, float]) -> None:
+    def note(self, now_s: float, spent_s: Mapping[str, float], *, converged: bool) -> None:
         """Count a frame that took `spent_s` by part."""
         self.count += 1
+        if not converged:
+            self.unconverged += 1
+            self.last_unconverged_s = now_s
         self._times_s.append(now_s)
         self._spent_s.append(spent_s)
 
@@ -96,7 +103,7 @@ def statuses(
     named = [
         ("frames", _frames(condition, counter, now_s)),
         ("input", _input(condition, faults, now_s)),
-        ("gel", _gel(frame, effects)),
+        ("gel", _gel(frame, effects, counter, now_s)),
     ]
     return [
         Status(f"{node_name}: {part}", level, message, hardware_id, values)
@@ -137,13 +144,15 @@ def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
     return Level.OK, "input is valid", values
 
 
-def _gel(frame: Frame, effects: Sequence[str]) -> Report:
+def _gel(frame: Frame, effects: Sequence[str], counter: FrameCounter, now_s: float) -> Report:
     values = {
         "max_penetration_um": f"{1e6 * frame.max_penetration_m:.2f}",
         "converged": str(frame.converged).lower(),
+        "unconverged": str(counter.unconverged),
         "force_n": f"{float(np.linalg.norm(frame.wrench.force_n)):.4f}",
         "effects": ", ".join(effects) or "none",
     }
-    if not frame.converged:
-        return Level.WARN, "the equilibrium has not converged", values
+    # One frame among the many between two reports must not pass unseen.
+    if not frame.converged or now_s - counter.last_unconverged_s < FAULT_MEMORY_S:
+        return Level.WARN, "the equilibrium of a frame has not converged", values
     return Level.OK, "in equilibrium", values

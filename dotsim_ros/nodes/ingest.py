@@ -19,6 +19,7 @@ class Fault(StrEnum):
     ORDER = "out_of_order"
     BOTH = "both_inputs"
     GEL = "refused_by_gel"
+    FAILURE = "gel_failures"
     JUMP = "jumps"
     RESTART = "time_restarts"
 

@@ -13,6 +13,7 @@ import numpy as np
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.motion import NANOSECONDS_PER_SECOND, Motion
+from dotsim_ros.sensor import GelFailureError
 
 if TYPE_CHECKING:
     from dotsim_ros.geometry.indenter import Indenter
@@ -51,8 +52,8 @@ class SensorSession:
         """Simulate a motion.
 
         Raises:
-            RefusedInputError: the gel refuses the pose; the last frame stays, and the next motion
-                starts from rest.
+            RefusedInputError: the gel refuses the pose or cannot be solved; the last frame stays,
+                and the next motion starts from rest.
         """
         if motion.new_start is not None or self._is_broken:
             self._sensor.reset()
@@ -61,7 +62,8 @@ class SensorSession:
             self.frame = self._sensor.step(motion.pose, self._step_s(motion.stamp_ns))
         except ValueError as error:
             self._is_broken = True
-            raise RefusedInputError(Fault.GEL, str(error)) from error
+            fault = Fault.FAILURE if isinstance(error, GelFailureError) else Fault.GEL
+            raise RefusedInputError(fault, str(error)) from error
         self._is_broken = False
         self._last_stamp_ns = motion.stamp_ns
         return self.frame

@@ -151,7 +151,11 @@ class TactileSim(Node):
         begun_s = time.monotonic()
         self._outputs.publish(frame, stamp_ns)
         now_s = time.monotonic()
-        self._counter.note(now_s, {**frame.timings_s, "publish": now_s - begun_s})
+        self._counter.note(
+            now_s,
+            {**frame.timings_s, "publish": now_s - begun_s},
+            converged=frame.converged,
+        )
 
     def _report(self) -> None:
         if self.get_clock().now().nanoseconds == 0:

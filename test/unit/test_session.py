@@ -1,0 +1,119 @@
+"""A sensor under a stream of motions, without ROS: real gel, real frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dotsim_ros.gel.explicit import DivergenceError
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.nodes.health import FAULT_MEMORY_S, Condition, FrameCounter, statuses
+from dotsim_ros.nodes.ingest import Fault, FaultLog, RefusedInputError
+from dotsim_ros.nodes.motion import Motion
+from dotsim_ros.nodes.session import SensorSession
+from dotsim_ros.sensor import GelFailureError, TactileSensor
+from msg_adapters import Level
+
+APEX_M = 0.01575
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return TactileSensor(load_sensor("densetact2"), indenter=load_indenter("sphere_4mm"))
+
+
+@pytest.fixture(params=[np.linalg.LinAlgError("not positive definite"), DivergenceError("blew up")])
+def failing_gel(sensor, request):
+    """Let every solution of the gel fail half-way, as a hopeless state does."""
+    sensor.reset()
+
+    def fail(*_):
+        raise request.param
+
+    sensor._gel._gel.observer = fail
+    yield sensor._gel._gel
+    sensor._gel._gel.observer = None
+    sensor.reset()
+
+
+def pressed(depth_mm):
+    return Pose(np.array([0.0, 0.0, APEX_M - 1e-3 * depth_mm]))
+
+
+def motion(depth_mm, stamp_ns):
+    return Motion(pressed(depth_mm), stamp_ns, None)
+
+
+def statuses_of(counter, frame, now_s):
+    condition = Condition(
+        is_enabled=True, silence_s=None, timeout_s=1.0, is_realtime=True, late=0, dropped=0
+    )
+    states = statuses(
+        "node",
+        "sensor",
+        condition=condition,
+        counter=counter,
+        faults=FaultLog(),
+        frame=frame,
+        effects=(),
+        now_s=now_s,
+    )
+    return {state.name: state for state in states}
+
+
+def test_press_and_see_make_the_frame_of_a_step(sensor):
+    sensor.reset()
+    whole = [sensor.step(pressed(depth), 0.04) for depth in (0.5, 0.8)]
+    sensor.reset()
+    for depth, expected in zip((0.5, 0.8), whole, strict=True):
+        frame = sensor.see(sensor.press(pressed(depth), 0.04), pressed(depth))
+        assert np.array_equal(frame.image, expected.image)
+        assert np.array_equal(frame.depth_m, expected.depth_m, equal_nan=True)
+        assert np.array_equal(frame.wrench.force_n, expected.wrench.force_n)
+        assert frame.time_s == expected.time_s
+
+
+def test_a_gel_that_cannot_be_solved_is_reset_and_says_so(sensor, failing_gel):
+    fresh = sensor.step(None, 0.04)
+    with pytest.raises(GelFailureError, match="press again from outside"):
+        sensor.step(pressed(0.5), 0.04)
+    failing_gel.observer = None
+    again = sensor.step(None, 0.04)
+    assert again.time_s == 0.04
+    assert np.array_equal(again.skin_position_m, fresh.skin_position_m)
+
+
+def test_a_session_goes_on_after_a_failed_gel_as_a_fresh_one(sensor, failing_gel):
+    failing_gel.observer, fail = None, failing_gel.observer
+    session = SensorSession(sensor, first_dt_s=0.04)
+    expected = session.follow(motion(0.5, 1))
+    session.reset()
+    before = session.frame
+    failing_gel.observer = fail
+    with pytest.raises(RefusedInputError) as refusal:
+        session.follow(motion(0.5, 2))
+    assert refusal.value.fault is Fault.FAILURE
+    assert session.frame is before
+    failing_gel.observer = None
+    frame = session.follow(motion(0.5, 3))
+    assert np.array_equal(frame.wrench.force_n, expected.wrench.force_n)
+    assert np.array_equal(frame.image, expected.image)
+
+
+def test_a_frame_that_has_not_converged_is_counted_and_warned_of_for_a_while(sensor):
+    sensor.reset()
+    frame = sensor.step(None, 0.04)
+    counter = FrameCounter()
+    counter.note(0.0, {}, converged=True)
+    state = statuses_of(counter, frame, 0.0)["node: gel"]
+    assert (state.level, state.values["unconverged"]) == (Level.OK, "0")
+    counter.note(1.0, {}, converged=False)
+    counter.note(1.04, {}, converged=True)
+    state = statuses_of(counter, frame, 1.1)["node: gel"]
+    assert (state.level, state.values["unconverged"]) == (Level.WARN, "1")
+    state = statuses_of(counter, frame, 2.0 + FAULT_MEMORY_S)["node: gel"]
+    assert (state.level, state.values["unconverged"]) == (Level.OK, "1")
+    state = statuses_of(counter, replace(frame, converged=False), 2.0 + FAULT_MEMORY_S)["node: gel"]
+    assert state.level == Level.WARN
