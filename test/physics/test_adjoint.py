@@ -383,7 +383,10 @@ def test_gradient_with_a_refined_contact(
     gradient = adjoint(case)
     # The refinement is in single precision: larger steps than elsewhere.
     check(case, "law.youngs_modulus_pa", 3e5, 3e3, gradient.by_law(case.law)["youngs_modulus_pa"])
-    check(case, "contact.friction_coefficient", 0.4, 2e-3, gradient.friction_coefficient)
+    # A single difference scatters by 0.2 % here, whatever its step; several are averaged.
+    steps = (2e-3, 4e-3, 6e-3, 8e-3)
+    several = [difference(case, "contact.friction_coefficient", 0.4, step) for step in steps]
+    assert gradient.friction_coefficient == pytest.approx(np.mean(several), rel=TOLERANCE)
     check(case, "indenter.0", 0.004, 4e-6, float(gradient.indenter_parameters[0]))
     check(case, "twist.2", 0.0, 1e-6, float(gradient.indenter_twist[2]))
     gel, recorder, _ = recorded(case)
