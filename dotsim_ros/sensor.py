@@ -114,6 +114,9 @@ class Gel(Protocol):
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""
 
+    def check_depth(self, pose: Pose) -> None:
+        """Refuse a pose that presses too deep by ValueError, without moving there."""
+
 
 def body_of(specification: GelSpecification) -> Body:
     """Return the gel's shape."""
@@ -155,6 +158,7 @@ class _ImplicitSensorGel:
     def __init__(self, gel: ImplicitGel) -> None:
         self._gel = gel
         self.reset, self.set_indenter = gel.reset, gel.set_indenter
+        self.check_depth = gel.check_depth
 
     def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
         state = self._gel.step([pose], dt_s)[0]
@@ -173,6 +177,9 @@ class _ExplicitSensorGel:
     def __init__(self, gel: ExplicitGel) -> None:
         self._gel = gel
         self.reset, self.set_indenter = gel.reset, gel.set_indenter
+
+    def check_depth(self, pose: Pose) -> None:
+        """Refuse nothing: the explicit gel has no depth that it cannot take."""
 
     def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
         start = time.perf_counter()
@@ -261,7 +268,7 @@ class TactileSensor:
         device: str = "cpu",
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        self.specification, self.device = specification, device
+        self.specification, self.device, self.indenter = specification, device, indenter
         self.skin = skin_of(specification.gel)
         self.camera = FisheyeCamera.from_specification(specification.camera)
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
@@ -298,12 +305,21 @@ class TactileSensor:
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""
         self._gel.set_indenter(indenter)
+        self.indenter = indenter
         self._time_s = 0.0
 
     def reset(self) -> None:
         """Return to rest."""
         self._gel.reset()
         self._time_s = 0.0
+
+    def check_depth(self, pose: Pose) -> None:
+        """Refuse a pose that `press` would refuse, without moving there.
+
+        Raises:
+            ValueError: the pose presses too deep.
+        """
+        self._gel.check_depth(pose)
 
     def press(self, pose: Pose | None, dt_s: float) -> GelFrame:
         """Move the indenter to a pose in the base frame (None: away) and return the gel.

@@ -278,7 +278,12 @@ class ImplicitGel:
         paths = [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
         return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
 
-    def _check_depth(self, pose: Pose) -> None:
+    def check_depth(self, pose: Pose) -> None:
+        """Refuse a pose that presses too deep, without moving there.
+
+        Raises:
+            PressTooDeepError: it comes too close to what the gel is bonded to.
+        """
         local = (self._rigid_points_m - pose.position_m) @ pose.rotation()
         clearance = float(self.contact.indenter.signed_distance(local).min())
         if clearance < CORE_CLEARANCE_M:
@@ -332,7 +337,7 @@ class ImplicitGel:
         count = max(1, int(np.ceil(length / LARGEST_SUBSTEP_M)))
         path = [interpolate(start, pose, k / count) for k in range(1, count)] + [pose]
         for waypoint in path:
-            self._check_depth(waypoint)
+            self.check_depth(waypoint)
         while len(path) > 1 and world.response is None and not self._touches_rest(path[0]):
             path.pop(0)
         return list(path)

@@ -76,7 +76,7 @@ class Condition:
         silence_s: seconds since the last input, or None before the first.
         timeout_s: how long a silence is normal.
         is_realtime: the clock.
-        late: frames that started late.
+        late: frames that started late, or show the indenter on its way to the newest pose.
         dropped: frames that were left out.
     """
 

@@ -13,6 +13,7 @@ import numpy as np
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.motion import NANOSECONDS_PER_SECOND, Motion
+from dotsim_ros.nodes.pursuit import pursue
 from dotsim_ros.sensor import GelFailureError
 
 if TYPE_CHECKING:
@@ -28,14 +29,23 @@ class SensorSession:
     Args:
         sensor: the sensor, at rest.
         first_dt_s: the time step of a motion that nothing leads to.
+        limit_m: how far the indenter may move in contact in one frame; a longer motion takes
+            several frames. Infinite for none.
 
     Attributes:
         frame: the last valid frame.
+        behind: how many frames did not reach the newest pose.
     """
 
-    def __init__(self, sensor: TactileSensor, *, first_dt_s: float) -> None:
+    def __init__(
+        self, sensor: TactileSensor, *, first_dt_s: float, limit_m: float = np.inf
+    ) -> None:
         self._sensor = sensor
         self._first_dt_s = first_dt_s
+        self._limit_m = limit_m
+        self._at: Pose | None = None
+        self._target: Pose | None = None
+        self.behind = 0
         self._last_stamp_ns: int | None = None
         self._is_broken = False
         self.frame: Frame = sensor.step(None, first_dt_s)
@@ -49,7 +59,7 @@ class SensorSession:
         return time.monotonic() - start_s
 
     def follow(self, motion: Motion) -> Frame:
-        """Simulate a motion.
+        """Simulate a motion, or as much of it as one frame may.
 
         Raises:
             RefusedInputError: the gel refuses the pose or cannot be solved; the last frame stays,
@@ -58,15 +68,61 @@ class SensorSession:
         if motion.new_start is not None or self._is_broken:
             self._sensor.reset()
             self._last_stamp_ns = None
+            self._at = None
+        step_s = self._step_s(motion.stamp_ns)
+        self._last_stamp_ns = motion.stamp_ns
+        return self._move(motion.pose, step_s)
+
+    def is_behind(self) -> bool:
+        """Return whether the last frame shows the indenter on its way, not at its newest pose."""
+        return self._target is not None
+
+    def catch_up(self) -> Frame:
+        """Go on to the newest pose, which `follow` did not reach; nothing where it did.
+
+        Raises:
+            RefusedInputError: as `follow`.
+        """
+        if self._target is None:
+            return self.frame
+        if self._last_stamp_ns is not None:
+            self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
+        return self._move(self._target, self._first_dt_s)
+
+    def _move(self, pose: Pose, step_s: float) -> Frame:
+        self._target = None
         try:
-            self.frame = self._sensor.step(motion.pose, self._step_s(motion.stamp_ns))
+            reached = self._within_reach(pose)
+            self.frame = self._sensor.step(reached, step_s)
         except ValueError as error:
             self._is_broken = True
             fault = Fault.FAILURE if isinstance(error, GelFailureError) else Fault.GEL
             raise RefusedInputError(fault, str(error)) from error
         self._is_broken = False
-        self._last_stamp_ns = motion.stamp_ns
+        self._at = reached
+        if reached is not pose:
+            self._target = pose
+            self.behind += 1
         return self.frame
+
+    def _within_reach(self, pose: Pose) -> Pose:
+        if np.isinf(self._limit_m):
+            return pose
+        # Now, not when the indenter gets there: a press that is refused must not begin.
+        self._sensor.check_depth(pose)
+        rest_m = self._sensor.skin.rest_position_m
+        start, skin_m = self._at, self.frame.skin_position_m
+        if start is None:
+            # The sensor comes to a first pose along the indenter's axis.
+            away_m = float(np.ptp(rest_m, axis=0).max()) * pose.rotation()[:, 2]
+            start, skin_m = Pose(pose.position_m + away_m, pose.quaternion_xyzw), rest_m
+        return pursue(
+            start,
+            pose,
+            indenter=self._sensor.indenter,
+            skin_position_m=skin_m,
+            limit_m=self._limit_m,
+        )
 
     def _step_s(self, stamp_ns: int) -> float:
         if self._last_stamp_ns is None or stamp_ns <= self._last_stamp_ns:
@@ -78,6 +134,7 @@ class SensorSession:
         self._sensor.reset()
         self._last_stamp_ns = None
         self._is_broken = False
+        self._at = self._target = None
         self.frame = self._sensor.step(None, self._first_dt_s)
         self._sensor.reset()
 

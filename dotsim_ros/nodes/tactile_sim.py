@@ -20,6 +20,7 @@ from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
+from dotsim_ros.gel.implicit import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.nodes.declare import declare, follow
@@ -36,6 +37,9 @@ from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.transport import carry_images
 from dotsim_ros.sensor import Frame, TactileSensor
 
+REALTIME_MOVE_M = 2.0 * LARGEST_SUBSTEP_M
+"""A frame that took long must not make the next one take longer: its motion costs two substeps."""
+
 
 class TactileSim(Node):
     """The node; parameters, topics and services as the README lists them."""
@@ -49,7 +53,11 @@ class TactileSim(Node):
         self._is_enabled = True
         self._is_realtime = self._settings.clock == REALTIME
         sensor = self._make_sensor()
-        self._session = SensorSession(sensor, first_dt_s=1.0 / self._settings.rate_hz)
+        self._session = SensorSession(
+            sensor,
+            first_dt_s=1.0 / self._settings.rate_hz,
+            limit_m=REALTIME_MOVE_M if self._is_realtime else np.inf,
+        )
         self.get_logger().info("warming up: the first start compiles the kernels")
         warm_up_s = self._session.warm_up()
         self._counter = FrameCounter()
@@ -140,6 +148,8 @@ class TactileSim(Node):
             motion = self._newest.take()
             if motion is not None:
                 self._input.guard(lambda: self._session.follow(motion))
+            else:
+                self._input.guard(self._session.catch_up)
             self._publish(self._session.frame, stamp_ns)
 
     def _lockstep_frame(self, motion: Motion) -> None:
@@ -169,7 +179,7 @@ class TactileSim(Node):
                 silence_s=self._input.silence_s(),
                 timeout_s=self._settings.input_timeout_s if self._is_realtime else np.inf,
                 is_realtime=self._is_realtime,
-                late=self._pace.late,
+                late=self._pace.late + self._session.behind,
                 dropped=self._pace.dropped,
             )
             states = statuses(

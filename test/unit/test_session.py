@@ -117,3 +117,48 @@ def test_a_frame_that_has_not_converged_is_counted_and_warned_of_for_a_while(sen
     assert (state.level, state.values["unconverged"]) == (Level.OK, "1")
     state = statuses_of(counter, replace(frame, converged=False), 2.0 + FAULT_MEMORY_S)["node: gel"]
     assert state.level == Level.WARN
+
+
+def test_a_deep_press_takes_several_limited_frames_and_arrives(sensor):
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0012)
+    session.follow(motion(-5.0, 1))
+    assert not session.is_behind()
+    assert session.follow(motion(-0.5, 2)).indenter_pose.position_m[2] == APEX_M + 0.5e-3
+    frames = [session.follow(motion(2.5, 3))]
+    while session.is_behind():
+        frames.append(session.catch_up())
+    heights_m = [frame.indenter_pose.position_m[2] for frame in frames]
+    # The first 0.5 mm are free.
+    assert heights_m[0] == pytest.approx(APEX_M - 1.2e-3, abs=0.06e-3)
+    assert -np.diff(heights_m) == pytest.approx([1.2e-3, 0.1e-3], abs=0.06e-3)
+    assert heights_m[-1] == APEX_M - 2.5e-3
+    assert session.behind == 2
+    assert session.catch_up() is frames[-1]
+
+
+def test_the_newest_pose_is_pursued_from_where_the_indenter_is(sensor):
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0012)
+    first = session.follow(motion(2.5, 1))
+    assert session.is_behind()
+    back = session.follow(motion(1.0, 2))
+    assert not session.is_behind()
+    assert 0.0 < back.wrench.force_n[2] < first.wrench.force_n[2]
+
+
+def test_a_limited_press_that_would_be_refused_does_not_begin(sensor):
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0012)
+    with pytest.raises(RefusedInputError, match="press less deep") as refusal:
+        session.follow(motion(20.0, 1))
+    assert refusal.value.fault is Fault.GEL
+    assert not session.is_touched()
+    assert not session.is_behind()
+
+
+def test_without_a_limit_every_motion_is_followed_to_its_end(sensor):
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04)
+    assert session.follow(motion(2.5, 1)).indenter_pose.position_m[2] == APEX_M - 2.5e-3
+    assert session.behind == 0
