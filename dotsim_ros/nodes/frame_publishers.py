@@ -14,10 +14,12 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
+from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.nodes.framing import Framing, encoded_pixels
 from dotsim_ros.nodes.tactile_parameters import TactileSimParameters
 
 if TYPE_CHECKING:
+    from dotsim_ros.nodes.session import Moment
     from dotsim_ros.sensor import Frame, TactileSensor
 
 # Reliable serves best-effort readers too; 5 is what viewers ask for.
@@ -68,12 +70,16 @@ class FramePublishers:
         self._camera = self._framing.camera(self._sensor.camera)
         self._parameters = parameters
 
-    def publish(self, frame: Frame, stamp_ns: int) -> None:
-        """Publish a frame on every topic that somebody reads."""
+    def shows_picture(self) -> bool:
+        """Return whether somebody reads a topic that the camera's picture is needed for."""
+        return any(_is_read(each) for each in (self._image, self._compressed, self._depth))
+
+    def publish(self, moment: Moment, stamp_ns: int) -> None:
+        """Publish a moment on every topic that somebody reads; render it only for a picture."""
         optical: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.optical_frame}
         base: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.base_frame}
         if _is_read(self._image):
-            self._image.publish(self._image_message(frame.image, stamp_ns))
+            self._image.publish(self._image_message(moment.render().image, stamp_ns))
         if _is_read(self._camera_info):
             self._camera_info.publish(
                 msg_adapters.encode_camera_info(
@@ -86,19 +92,19 @@ class FramePublishers:
                 )
             )
         if _is_read(self._wrench):
-            wrench = frame.wrench
+            wrench = moment.gel.wrench
             self._wrench.publish(
                 msg_adapters.encode_wrench_stamped(wrench.force_n, wrench.torque_nm, **base)
             )
-        if frame.indenter_pose is not None and _is_read(self._state):
-            pose = frame.indenter_pose
+        if moment.pose is not None and _is_read(self._state):
+            pose = moment.pose
             self._state.publish(
                 msg_adapters.encode_pose_stamped(pose.position_m, pose.quaternion_xyzw, **base)
             )
         if _is_read(self._compressed):
             self._compressed.publish(
                 msg_adapters.encode_compressed_image(
-                    self._framing.apply(frame.image),
+                    self._framing.apply(moment.render().image),
                     compression=self._parameters.compression,
                     quality=self._parameters.jpeg_quality,
                     **optical,
@@ -106,15 +112,15 @@ class FramePublishers:
             )
         if _is_read(self._depth):
             # Never averaged: between skin and nothing lies no skin.
-            depth = self._framing.apply(frame.depth_m, interpolation=cv2.INTER_NEAREST)
+            depth = self._framing.apply(moment.render().depth_m, interpolation=cv2.INTER_NEAREST)
             self._depth.publish(msg_adapters.encode_image(depth, encoding="32FC1", **optical))
         if _is_read(self._points):
-            rest_m = self._sensor.skin.rest_position_m
+            rest_m, skin_m = self._sensor.skin.rest_position_m, moment.gel.skin_position_m
             self._points.publish(
                 msg_adapters.encode_cloud(
-                    frame.skin_position_m,
-                    normal=frame.skin_normal,
-                    displacement_m=frame.skin_position_m - rest_m,
+                    skin_m,
+                    normal=vertex_normals(skin_m, self._sensor.skin.triangles),
+                    displacement_m=skin_m - rest_m,
                     **base,
                 )
             )

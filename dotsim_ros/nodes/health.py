@@ -13,7 +13,7 @@ from dotsim_ros.nodes.ingest import FaultLog
 from msg_adapters import Level, Status
 
 if TYPE_CHECKING:
-    from dotsim_ros.sensor import Frame
+    from dotsim_ros.sensor import GelFrame
 
 RATE_WINDOW_S = 5.0
 SPENT_FRAME_COUNT = 1500
@@ -95,7 +95,7 @@ def statuses(
     condition: Condition,
     counter: FrameCounter,
     faults: FaultLog,
-    frame: Frame,
+    gel: GelFrame,
     effects: Sequence[str],
     now_s: float,
 ) -> list[Status]:
@@ -103,7 +103,7 @@ def statuses(
     named = [
         ("frames", _frames(condition, counter, now_s)),
         ("input", _input(condition, faults, now_s)),
-        ("gel", _gel(frame, effects, counter, now_s)),
+        ("gel", _gel(gel, effects, counter, now_s)),
     ]
     return [
         Status(f"{node_name}: {part}", level, message, hardware_id, values)
@@ -144,15 +144,15 @@ def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
     return Level.OK, "input is valid", values
 
 
-def _gel(frame: Frame, effects: Sequence[str], counter: FrameCounter, now_s: float) -> Report:
+def _gel(gel: GelFrame, effects: Sequence[str], counter: FrameCounter, now_s: float) -> Report:
     values = {
-        "max_penetration_um": f"{1e6 * frame.max_penetration_m:.2f}",
-        "converged": str(frame.converged).lower(),
+        "max_penetration_um": f"{1e6 * gel.max_penetration_m:.2f}",
+        "converged": str(gel.converged).lower(),
         "unconverged": str(counter.unconverged),
-        "force_n": f"{float(np.linalg.norm(frame.wrench.force_n)):.4f}",
+        "force_n": f"{float(np.linalg.norm(gel.wrench.force_n)):.4f}",
         "effects": ", ".join(effects) or "none",
     }
     # One frame among the many between two reports must not pass unseen.
-    if not frame.converged or now_s - counter.last_unconverged_s < FAULT_MEMORY_S:
+    if not gel.converged or now_s - counter.last_unconverged_s < FAULT_MEMORY_S:
         return Level.WARN, "the equilibrium of a frame has not converged", values
     return Level.OK, "in equilibrium", values

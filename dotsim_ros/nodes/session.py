@@ -18,9 +18,34 @@ from dotsim_ros.sensor import GelFailureError
 
 if TYPE_CHECKING:
     from dotsim_ros.geometry.indenter import Indenter
-    from dotsim_ros.sensor import Frame, TactileSensor
+    from dotsim_ros.sensor import Frame, GelFrame, TactileSensor
 
 WARM_UP_DEPTH_M = 0.0005
+
+
+class Moment:
+    """The gel under an indenter, and what the camera sees of it once somebody asks.
+
+    Args:
+        sensor: which sees.
+        gel: what it sees.
+        pose: of the indenter.
+    """
+
+    def __init__(self, sensor: TactileSensor, gel: GelFrame, pose: Pose | None) -> None:
+        self._sensor, self.gel, self.pose = sensor, gel, pose
+        self._frame: Frame | None = None
+
+    def render(self) -> Frame:
+        """Return the whole frame; it is rendered the first time."""
+        if self._frame is None:
+            self._frame = self._sensor.see(self.gel, self.pose)
+        return self._frame
+
+    @property
+    def timings_s(self) -> dict[str, float]:
+        """Seconds spent so far, by part."""
+        return self.gel.timings_s if self._frame is None else self._frame.timings_s
 
 
 class SensorSession:
@@ -33,7 +58,7 @@ class SensorSession:
             several frames. Infinite for none.
 
     Attributes:
-        frame: the last valid frame.
+        moment: the last valid one.
         behind: how many frames did not reach the newest pose.
     """
 
@@ -48,7 +73,7 @@ class SensorSession:
         self.behind = 0
         self._last_stamp_ns: int | None = None
         self._is_broken = False
-        self.frame: Frame = sensor.step(None, first_dt_s)
+        self.moment = self._pressed(None, first_dt_s)
 
     def warm_up(self) -> float:
         """Press once and forget it, so that no frame waits for a compiler; return the seconds."""
@@ -58,7 +83,7 @@ class SensorSession:
         self.reset()
         return time.monotonic() - start_s
 
-    def follow(self, motion: Motion) -> Frame:
+    def follow(self, motion: Motion) -> Moment:
         """Simulate a motion, or as much of it as one frame may.
 
         Raises:
@@ -77,23 +102,23 @@ class SensorSession:
         """Return whether the last frame shows the indenter on its way, not at its newest pose."""
         return self._target is not None
 
-    def catch_up(self) -> Frame:
+    def catch_up(self) -> Moment:
         """Go on to the newest pose, which `follow` did not reach; nothing where it did.
 
         Raises:
             RefusedInputError: as `follow`.
         """
         if self._target is None:
-            return self.frame
+            return self.moment
         if self._last_stamp_ns is not None:
             self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
         return self._move(self._target, self._first_dt_s)
 
-    def _move(self, pose: Pose, step_s: float) -> Frame:
+    def _move(self, pose: Pose, step_s: float) -> Moment:
         self._target = None
         try:
             reached = self._within_reach(pose)
-            self.frame = self._sensor.step(reached, step_s)
+            self.moment = self._pressed(reached, step_s)
         except ValueError as error:
             self._is_broken = True
             fault = Fault.FAILURE if isinstance(error, GelFailureError) else Fault.GEL
@@ -103,7 +128,10 @@ class SensorSession:
         if reached is not pose:
             self._target = pose
             self.behind += 1
-        return self.frame
+        return self.moment
+
+    def _pressed(self, pose: Pose | None, step_s: float) -> Moment:
+        return Moment(self._sensor, self._sensor.press(pose, step_s), pose)
 
     def _within_reach(self, pose: Pose) -> Pose:
         if np.isinf(self._limit_m):
@@ -111,7 +139,7 @@ class SensorSession:
         # Now, not when the indenter gets there: a press that is refused must not begin.
         self._sensor.check_depth(pose)
         rest_m = self._sensor.skin.rest_position_m
-        start, skin_m = self._at, self.frame.skin_position_m
+        start, skin_m = self._at, self.moment.gel.skin_position_m
         if start is None:
             # The sensor comes to a first pose along the indenter's axis.
             away_m = float(np.ptp(rest_m, axis=0).max()) * pose.rotation()[:, 2]
@@ -135,7 +163,7 @@ class SensorSession:
         self._last_stamp_ns = None
         self._is_broken = False
         self._at = self._target = None
-        self.frame = self._sensor.step(None, self._first_dt_s)
+        self.moment = self._pressed(None, self._first_dt_s)
         self._sensor.reset()
 
     def change_indenter(self, indenter: Indenter) -> None:
@@ -149,4 +177,4 @@ class SensorSession:
 
     def is_touched(self) -> bool:
         """Return whether the last frame shows a contact."""
-        return bool(np.any(self.frame.wrench.force_n != 0.0))
+        return bool(np.any(self.moment.gel.wrench.force_n != 0.0))

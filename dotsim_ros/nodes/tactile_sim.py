@@ -30,12 +30,12 @@ from dotsim_ros.nodes.ingest import FaultLog
 from dotsim_ros.nodes.motion import Motion, NewestMotion
 from dotsim_ros.nodes.motion_input import MotionInput
 from dotsim_ros.nodes.pace import FramePace
-from dotsim_ros.nodes.session import SensorSession
+from dotsim_ros.nodes.session import Moment, SensorSession
 from dotsim_ros.nodes.spin import run_node
 from dotsim_ros.nodes.static_frame import publish_static_frame
 from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.transport import carry_images
-from dotsim_ros.sensor import Frame, TactileSensor
+from dotsim_ros.sensor import TactileSensor
 
 REALTIME_MOVE_M = 2.0 * LARGEST_SUBSTEP_M
 """A frame that took long must not make the next one take longer: its motion costs two substeps."""
@@ -150,21 +150,23 @@ class TactileSim(Node):
                 self._input.guard(lambda: self._session.follow(motion))
             else:
                 self._input.guard(self._session.catch_up)
-            self._publish(self._session.frame, stamp_ns)
+            self._publish(self._session.moment, stamp_ns)
 
     def _lockstep_frame(self, motion: Motion) -> None:
         with self._lock:
             if self._is_enabled:
                 self._publish(self._session.follow(motion), motion.stamp_ns)
 
-    def _publish(self, frame: Frame, stamp_ns: int) -> None:
+    def _publish(self, moment: Moment, stamp_ns: int) -> None:
+        if self._outputs.shows_picture():
+            moment.render()
         begun_s = time.monotonic()
-        self._outputs.publish(frame, stamp_ns)
+        self._outputs.publish(moment, stamp_ns)
         now_s = time.monotonic()
         self._counter.note(
             now_s,
-            {**frame.timings_s, "publish": now_s - begun_s},
-            converged=frame.converged,
+            {**moment.timings_s, "publish": now_s - begun_s},
+            converged=moment.gel.converged,
         )
 
     def _report(self) -> None:
@@ -188,7 +190,7 @@ class TactileSim(Node):
                 condition=condition,
                 counter=self._counter,
                 faults=self._faults,
-                frame=self._session.frame,
+                gel=self._session.moment.gel,
                 effects=(),
                 now_s=time.monotonic(),
             )
@@ -214,7 +216,9 @@ class TactileSim(Node):
                 response.message = "the indenter touches the gel: lift it, then calibrate"
                 return response
             self._session.reset()
-            self._outputs.publish_idle(self._session.frame, self.get_clock().now().nanoseconds)
+            self._outputs.publish_idle(
+                self._session.moment.render(), self.get_clock().now().nanoseconds
+            )
         response.success = True
         response.message = f"the image at rest is on {self.get_fully_qualified_name()}/idle_image"
         return response

@@ -46,7 +46,7 @@ def motion(depth_mm, stamp_ns):
     return Motion(pressed(depth_mm), stamp_ns, None)
 
 
-def statuses_of(counter, frame, now_s):
+def statuses_of(counter, gel, now_s):
     condition = Condition(
         is_enabled=True, silence_s=None, timeout_s=1.0, is_realtime=True, late=0, dropped=0
     )
@@ -56,7 +56,7 @@ def statuses_of(counter, frame, now_s):
         condition=condition,
         counter=counter,
         faults=FaultLog(),
-        frame=frame,
+        gel=gel,
         effects=(),
         now_s=now_s,
     )
@@ -88,34 +88,34 @@ def test_a_gel_that_cannot_be_solved_is_reset_and_says_so(sensor, failing_gel):
 def test_a_session_goes_on_after_a_failed_gel_as_a_fresh_one(sensor, failing_gel):
     failing_gel.observer, fail = None, failing_gel.observer
     session = SensorSession(sensor, first_dt_s=0.04)
-    expected = session.follow(motion(0.5, 1))
+    expected = session.follow(motion(0.5, 1)).render()
     session.reset()
-    before = session.frame
+    before = session.moment
     failing_gel.observer = fail
     with pytest.raises(RefusedInputError) as refusal:
         session.follow(motion(0.5, 2))
     assert refusal.value.fault is Fault.FAILURE
-    assert session.frame is before
+    assert session.moment is before
     failing_gel.observer = None
-    frame = session.follow(motion(0.5, 3))
+    frame = session.follow(motion(0.5, 3)).render()
     assert np.array_equal(frame.wrench.force_n, expected.wrench.force_n)
     assert np.array_equal(frame.image, expected.image)
 
 
 def test_a_frame_that_has_not_converged_is_counted_and_warned_of_for_a_while(sensor):
     sensor.reset()
-    frame = sensor.step(None, 0.04)
+    gel = sensor.press(None, 0.04)
     counter = FrameCounter()
     counter.note(0.0, {}, converged=True)
-    state = statuses_of(counter, frame, 0.0)["node: gel"]
+    state = statuses_of(counter, gel, 0.0)["node: gel"]
     assert (state.level, state.values["unconverged"]) == (Level.OK, "0")
     counter.note(1.0, {}, converged=False)
     counter.note(1.04, {}, converged=True)
-    state = statuses_of(counter, frame, 1.1)["node: gel"]
+    state = statuses_of(counter, gel, 1.1)["node: gel"]
     assert (state.level, state.values["unconverged"]) == (Level.WARN, "1")
-    state = statuses_of(counter, frame, 2.0 + FAULT_MEMORY_S)["node: gel"]
+    state = statuses_of(counter, gel, 2.0 + FAULT_MEMORY_S)["node: gel"]
     assert (state.level, state.values["unconverged"]) == (Level.OK, "1")
-    state = statuses_of(counter, replace(frame, converged=False), 2.0 + FAULT_MEMORY_S)["node: gel"]
+    state = statuses_of(counter, replace(gel, converged=False), 2.0 + FAULT_MEMORY_S)["node: gel"]
     assert state.level == Level.WARN
 
 
@@ -124,11 +124,11 @@ def test_a_deep_press_takes_several_limited_frames_and_arrives(sensor):
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0012)
     session.follow(motion(-5.0, 1))
     assert not session.is_behind()
-    assert session.follow(motion(-0.5, 2)).indenter_pose.position_m[2] == APEX_M + 0.5e-3
+    assert session.follow(motion(-0.5, 2)).pose.position_m[2] == APEX_M + 0.5e-3
     frames = [session.follow(motion(2.5, 3))]
     while session.is_behind():
         frames.append(session.catch_up())
-    heights_m = [frame.indenter_pose.position_m[2] for frame in frames]
+    heights_m = [frame.pose.position_m[2] for frame in frames]
     # The first 0.5 mm are free.
     assert heights_m[0] == pytest.approx(APEX_M - 1.2e-3, abs=0.06e-3)
     assert -np.diff(heights_m) == pytest.approx([1.2e-3, 0.1e-3], abs=0.06e-3)
@@ -144,7 +144,7 @@ def test_the_newest_pose_is_pursued_from_where_the_indenter_is(sensor):
     assert session.is_behind()
     back = session.follow(motion(1.0, 2))
     assert not session.is_behind()
-    assert 0.0 < back.wrench.force_n[2] < first.wrench.force_n[2]
+    assert 0.0 < back.gel.wrench.force_n[2] < first.gel.wrench.force_n[2]
 
 
 def test_a_limited_press_that_would_be_refused_does_not_begin(sensor):
@@ -160,5 +160,17 @@ def test_a_limited_press_that_would_be_refused_does_not_begin(sensor):
 def test_without_a_limit_every_motion_is_followed_to_its_end(sensor):
     sensor.reset()
     session = SensorSession(sensor, first_dt_s=0.04)
-    assert session.follow(motion(2.5, 1)).indenter_pose.position_m[2] == APEX_M - 2.5e-3
+    assert session.follow(motion(2.5, 1)).pose.position_m[2] == APEX_M - 2.5e-3
     assert session.behind == 0
+
+
+def test_a_moment_is_rendered_only_when_it_is_asked_for_and_once(sensor):
+    sensor.reset()
+    moment = SensorSession(sensor, first_dt_s=0.04).follow(motion(0.5, 1))
+    assert set(moment.timings_s) == {"contact", "solve"}
+    frame = moment.render()
+    assert set(moment.timings_s) == {"contact", "solve", "depth", "image"}
+    assert moment.render() is frame
+    sensor.reset()
+    expected = sensor.step(pressed(0.5), 0.04)
+    assert np.array_equal(frame.image, expected.image)
