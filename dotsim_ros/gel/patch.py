@@ -44,7 +44,7 @@ class Patch:
 
     def added_displacement(self, fine_force_n: Array) -> Array:
         """Return the refinement's displacement (F, 3) under forces (F, 3) on its nodes."""
-        flat = self.added_compliance @ fine_force_n.astype(np.float32).ravel()
+        flat = self.added_compliance @ fine_force_n.astype(self.added_compliance.dtype).ravel()
         return flat.astype(np.float64).reshape(-1, 3)
 
     def position(self, displacement_m: Array, added_m: Array) -> Array:

@@ -66,7 +66,7 @@ class Refinement:
         rows, entries = self._rows(nodes)
         column = number[self.index[entries]]
         keep = column >= 0
-        result = np.zeros((len(nodes), len(nodes), 3, 3), dtype=np.float32)
+        result = np.zeros((len(nodes), len(nodes), 3, 3), dtype=self.block.dtype)
         result[rows[keep], column[keep]] = self.block[entries[keep]]
         return np.ascontiguousarray(result.transpose(0, 2, 1, 3)).reshape(
             3 * len(nodes), 3 * len(nodes)
@@ -74,6 +74,7 @@ class Refinement:
 
     def displacement(self, nodes: IntArray, force_n: Array) -> Array:
         """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some."""
+        single = self.block.astype(np.float32, copy=False)
         result = wp.zeros(self.node_count, dtype=wp.vec3, device="cpu")
         wp.launch(
             add_columns,
@@ -83,7 +84,7 @@ class Refinement:
                 wp.array(force_n.astype(np.float32), dtype=wp.vec3, device="cpu"),
                 wp.array(self.indptr, dtype=wp.int32, device="cpu", copy=False),
                 wp.array(self.index, dtype=wp.int32, device="cpu", copy=False),
-                wp.array(self.block, dtype=wp.mat33, device="cpu", copy=False),
+                wp.array(single, dtype=wp.mat33, device="cpu", copy=False),
             ],
             outputs=[result],
             device="cpu",

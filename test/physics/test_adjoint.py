@@ -88,7 +88,7 @@ class Case:
         )
 
     def gel(self) -> ImplicitGel:
-        return ImplicitGel(
+        gel = ImplicitGel(
             self.body,
             self.skin(),
             Material(self.law, self.prony, self.density_kg_m3),
@@ -96,6 +96,11 @@ class Case:
             solver=self.solver,
             indenter=self.indenter,
         )
+        if gel.refinement is not None:
+            # In single precision it scatters differences by more than the tolerance.
+            double = gel.refinement.block.astype(np.float64)
+            gel.refinement = replace(gel.refinement, block=double)
+        return gel
 
     def poses(self) -> list[Pose]:
         apex = RADIUS if isinstance(self.body, Dome) else PAD.size_m[2]
@@ -381,20 +386,16 @@ def test_gradient_with_a_refined_contact(
     monkeypatch.setenv("DOTSIM_ROS_CACHE", str(tmp_path_factory.mktemp("cache")))
     case = replace(SLIDING, solver=replace(SLIDING.solver, refined=True), path=SLIDE[:3])
     gradient = adjoint(case)
-    # The refinement is in single precision: larger steps than elsewhere.
     check(case, "law.youngs_modulus_pa", 3e5, 3e3, gradient.by_law(case.law)["youngs_modulus_pa"])
-    # A single difference scatters by 0.2 % here, whatever its step; several are averaged.
-    steps = (2e-3, 4e-3, 6e-3, 8e-3)
-    several = [difference(case, "contact.friction_coefficient", 0.4, step) for step in steps]
-    assert gradient.friction_coefficient == pytest.approx(np.mean(several), rel=TOLERANCE)
-    check(case, "indenter.0", 0.004, 4e-6, float(gradient.indenter_parameters[0]))
-    check(case, "twist.2", 0.0, 1e-6, float(gradient.indenter_twist[2]))
+    check(case, "contact.friction_coefficient", 0.4, 2e-3, gradient.friction_coefficient)
+    check(case, "indenter.0", 0.004, 1e-6, float(gradient.indenter_parameters[0]))
+    check(case, "twist.2", 0.0, 2e-7, float(gradient.indenter_twist[2]))
     gel, recorder, _ = recorded(case)
     complete = trajectory_gradient(
         gel, recorder.trajectories[0], weights(case), by_poisson=poisson_rate(gel)
     )
     derivative = complete.by_law(case.law)["poisson_ratio"]
-    check(case, "law.poisson_ratio", 0.45, 3e-4, derivative)
+    check(case, "law.poisson_ratio", 0.45, 6e-4, derivative)
     assert derivative != pytest.approx(gradient.by_law(case.law)["poisson_ratio"], rel=TOLERANCE)
 
 
