@@ -63,4 +63,6 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
+        # Taking ROS down puts back the handler from before it, which would let a late one through.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     return int(getattr(node, "exit_status", 0))
