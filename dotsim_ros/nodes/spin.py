@@ -20,8 +20,14 @@ REFUSED = 2
 def _interrupt_once(_number: int, _frame: FrameType | None) -> None:
     # `ros2 launch` and a terminal both signal the process: the second SIGINT must not cut the
     # shutdown that the first one began.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, _do_nothing)
     raise KeyboardInterrupt
+
+
+def _do_nothing(_number: int, _frame: FrameType | None) -> None:
+    # Not SIG_IGN: ROS puts C handlers back behind Python's back, and Python complains of a signal
+    # that reaches it there while it holds none of its own.
+    pass
 
 
 def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = None) -> int:
@@ -59,7 +65,7 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
         if rclpy.ok():
             raise
     finally:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGINT, _do_nothing)
         if node is not None:
             node.destroy_node()
         rclpy.try_shutdown()
