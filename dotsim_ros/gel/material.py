@@ -17,8 +17,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-COEFFICIENT_NAMES = ("c10_pa", "c01_pa", "c20_pa", "c30_pa", "bulk_modulus_pa")
-
 
 class ElasticLaw(Protocol):
     """A law that can be written with the coefficients C10, C01, C20, C30 and K."""
