@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -21,9 +22,16 @@ class NodeProcess:
     Args:
         executable: its name, which is that of its module in `dotsim_ros.nodes`.
         parameters: ROS parameters, as on the command line.
+        environment: variables to set beside those of this process.
     """
 
-    def __init__(self, executable: str, parameters: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        executable: str,
+        parameters: Mapping[str, Any],
+        *,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.executable = executable
         command = [sys.executable, "-u", "-m", f"dotsim_ros.nodes.{executable}", "--ros-args"]
         for name, value in parameters.items():
@@ -34,6 +42,7 @@ class NodeProcess:
             stderr=subprocess.STDOUT,
             text=True,
             start_new_session=True,
+            env={**os.environ, **(environment or {})},
         )
         self._lines: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
