@@ -13,7 +13,6 @@ wp.set_module_options({"enable_backward": False})
 NO_TRIANGLE = -1
 
 _NO_TRIANGLE = wp.constant(NO_TRIANGLE)
-_CRACK_TOLERANCE = wp.constant(1.0e-5)
 _REACH = wp.constant(1.0)
 _NAN = wp.constant(float("nan"))
 
@@ -63,78 +62,6 @@ def vertex_normals(
         a = position[triangles[face, 0]]
         total += wp.cross(position[triangles[face, 1]] - a, position[triangles[face, 2]] - a)
     normal[v] = wp.normalize(total)
-
-
-@wp.kernel
-def rasterize(
-    position: wp.array(dtype=wp.vec3),
-    pixel: wp.array(dtype=wp.vec2),
-    triangles: wp.array2d(dtype=wp.int32),
-    ray: wp.array2d(dtype=wp.vec3),
-    lens: Lens,
-    triangle_seen: wp.array2d(dtype=wp.int32),
-    barycentric: wp.array2d(dtype=wp.vec2),
-    depth: wp.array2d(dtype=wp.float32),
-):
-    """Nearest triangle along every ray; one thread at a time (a CPU), since pixels are shared.
-
-    The box around the projected corners only chooses the pixels; each is tested with its own ray,
-    so the fisheye's curved edges cost no accuracy.
-    """
-    face = wp.tid()
-    i0 = triangles[face, 0]
-    i1 = triangles[face, 1]
-    i2 = triangles[face, 2]
-    p0 = pixel[i0]
-    p1 = pixel[i1]
-    p2 = pixel[i2]
-    left = wp.min(wp.min(p0[0], p1[0]), p2[0])
-    right = wp.max(wp.max(p0[0], p1[0]), p2[0])
-    top = wp.min(wp.min(p0[1], p1[1]), p2[1])
-    bottom = wp.max(wp.max(p0[1], p1[1]), p2[1])
-    # An edge of length s images as a curve of curvature below 0.65 / focal, which bulges out of
-    # the box of its ends by at most a curvature's eighth of s^2; s^2 is at most 2 extent^2.
-    extent = wp.max(right - left, bottom - top)
-    margin = 0.2 * extent * extent / lens.focal_px + 0.01
-    x_first = wp.max(int(wp.ceil(left - margin)), 0)
-    x_last = wp.min(int(wp.floor(right + margin)), ray.shape[1] - 1)
-    y_first = wp.max(int(wp.ceil(top - margin)), 0)
-    y_last = wp.min(int(wp.floor(bottom + margin)), ray.shape[0] - 1)
-    if x_first > x_last or y_first > y_last:
-        return
-
-    a = position[i0]
-    b = position[i1]
-    c = position[i2]
-    # Differences first: cross products of nearly equal vectors would lose the digits of depth.
-    ab = b - a
-    face_normal = wp.cross(ab, c - a)
-    plane = wp.dot(a, face_normal)
-    if plane == 0.0:
-        return
-    inverse = 1.0 / plane
-    normal_b = wp.cross(c, a - c) * inverse
-    normal_c = wp.cross(a, ab) * inverse
-    normal_all = face_normal * inverse
-    for y in range(y_first, y_last + 1):
-        for x in range(x_first, x_last + 1):
-            direction = ray[y, x]
-            # The weights sum to the inverse of the distance along the ray.
-            total = wp.dot(normal_all, direction)
-            weight_b = wp.dot(normal_b, direction)
-            weight_c = wp.dot(normal_c, direction)
-            tolerance = -_CRACK_TOLERANCE * total
-            if (
-                total > 0.0
-                and weight_b >= tolerance
-                and weight_c >= tolerance
-                and total - weight_b - weight_c >= tolerance
-            ):
-                distance = 1.0 / total
-                if triangle_seen[y, x] == _NO_TRIANGLE or distance < depth[y, x]:
-                    triangle_seen[y, x] = face
-                    depth[y, x] = distance
-                    barycentric[y, x] = wp.vec2(weight_b * distance, weight_c * distance)
 
 
 @wp.kernel

@@ -80,8 +80,8 @@ class SkinRenderer:
             elsewhere the view is empty. None for the whole image.
 
     Raises:
-        ValueError: the region is not of the camera's size, or the rasteriser or Embree is asked
-            for on a device that is no CPU.
+        ValueError: the region is not of the camera's size, the image has too few pixels for the
+            rasteriser, or the rasteriser or Embree is asked for on a device that is no CPU.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class SkinRenderer:
     def _make_finder(self, visibility: Visibility, rays: Float32Array) -> VisibilityFinder:
         match visibility:
             case Visibility.RASTER:
-                return RasterFinder(self.camera, self._rays, self._triangles)
+                return RasterFinder(self.camera, rays, self._triangles)
             case Visibility.EMBREE:
                 return EmbreeFinder(rays, self.skin_mesh.triangles)
             case Visibility.RAY_QUERY:

@@ -19,7 +19,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics import kernels
+from dotsim_ros.optics import host_kernels, kernels
 
 Float32Array = NDArray[np.float32]
 IntArray = NDArray[np.int32]
@@ -69,11 +69,21 @@ def lens_of(camera: FisheyeCamera) -> Any:
 
 
 class RasterFinder:
-    """The rasteriser; CPU only, since its threads share pixels."""
+    """The rasteriser; CPU only, since its threads share pixels.
 
-    def __init__(self, camera: FisheyeCamera, rays: wp.array, triangles: wp.array) -> None:
+    Raises:
+        ValueError: the image has fewer pixels than are tested at once.
+    """
+
+    def __init__(self, camera: FisheyeCamera, rays: Float32Array, triangles: wp.array) -> None:
+        if camera.width * camera.height < host_kernels.LANES:
+            raise ValueError(
+                f"image is {camera.width}x{camera.height}, the rasteriser needs at least "
+                f"{host_kernels.LANES} pixels; use {Visibility.RAY_QUERY.value!r}"
+            )
         self._lens = lens_of(camera)
-        self._rays = rays
+        parts = np.ascontiguousarray(np.moveaxis(rays, 2, 0))
+        self._rays: wp.array = wp.array(parts, dtype=wp.float32, device="cpu")
         self._triangles = triangles
 
     def find(
@@ -86,7 +96,7 @@ class RasterFinder:
     ) -> None:
         triangle.fill_(kernels.NO_TRIANGLE)
         wp.launch(
-            kernels.rasterize,
+            host_kernels.rasterize,
             dim=len(self._triangles),
             inputs=[position, pixel, self._triangles, self._rays, self._lens],
             outputs=[triangle, barycentric, depth],

@@ -146,6 +146,27 @@ def test_large_triangles_lose_no_pixel_to_the_fisheye():
     assert np.abs(view.depth_m - expected.depth_m)[view.mask].max() < 1e-7
 
 
+@pytest.mark.parametrize(("width", "height"), [(7, 5), (8, 1), (3, 4), (1, 9), (17, 3)])
+def test_images_of_any_size_are_seen_to_the_last_pixel(width, height):
+    # The skin fills the image; a row is no multiple of the pixels that are tested at once.
+    camera = FisheyeCamera(width, height, 20.0, (0.5 * (width - 1), 0.5 * (height - 1)))
+    mesh = flat_pad_skin((0.02, 0.02), 0.004, 1e-3)
+    view = SkinRenderer(camera, mesh).render(mesh.rest_position_m)
+    expected = SkinRenderer(camera, mesh, visibility=Visibility.EMBREE).render(mesh.rest_position_m)
+    assert view.mask.all()
+    assert np.abs(view.depth_m - expected.depth_m).max() < 1e-7
+    assert np.abs(view.material_point_m - expected.material_point_m).max() < 1e-7
+
+
+def test_image_too_small_for_the_rasteriser_is_refused():
+    camera = FisheyeCamera(7, 1, 20.0, (3.0, 0.0))
+    mesh = flat_pad_skin((0.02, 0.02), 0.004, 1e-3)
+    with pytest.raises(ValueError, match="at least 8 pixels"):
+        SkinRenderer(camera, mesh)
+    view = SkinRenderer(camera, mesh, visibility=Visibility.RAY_QUERY).render(mesh.rest_position_m)
+    assert view.mask.all()
+
+
 def test_flat_pad_through_a_turned_camera():
     # Turned by 90 degrees about its axis: the image's x runs along the base frame's y.
     half = np.sqrt(0.5)
