@@ -157,3 +157,229 @@ def rasterize(
         barycentric,
         depth,
     )
+
+
+_FILL_BLOCK = """
+    typedef float four __attribute__((vector_size(16)));
+    const auto load = [](const wp::vec_t<3, float>& v) -> four {
+        return four{v[0], v[1], v[2], 0.0f};
+    };
+    const auto store = [](const four& v, wp::vec_t<3, float>& out) {
+        out = wp::vec_t<3, float>(v[0], v[1], v[2]);
+    };
+    const four nothing = four{} + __builtin_nanf("");
+    int loaded = no_triangle;
+    four rest[3] = {};
+    four outward[3] = {};
+    for (int at = first; at < end; ++at) {
+        const int face = triangle_seen.data[at];
+        if (face == no_triangle) {
+            store(nothing, normal.data[at]);
+            store(nothing, material_point.data[at]);
+            depth.data[at] = nothing[0];
+            barycentric.data[at] = wp::vec_t<2, float>(0.0f, 0.0f);
+            continue;
+        }
+        if (face != loaded) {
+            loaded = face;
+            for (int i = 0; i < 3; ++i) {
+                const int corner = triangles.data[3 * face + i];
+                rest[i] = load(rest_position.data[corner]);
+                outward[i] = load(vertex_normal.data[corner]);
+            }
+            for (int i = 1; i < 3; ++i) {
+                rest[i] -= rest[0];
+                outward[i] -= outward[0];
+            }
+        }
+        const float b = barycentric.data[at][0];
+        const float c = barycentric.data[at][1];
+        store(rest[0] + b * rest[1] + c * rest[2], material_point.data[at]);
+        const four towards = outward[0] + b * outward[1] + c * outward[2];
+        const four square = towards * towards;
+        const four along = towards * load(ray.data[at]);
+        const float length = __builtin_sqrtf(square[0] + square[1] + square[2]);
+        const bool away = along[0] + along[1] + along[2] > 0.0f;
+        store(towards / (away ? -length : length), normal.data[at]);
+    }
+"""
+
+
+@wp.func_native(_FILL_BLOCK)
+def fill_block(
+    first: int,
+    end: int,
+    no_triangle: int,
+    triangle_seen: wp.array2d(dtype=wp.int32),
+    ray: wp.array2d(dtype=wp.vec3),
+    triangles: wp.array2d(dtype=wp.int32),
+    vertex_normal: wp.array(dtype=wp.vec3),
+    rest_position: wp.array(dtype=wp.vec3),
+    normal: wp.array2d(dtype=wp.vec3),
+    material_point: wp.array2d(dtype=wp.vec3),
+    depth: wp.array2d(dtype=wp.float32),
+    barycentric: wp.array2d(dtype=wp.vec2),
+):
+    """Fill the pixels from one number, counted through the image, to another."""
+    ...
+
+
+@wp.kernel
+def fill_view(
+    triangle_seen: wp.array2d(dtype=wp.int32),
+    ray: wp.array2d(dtype=wp.vec3),
+    triangles: wp.array2d(dtype=wp.int32),
+    vertex_normal: wp.array(dtype=wp.vec3),
+    rest_position: wp.array(dtype=wp.vec3),
+    run: int,
+    normal: wp.array2d(dtype=wp.vec3),
+    material_point: wp.array2d(dtype=wp.vec3),
+    depth: wp.array2d(dtype=wp.float32),
+    barycentric: wp.array2d(dtype=wp.vec2),
+):
+    """`kernels.fill_view`, the three parts of a vector at once."""
+    y, block = wp.tid()
+    width = triangle_seen.shape[1]
+    fill_block(
+        y * width + block * run,
+        y * width + wp.min(block * run + run, width),
+        _NO_TRIANGLE,
+        triangle_seen,
+        ray,
+        triangles,
+        vertex_normal,
+        rest_position,
+        normal,
+        material_point,
+        depth,
+        barycentric,
+    )
+
+
+_CARRY_BLOCK = """
+    typedef float four __attribute__((vector_size(16), aligned(4), may_alias));
+    typedef int levels __attribute__((vector_size(16)));
+    const auto load = [](const wp::vec_t<3, float>& v) -> four {
+        return four{v[0], v[1], v[2], 0.0f};
+    };
+    // Two neighbouring samples by two loads that stay within them.
+    const auto between = [](const wp::vec_t<3, float>* pair, float right) -> four {
+        const float* number = (const float*)pair;
+        const four one = *(const four*)number;
+        const four last = *(const four*)(number + 2);
+        const four other = __builtin_shufflevector(last, last, 1, 2, 3, 0);
+        return (1.0f - right) * one + right * other;
+    };
+    const auto within = [](float value, float largest) -> float {
+        const float positive = value > 0.0f ? value : 0.0f;
+        return positive < largest ? positive : largest;
+    };
+    const int fine_width = fine_flat.shape[1];
+    const int last_column = fine_width - 2;
+    const int last_row = fine_flat.shape[0] - 2;
+    const float last_x = (float)(fine_width - 1);
+    const float last_y = (float)(fine_flat.shape[0] - 1);
+    const four dark = {};
+    const four full = dark + 255.0f;
+    int loaded = no_triangle;
+    wp::vec_t<2, float> back[3];
+    four bright[3] = {};
+    for (int x = x_first; x < x_end; ++x) {
+        const int at = y * triangle_seen.shape[1] + x;
+        const int face = triangle_seen.data[at];
+        unsigned char* colour = image.data + 3 * at;
+        if (face == no_triangle || lit.data[at] == 0) {
+            for (int k = 0; k < 3; ++k) colour[k] = idle.data[3 * at + k];
+            continue;
+        }
+        if (face != loaded) {
+            loaded = face;
+            for (int i = 0; i < 3; ++i) {
+                const int corner = triangles.data[3 * face + i];
+                back[i] = rest_pixel.data[corner] - pixel.data[corner];
+                bright[i] = load(gain.data[corner]);
+            }
+            for (int i = 1; i < 3; ++i) {
+                back[i] = back[i] - back[0];
+                bright[i] -= bright[0];
+            }
+        }
+        const float b = barycentric.data[at][0];
+        const float c = barycentric.data[at][1];
+        const wp::vec_t<2, float> way = back[0] + b * back[1] + c * back[2];
+        const float fine_x = within(2.0f * ((float)x + way[0]), last_x);
+        const float fine_y = within(2.0f * ((float)y + way[1]), last_y);
+        // The last sample is reached as the far end of the last cell.
+        const int column = (int)fine_x < last_column ? (int)fine_x : last_column;
+        const int row = (int)fine_y < last_row ? (int)fine_y : last_row;
+        const float right = fine_x - (float)column;
+        const float down = fine_y - (float)row;
+        const auto* sample = fine_flat.data + row * fine_width + column;
+        const four upper = between(sample, right);
+        const four lower = between(sample + fine_width, right);
+        const four brightness = bright[0] + b * bright[1] + c * bright[2];
+        four level = ((1.0f - down) * upper + down * lower) * brightness * vignetting.data[at];
+        level = level > dark ? level : dark;
+        level = level < full ? level : full;
+        const levels whole = __builtin_convertvector(level + 0.5f, levels);
+        for (int k = 0; k < 3; ++k) colour[k] = (unsigned char)whole[k];
+    }
+"""
+
+
+@wp.func_native(_CARRY_BLOCK)
+def carry_block(
+    y: int,
+    x_first: int,
+    x_end: int,
+    no_triangle: int,
+    triangle_seen: wp.array2d(dtype=wp.int32),
+    barycentric: wp.array2d(dtype=wp.vec2),
+    triangles: wp.array2d(dtype=wp.int32),
+    pixel: wp.array(dtype=wp.vec2),
+    rest_pixel: wp.array(dtype=wp.vec2),
+    gain: wp.array(dtype=wp.vec3),
+    lit: wp.array2d(dtype=wp.uint8),
+    vignetting: wp.array2d(dtype=wp.float32),
+    fine_flat: wp.array2d(dtype=wp.vec3),
+    idle: wp.array3d(dtype=wp.uint8),
+    image: wp.array3d(dtype=wp.uint8),
+):
+    """Colour the pixels of a row from one column to another."""
+    ...
+
+
+@wp.kernel
+def carry_idle(
+    triangle_seen: wp.array2d(dtype=wp.int32),
+    barycentric: wp.array2d(dtype=wp.vec2),
+    triangles: wp.array2d(dtype=wp.int32),
+    pixel: wp.array(dtype=wp.vec2),
+    rest_pixel: wp.array(dtype=wp.vec2),
+    gain: wp.array(dtype=wp.vec3),
+    lit: wp.array2d(dtype=wp.uint8),
+    vignetting: wp.array2d(dtype=wp.float32),
+    fine_flat: wp.array2d(dtype=wp.vec3),
+    idle: wp.array3d(dtype=wp.uint8),
+    run: int,
+    image: wp.array3d(dtype=wp.uint8),
+):
+    """`kernels.carry_idle`, the three colours at once."""
+    y, block = wp.tid()
+    carry_block(
+        y,
+        block * run,
+        wp.min(block * run + run, lit.shape[1]),
+        _NO_TRIANGLE,
+        triangle_seen,
+        barycentric,
+        triangles,
+        pixel,
+        rest_pixel,
+        gain,
+        lit,
+        vignetting,
+        fine_flat,
+        idle,
+        image,
+    )

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.optics import kernels
+from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.idle import BoolArray, ByteImage, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
@@ -105,8 +105,12 @@ class ImageRenderer:
         residual: what to add to the carried image; None for nothing.
         device: Warp's name of the device.
 
+    Attributes:
+        pixel_kernels: the module whose kernel colours the image; both give the same.
+
     Raises:
-        ValueError: the idle image has another size than the camera, or is no colour image.
+        ValueError: the idle image has another size than the camera, is a single row or column, or
+            is no colour image.
     """
 
     def __init__(
@@ -126,10 +130,15 @@ class ImageRenderer:
                 f"idle image is {idle_image.shape[1]}x{idle_image.shape[0]}, expected "
                 f"{camera.width}x{camera.height}; bring it to the camera with fit_idle_image"
             )
+        if min(camera.width, camera.height) < 2:
+            raise ValueError(
+                f"idle image is {camera.width}x{camera.height}, expected two pixels each way"
+            )
         self.residual = residual
         self._camera = camera
         self._lighting = lighting or Lighting()
         self._device = wp.get_device(device)
+        self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
         self._run = camera.width if self._device.is_cpu else 1
         self._leds = leds_of(self._lighting, camera, self._device)
         self._triangles = self._upload(skin_mesh.triangles, wp.int32)
@@ -181,7 +190,7 @@ class ImageRenderer:
         )
         image = wp.empty(self._idle.shape, dtype=wp.uint8, device=self._device)
         wp.launch(
-            kernels.carry_idle,
+            self.pixel_kernels.carry_idle,
             dim=(self._camera.height, self._camera.width // self._run),
             inputs=[
                 self._upload(view.triangle, wp.int32),

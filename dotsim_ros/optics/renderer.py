@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.optics import kernels
+from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.visibility import (
     EmbreeFinder,
     RasterFinder,
@@ -79,6 +79,9 @@ class SkinRenderer:
         region: (H, W) where the camera sees anything, such as the lit disc of its idle frame;
             elsewhere the view is empty. None for the whole image.
 
+    Attributes:
+        pixel_kernels: the module whose kernel fills the view; both give the same to the last bit.
+
     Raises:
         ValueError: the region is not of the camera's size, the image has too few pixels for the
             rasteriser, or the rasteriser or Embree is asked for on a device that is no CPU.
@@ -118,6 +121,7 @@ class SkinRenderer:
         self._first_face = self._upload(first, wp.int32)
         self._faces_around = self._upload(faces, wp.int32)
         self._rest_position = self._upload(skin_mesh.rest_position_m.astype(np.float32), wp.vec3)
+        self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
         # A CPU kernel costs less when one thread does a whole row.
         self._run = camera.width if self._device.is_cpu else 1
         self._finder = self._make_finder(visibility, rays)
@@ -181,7 +185,7 @@ class SkinRenderer:
         )
         self._finder.find(vertices, vertex_pixel, triangle, barycentric, depth)
         wp.launch(
-            kernels.fill_view,
+            self.pixel_kernels.fill_view,
             dim=(self.camera.height, self.camera.width // self._run),
             inputs=[
                 triangle,

@@ -9,6 +9,7 @@ import pytest
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.optics import kernels
 from dotsim_ros.optics.idle import LitDisc, fit_idle_image, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, PointLight, Vignetting
@@ -121,6 +122,19 @@ def test_slope_towards_an_led_gets_its_colour(camera, dome, renderer, idle):
     assert (wall[0] - wall[2]) * (other[0] - other[2]) < 0.0
 
 
+def test_kernels_of_a_cpu_colour_the_image_as_the_others_do(camera, dome, renderer, idle):
+    # Moved beyond the rim, too: there the idle frame ends.
+    position = 1.3 * pressed(dome) + np.array([0.004, 0.0, 0.0])
+    view = renderer.render(position)
+    images = ImageRenderer(
+        camera, dome, idle.image, lighting=idle.lighting, vignetting=Vignetting((-0.3,))
+    )
+    image = images.render(view)
+    images.pixel_kernels = kernels
+    assert np.array_equal(image, images.render(view))
+    assert np.count_nonzero(image != idle.image) > 100_000
+
+
 def test_residual_is_added_and_clipped(camera, dome, renderer, idle):
     def brighten(view, carried):
         assert view.depth_m.shape == carried.shape[:2]
@@ -136,6 +150,9 @@ def test_idle_image_of_another_size_or_kind_is_refused(camera, dome, idle):
         ImageRenderer(camera, dome, idle.image[:100])
     with pytest.raises(ValueError, match="uint8"):
         ImageRenderer(camera, dome, idle.image.astype(np.float32))
+    line = FisheyeCamera(40, 1, 20.0, (19.5, 0.0))
+    with pytest.raises(ValueError, match="two pixels each way"):
+        ImageRenderer(line, dome, np.full((1, 40, 3), 90, dtype=np.uint8))
     with pytest.raises(ValueError, match="where its lit disc lies"):
         fit_idle_image(idle.image[:, :200], camera)
     with pytest.raises(ValueError, match="grey level"):

@@ -7,6 +7,7 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin, flat_pad_skin
 from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.optics import kernels
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.visibility import Visibility
 
@@ -178,6 +179,16 @@ def test_flat_pad_through_a_turned_camera():
     assert view.material_point_m[50, 50] == pytest.approx([0.001, 0.002, 0.004], abs=1e-8)
     assert view.material_point_m[50, 70, 1] > 0.0025
     assert view.normal[50, 50] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+
+
+def test_kernels_of_a_cpu_fill_the_view_as_the_others_do(camera, dome):
+    renderer = SkinRenderer(camera, dome)
+    position = pressed(dome)
+    view = renderer.render(position)
+    renderer.pixel_kernels = kernels
+    expected = renderer.render(position)
+    for name in ("normal", "material_point_m", "depth_m", "barycentric"):
+        assert np.array_equal(getattr(view, name), getattr(expected, name), equal_nan=True), name
 
 
 def test_views_do_not_share_memory(camera, dome):
