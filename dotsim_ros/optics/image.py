@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
+from dotsim_ros.optics.frame_memory import FrameMemory
 from dotsim_ros.optics.idle import BoolArray, ByteImage, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
@@ -140,6 +141,7 @@ class ImageRenderer:
         self._device = wp.get_device(device)
         self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
         self._run = camera.width if self._device.is_cpu else 1
+        self._memory = FrameMemory(self._device)
         self._leds = leds_of(self._lighting, camera, self._device)
         self._triangles = self._upload(skin_mesh.triangles, wp.int32)
         self._set_rest(SkinRenderer(camera, skin_mesh, device=device))
@@ -188,7 +190,7 @@ class ImageRenderer:
             outputs=[gain],
             device=self._device,
         )
-        image = wp.empty(self._idle.shape, dtype=wp.uint8, device=self._device)
+        image = self._memory.array(self._idle.shape, wp.uint8)
         wp.launch(
             self.pixel_kernels.carry_idle,
             dim=(self._camera.height, self._camera.width // self._run),

@@ -8,6 +8,7 @@ corners.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import warp as wp
@@ -16,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
+from dotsim_ros.optics.frame_memory import FrameMemory
 from dotsim_ros.optics.visibility import (
     EmbreeFinder,
     RasterFinder,
@@ -40,7 +42,6 @@ class View:
             skin is seen.
         material_point_m: (H, W, 3) where the skin point that is seen lies at rest, in the base
             frame; NaN where no skin is seen.
-        mask: (H, W) whether skin is seen.
         triangle: (H, W) the triangle that is seen, -1 for none.
         barycentric: (H, W, 2) weights of that triangle's second and third corner.
         vertex_position_m: (V, 3) the skin's vertices in the optical frame.
@@ -51,12 +52,16 @@ class View:
     depth_m: Float32Array
     normal: Float32Array
     material_point_m: Float32Array
-    mask: BoolArray
     triangle: IntArray
     barycentric: Float32Array
     vertex_position_m: Float32Array
     vertex_normal: Float32Array
     vertex_pixel: Float32Array
+
+    @cached_property
+    def mask(self) -> BoolArray:
+        """Return (H, W) whether skin is seen."""
+        return self.triangle != kernels.NO_TRIANGLE
 
 
 def faces_around_vertices(triangles: IntArray, vertex_count: int) -> tuple[IntArray, IntArray]:
@@ -115,6 +120,7 @@ class SkinRenderer:
             # A ray that is not finite meets nothing.
             rays[~region] = np.nan
         first, faces = faces_around_vertices(skin_mesh.triangles, skin_mesh.vertex_count)
+        self._memory = FrameMemory(self._device)
         self._lens = lens_of(camera)
         self._rays = self._upload(rays, wp.vec3)
         self._triangles = self._upload(skin_mesh.triangles, wp.int32)
@@ -164,11 +170,11 @@ class SkinRenderer:
         size = (self.camera.height, self.camera.width)
         vertex_pixel = wp.empty(count, dtype=wp.vec2, device=self._device)
         vertex_normal = wp.empty(count, dtype=wp.vec3, device=self._device)
-        triangle = wp.empty(size, dtype=wp.int32, device=self._device)
-        barycentric = wp.empty(size, dtype=wp.vec2, device=self._device)
-        depth = wp.empty(size, dtype=wp.float32, device=self._device)
-        normal = wp.empty(size, dtype=wp.vec3, device=self._device)
-        material_point = wp.empty(size, dtype=wp.vec3, device=self._device)
+        triangle = self._memory.array(size, wp.int32)
+        barycentric = self._memory.array(size, wp.vec2)
+        depth = self._memory.array(size, wp.float32)
+        normal = self._memory.array(size, wp.vec3)
+        material_point = self._memory.array(size, wp.vec3)
         wp.launch(
             kernels.project_vertices,
             dim=count,
@@ -199,13 +205,11 @@ class SkinRenderer:
             device=self._device,
         )
         # On a CPU these share memory with Warp's arrays, which live as long as they do.
-        triangle_seen = triangle.numpy()
         return View(
             depth_m=depth.numpy(),
             normal=normal.numpy(),
             material_point_m=material_point.numpy(),
-            mask=triangle_seen != kernels.NO_TRIANGLE,
-            triangle=triangle_seen,
+            triangle=triangle.numpy(),
             barycentric=barycentric.numpy(),
             vertex_position_m=vertices.numpy(),
             vertex_normal=vertex_normal.numpy(),
