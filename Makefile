@@ -13,6 +13,9 @@ EXTRAS := ros,test,dev
 endif
 
 INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
+# ROS from wheels beside a sourced ROS would load the libraries of both into one process: a $(VENV)
+# made for the other one, or left half-made, is made anew.
+CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--clear))
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
@@ -28,8 +31,9 @@ help:
 setup: $(INSTALLED)
 
 $(INSTALLED): setup.py
+	@case "$(ROS_DISTRO)" in ''|jazzy) ;; *) echo "dotsim_ros needs ROS 2 Jazzy, $(ROS_DISTRO) is sourced: use a shell without it" >&2; exit 1;; esac
 	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; v in ((3, 11), (3, 12)) or sys.exit("dotsim_ros needs Python 3.11 or 3.12, this is %d.%d: make PYTHON=python3.12" % v)'
-	$(PYTHON) -m venv $(VENV_OPTIONS) $(VENV)
+	$(PYTHON) -m venv $(VENV_OPTIONS) $(CLEAR) $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --editable ".[$(EXTRAS)]"
 	@touch $@
 
