@@ -22,6 +22,7 @@ ROS = [
 TEST = [
     "cyclonedds>=0.10.5",
     "hypothesis",
+    "imageio>=2.22",
     "psutil",
     # pytest 9 breaks the launch_testing plugin of ROS 2 Jazzy
     "pytest<9",
@@ -67,11 +68,11 @@ setup(
     data_files=shared_files(),
     install_requires=[
         "embreex>=2.17.7.post5",
-        "imageio>=2.22",
         "imageio-ffmpeg>=0.4.9",
         "matplotlib>=3.6",
         "numpy>=1.26",
         "opencv-python-headless>=4.6",
+        "pillow>=9.4",
         "PyYAML>=6.0",
         "rosbags>=0.10.7",
         "scipy>=1.11",
