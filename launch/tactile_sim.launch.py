@@ -9,7 +9,7 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import IfElseSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 
 
@@ -17,6 +17,7 @@ def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
     namespace = LaunchConfiguration("namespace")
+    record = LaunchConfiguration("record")
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
@@ -25,8 +26,24 @@ def generate_launch_description() -> LaunchDescription:
                 default_value=str(params / "tactile_sim.yaml"),
                 description="parameters of tactile_sim",
             ),
-            DeclareLaunchArgument("play", default_value="false", description="replay presses"),
-            DeclareLaunchArgument("record", default_value="false", description="record a bag"),
+            DeclareLaunchArgument(
+                "play",
+                default_value="false",
+                choices=["true", "false"],
+                description="move the indenter",
+            ),
+            DeclareLaunchArgument(
+                "source",
+                default_value="presses",
+                choices=["press", "slide", "twist", "presses"],
+                description="how: a scripted motion, or the recorded real presses",
+            ),
+            DeclareLaunchArgument(
+                "record",
+                default_value="false",
+                choices=["true", "false"],
+                description="record a bag in the working directory",
+            ),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
@@ -38,6 +55,17 @@ def generate_launch_description() -> LaunchDescription:
                 package="dotsim_ros",
                 executable="indenter_player",
                 namespace=namespace,
+                parameters=[
+                    {
+                        "source": LaunchConfiguration("source"),
+                        # The sensor reads poses once its kernels are compiled and its tables
+                        # computed: the recorder alone is no reason to begin.
+                        "subscriber_count": IfElseSubstitution(
+                            record, if_value="2", else_value="1"
+                        ),
+                        "wait_for_subscriber_s": 600.0,
+                    }
+                ],
                 condition=IfCondition(LaunchConfiguration("play")),
                 output="screen",
             ),
@@ -45,7 +73,9 @@ def generate_launch_description() -> LaunchDescription:
                 package="dotsim_ros",
                 executable="tactile_record",
                 namespace=namespace,
-                condition=IfCondition(LaunchConfiguration("record")),
+                condition=IfCondition(record),
+                # The bag appears once all that waits is written: the usual 5 s could lose it.
+                sigterm_timeout="60",
                 output="screen",
             ),
         ]

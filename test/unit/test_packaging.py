@@ -1,0 +1,306 @@
+"""What the package says of itself, and what its launch files ask for.
+
+The launch library comes with a ROS installation only, and importing a node needs rclpy: the files
+are read as source text.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import dotsim_ros
+from dotsim_ros.nodes.player_parameters import PlayerParameters
+from dotsim_ros.nodes.tactile_parameters import TactileSimParameters
+
+ROOT = Path(__file__).parents[2]
+PACKAGES = ("dotsim_ros", "msg_adapters")
+LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+each_launch_file = pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
+
+PROCESS_KEYWORDS = {"output", "condition", "on_exit", "respawn", "respawn_delay"}
+LAUNCH_KEYWORDS = {
+    ("ament_index_python.packages", "get_package_share_directory"): set(),
+    ("launch", "LaunchDescription"): set(),
+    ("launch.actions", "DeclareLaunchArgument"): {"default_value", "description", "choices"},
+    ("launch.conditions", "IfCondition"): set(),
+    ("launch.substitutions", "IfElseSubstitution"): {"if_value", "else_value"},
+    ("launch.substitutions", "LaunchConfiguration"): {"default"},
+    ("launch_ros.actions", "Node"): {
+        "executable",
+        "package",
+        "name",
+        "namespace",
+        "exec_name",
+        "parameters",
+        "remappings",
+        "ros_arguments",
+        "arguments",
+        "sigterm_timeout",
+        "sigkill_timeout",
+        *PROCESS_KEYWORDS,
+    },
+}
+"""What launch files may use, with its keywords, as the reference of ROS 2 Jazzy documents it."""
+
+NODE_PARAMETERS = {"tactile_sim": TactileSimParameters, "indenter_player": PlayerParameters}
+
+NAMES_ELSEWHERE = {
+    "PIL": "pillow",
+    "cv2": "opencv-python-headless",
+    "imageio_ffmpeg": "imageio-ffmpeg",
+    "warp": "warp-lang",
+    "yaml": "PyYAML",
+}
+"""The distribution on PyPI of a module with another name."""
+
+ROS_KEYS = {"opencv-python-headless": "opencv", "pillow": "pil", "PyYAML": "yaml"}
+"""What rosdep calls a distribution that it does not call by its name."""
+
+
+def tree_of(path: Path) -> ast.Module:
+    """Return the syntax tree of a Python file."""
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+def setup_keyword(name: str) -> Any:
+    """Return a literal keyword argument of the call of `setup`."""
+    for call in calls(tree_of(ROOT / "setup.py"), "setup"):
+        return ast.literal_eval(keywords(call)[name])
+    raise AssertionError("setup.py calls no setup")
+
+
+def calls(tree: ast.AST, name: str) -> list[ast.Call]:
+    """Return the calls of a plain name."""
+    return [
+        found
+        for found in ast.walk(tree)
+        if isinstance(found, ast.Call)
+        and isinstance(found.func, ast.Name)
+        and found.func.id == name
+    ]
+
+
+def keywords(call: ast.Call) -> dict[str, ast.expr]:
+    """Return the keyword arguments of a call."""
+    return {entry.arg: entry.value for entry in call.keywords if entry.arg is not None}
+
+
+def executables() -> dict[str, str]:
+    """Return module:function of each installed command."""
+    entries = setup_keyword("entry_points")["console_scripts"]
+    return dict(entry.split(" = ") for entry in entries)
+
+
+def requirements() -> set[str]:
+    """Return the distributions that the library needs."""
+    return {entry.partition(">=")[0] for entry in setup_keyword("install_requires")}
+
+
+def ros_depends(kind: str) -> set[str]:
+    """Return the dependencies of one kind in package.xml."""
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    return {element.text or "" for element in manifest.iter(kind)}
+
+
+def imported_modules() -> set[str]:
+    """Return the top-level modules of others that the installed packages import."""
+    names: set[str] = set()
+    for package in PACKAGES:
+        for path in (ROOT / package).rglob("*.py"):
+            for found in ast.walk(tree_of(path)):
+                if isinstance(found, ast.Import):
+                    names |= {alias.name for alias in found.names}
+                elif isinstance(found, ast.ImportFrom) and found.level == 0 and found.module:
+                    names.add(found.module)
+    roots = {name.partition(".")[0] for name in names}
+    return roots - set(sys.stdlib_module_names) - set(PACKAGES)
+
+
+def launch_arguments(tree: ast.Module) -> dict[str, list[str]]:
+    """Return the values that each declared argument of a launch file is known to take.
+
+    An argument whose default is computed has none.
+    """
+    known: dict[str, list[str]] = {}
+    for call in calls(tree, "DeclareLaunchArgument"):
+        given = keywords(call)
+        values = ast.literal_eval(given["choices"]) if "choices" in given else []
+        default = given.get("default_value")
+        if isinstance(default, ast.Constant):
+            assert not values or default.value in values, ast.unparse(call)
+            values = [*values, default.value]
+        known[ast.literal_eval(call.args[0])] = values
+    return known
+
+
+def assigned(tree: ast.Module) -> dict[str, ast.expr]:
+    """Return what the names of a launch file stand for."""
+    return {
+        target.id: found.value
+        for found in ast.walk(tree)
+        if isinstance(found, ast.Assign)
+        for target in found.targets
+        if isinstance(target, ast.Name)
+    }
+
+
+def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
+    """Return what a parameter of a node may become; launch reads substituted text as YAML."""
+    if isinstance(value, ast.Name):
+        value = assigned(tree)[value.id]
+    if not isinstance(value, ast.Call):
+        return [ast.literal_eval(value)]
+    assert isinstance(value.func, ast.Name)
+    if value.func.id == "LaunchConfiguration":
+        texts = launch_arguments(tree)[ast.literal_eval(value.args[0])]
+    else:
+        assert value.func.id == "IfElseSubstitution", ast.unparse(value)
+        given = keywords(value)
+        texts = [ast.literal_eval(given[name]) for name in ("if_value", "else_value")]
+    assert texts, f"nothing is known of {ast.unparse(value)}"
+    return [yaml.safe_load(text) for text in texts]
+
+
+def test_version_is_the_same_everywhere() -> None:
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert manifest.findtext("version") == dotsim_ros.__version__
+
+
+def test_every_executable_has_its_function() -> None:
+    for name, target in executables().items():
+        module, function = target.split(":")
+        tree = tree_of(ROOT / Path(*module.split(".")).with_suffix(".py"))
+        defined = {found.name for found in tree.body if isinstance(found, ast.FunctionDef)}
+        assert function in defined, name
+
+
+def test_every_node_with_a_main_is_an_executable() -> None:
+    targets = set(executables().values())
+    for path in (ROOT / "dotsim_ros" / "nodes").glob("*.py"):
+        if any(isinstance(f, ast.FunctionDef) and f.name == "main" for f in tree_of(path).body):
+            assert f"dotsim_ros.nodes.{path.stem}:main" in targets
+
+
+def test_what_is_imported_is_required() -> None:
+    ros = ros_depends("exec_depend")
+    foreign = {NAMES_ELSEWHERE.get(name, name) for name in imported_modules() - ros}
+    assert foreign - requirements() == set()
+
+
+def test_what_is_required_is_imported() -> None:
+    used = {NAMES_ELSEWHERE.get(name, name) for name in imported_modules()}
+    assert requirements() - used == set()
+
+
+def test_pip_and_rosdep_know_the_same_requirements() -> None:
+    keys = {
+        key.removeprefix("python3-").removesuffix("-pip")
+        for key in ros_depends("exec_depend")
+        if key.startswith("python3-")
+    }
+    assert {ROS_KEYS.get(name, name) for name in requirements()} == keys
+
+
+def test_rosdep_file_defines_only_what_the_manifest_uses() -> None:
+    defined = set(yaml.safe_load((ROOT / "rosdep.yaml").read_text()))
+    assert defined <= ros_depends("exec_depend") | ros_depends("test_depend")
+
+
+def test_there_is_a_launch_file() -> None:
+    assert [path.name for path in LAUNCH_FILES] == ["tactile_sim.launch.py"]
+
+
+@each_launch_file
+def test_launch_file_compiles_and_describes_without_arguments(path: Path) -> None:
+    compile(path.read_text(), str(path), "exec")
+    described = [
+        found
+        for found in tree_of(path).body
+        if isinstance(found, ast.FunctionDef) and found.name == "generate_launch_description"
+    ]
+    assert len(described) == 1
+    assert not ast.unparse(described[0].args)
+
+
+@each_launch_file
+def test_launch_file_uses_only_what_launch_documents(path: Path) -> None:
+    tree = tree_of(path)
+    imported = {
+        (found.module, alias.name)
+        for found in ast.walk(tree)
+        if isinstance(found, ast.ImportFrom) and found.module != "pathlib"
+        for alias in found.names
+    }
+    assert imported <= set(LAUNCH_KEYWORDS)
+    for module, name in imported:
+        for call in calls(tree, name):
+            assert set(keywords(call)) <= LAUNCH_KEYWORDS[module, name], ast.unparse(call)
+
+
+@each_launch_file
+def test_launched_nodes_are_executables_of_this_package(path: Path) -> None:
+    nodes = [keywords(call) for call in calls(tree_of(path), "Node")]
+    assert nodes
+    for node in nodes:
+        assert ast.literal_eval(node["package"]) == "dotsim_ros"
+        assert ast.literal_eval(node["executable"]) in executables()
+
+
+@each_launch_file
+def test_launch_arguments_are_declared_described_and_used(path: Path) -> None:
+    tree = tree_of(path)
+    used = {ast.literal_eval(call.args[0]) for call in calls(tree, "LaunchConfiguration")}
+    assert used == set(launch_arguments(tree))
+    for call in calls(tree, "DeclareLaunchArgument"):
+        assert {"default_value", "description"} <= set(keywords(call)), ast.unparse(call)
+
+
+@each_launch_file
+def test_launch_conditions_are_booleans(path: Path) -> None:
+    tree = tree_of(path)
+    for call in [*calls(tree, "IfCondition"), *calls(tree, "IfElseSubstitution")]:
+        assert set(map(type, parameter_values(tree, call.args[0]))) == {bool}
+
+
+@each_launch_file
+def test_launched_nodes_take_their_parameters(path: Path) -> None:
+    tree = tree_of(path)
+    for call in calls(tree, "Node"):
+        node = keywords(call)
+        entries = node.get("parameters", ast.List(elts=[]))
+        assert isinstance(entries, ast.List)
+        for entry in entries.elts:
+            if not isinstance(entry, ast.Dict):
+                continue
+            defaults = NODE_PARAMETERS[ast.literal_eval(node["executable"])]()
+            for key, value in zip(entry.keys, entry.values, strict=True):
+                assert key is not None
+                name = ast.literal_eval(key)
+                for chosen in parameter_values(tree, value):
+                    # ROS refuses an int for a float, which the class itself would take.
+                    assert type(chosen) is type(getattr(defaults, name)), name
+                    dataclasses.replace(defaults, **{name: chosen})
+
+
+@each_launch_file
+def test_launched_parameter_files_are_shipped(path: Path) -> None:
+    tree = tree_of(path)
+    names = {
+        found.right.value
+        for found in ast.walk(tree)
+        if isinstance(found, ast.BinOp)
+        and isinstance(found.op, ast.Div)
+        and isinstance(found.left, ast.Name)
+        and found.left.id == "params"
+        and isinstance(found.right, ast.Constant)
+    }
+    assert names
+    assert all((ROOT / "params" / str(name)).is_file() for name in names)
