@@ -31,7 +31,7 @@ from dotsim_ros.geometry.specification import (
     MaterialSpecification,
     SensorSpecification,
 )
-from dotsim_ros.optics.idle import IdleFrame, read_idle_frame
+from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.resources import parameter_path
@@ -294,13 +294,19 @@ class TactileSensor:
         )
         self._idle = idle
 
-    def set_idle_image(self, image: ImageArray) -> None:
-        """Replace the idle image (H, W, 3) uint8; lighting and vignetting stay.
+    def set_idle_image(self, image: ImageArray, *, disc: LitDisc | None = None) -> None:
+        """Replace the idle image; lighting and vignetting stay.
+
+        Args:
+            image: (h, w, 3) uint8, red, green, blue, of any size.
+            disc: where the lit disc lies in it; without it the image must show the camera's own
+                view, at any resolution.
 
         Raises:
-            ValueError: it is not of the camera's size.
+            ValueError: as `fit_idle_image`; the image before stays.
         """
-        self._set_idle(IdleFrame(image, self._idle.lighting, self._idle.vignetting))
+        fitted = fit_idle_image(image, self.camera, disc=disc)
+        self._set_idle(IdleFrame(fitted, self._idle.lighting, self._idle.vignetting))
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""

@@ -1,0 +1,89 @@
+"""A sensor with another idle image."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.pose import Wrench
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.optics.idle import LitDisc
+from dotsim_ros.sensor import GelFrame, TactileSensor
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    # Half the pixels; the explicit gel has no tables to compute.
+    sensor = load_sensor("densetact2")
+    camera = replace(sensor.camera, width=320, height=240, principal_point_px=(159.5, 119.5))
+    solver = replace(sensor.solver, method="explicit")
+    return TactileSensor(
+        replace(sensor, camera=camera, solver=solver), indenter=load_indenter("sphere_4mm")
+    )
+
+
+def gel_at(skin_m):
+    return GelFrame(skin_m, Wrench(np.zeros(3), np.zeros(3)), 0.0, True, {})
+
+
+def seen(sensor, skin_m):
+    return sensor.see(gel_at(skin_m), None)
+
+
+def disc_image(width, height, centre, radius, colour):
+    rows, columns = np.mgrid[0:height, 0:width]
+    lit = np.hypot(columns - centre[0], rows - centre[1]) < radius
+    return (lit[..., None] * np.array(colour)).astype(np.uint8)
+
+
+def test_idle_image_of_the_cameras_size_is_taken_as_it_is(sensor):
+    image = disc_image(320, 240, (159.5, 119.5), 110.0, (200, 100, 50))
+    given = image.copy()
+    sensor.set_idle_image(given)
+    given[:] = 0
+    assert np.array_equal(sensor.idle_image, image)
+    assert np.array_equal(seen(sensor, sensor.skin.rest_position_m).image, image)
+
+
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (160, 120), (1000, 750)])
+def test_idle_image_of_another_resolution_is_brought_to_the_camera(sensor, width, height):
+    scale = width / 320.0
+    centre = (0.5 * (width - 1), 0.5 * (height - 1))
+    image = disc_image(width, height, centre, 110.0 * scale, (200, 100, 50))
+    sensor.set_idle_image(image)
+    shown = seen(sensor, sensor.skin.rest_position_m).image
+    assert shown.shape == (240, 320, 3)
+    expected = disc_image(320, 240, (159.5, 119.5), 110.0, (200, 100, 50))
+    eroded = cv2.erode(expected, np.ones((9, 9), np.uint8)) > 0
+    assert np.array_equal(shown[eroded], expected[eroded])
+    assert not shown[cv2.dilate(expected, np.ones((9, 9), np.uint8)) == 0].any()
+
+
+def test_idle_image_of_another_view_needs_its_disc(sensor):
+    square = disc_image(200, 200, (104.0, 96.0), 80.0, (90, 180, 60))
+    before = sensor.idle_image.copy()
+    with pytest.raises(ValueError, match=r"200x200 .* say where its lit disc lies"):
+        sensor.set_idle_image(square)
+    assert np.array_equal(sensor.idle_image, before)
+    sensor.set_idle_image(square, disc=LitDisc((104.0, 96.0), 80.0, 86.0))
+    rows, columns = np.mgrid[0:240, 0:320]
+    inner = np.hypot(columns - 159.5, rows - 119.5) < 110.0
+    assert np.all(sensor.idle_image[inner] == [90, 180, 60])
+
+
+@pytest.mark.parametrize(
+    ("image", "message"),
+    [
+        (np.zeros((240, 320, 3), np.uint8), "grey level"),
+        (np.full((240, 320), 90, np.uint8), "uint8"),
+        (np.full((240, 320, 3), 0.5, np.float32), "uint8"),
+    ],
+    ids=["dark", "grey", "float"],
+)
+def test_idle_image_that_shows_no_gel_is_refused_and_changes_nothing(sensor, image, message):
+    before = sensor.idle_image.copy()
+    with pytest.raises(ValueError, match=message):
+        sensor.set_idle_image(image)
+    assert np.array_equal(sensor.idle_image, before)
