@@ -25,7 +25,7 @@ from dotsim_ros.gel.material import (
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin, vertex_normals
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 from dotsim_ros.geometry.specification import (
     GelSpecification,
     MaterialSpecification,
@@ -379,7 +379,7 @@ class TactileSensor:
             normal=view.normal,
             material_point_m=view.material_point_m,
             skin_position_m=gel.skin_position_m,
-            skin_normal=vertex_normals(gel.skin_position_m, self.skin.triangles),
+            skin_normal=view.vertex_normal @ self.camera.pose.rotation().T,
             wrench=gel.wrench,
             max_penetration_m=gel.max_penetration_m,
             timings_s=timings,

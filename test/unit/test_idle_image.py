@@ -1,4 +1,4 @@
-"""A sensor with another idle image."""
+"""A sensor with another idle image, and what its frames say of the skin."""
 
 from dataclasses import replace
 
@@ -8,6 +8,7 @@ import pytest
 
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Wrench
+from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.optics.idle import LitDisc
 from dotsim_ros.sensor import GelFrame, TactileSensor
@@ -87,3 +88,14 @@ def test_idle_image_that_shows_no_gel_is_refused_and_changes_nothing(sensor, ima
     with pytest.raises(ValueError, match=message):
         sensor.set_idle_image(image)
     assert np.array_equal(sensor.idle_image, before)
+
+
+def test_frame_has_the_skins_normals_in_the_base_frame(sensor):
+    rest_m = sensor.skin.rest_position_m
+    distance_m = np.linalg.norm(rest_m - np.array([0.004, 0.002, 0.015]), axis=1)
+    skin_m = rest_m - 0.002 * np.exp(-((distance_m / 0.003) ** 2))[:, None] * [0.2, 0.1, 0.97]
+    frame = seen(sensor, skin_m)
+    expected = vertex_normals(skin_m, sensor.skin.triangles)
+    assert frame.skin_normal.dtype == np.float64
+    assert np.abs(frame.skin_normal - expected).max() < 1e-5
+    assert np.degrees(np.arccos(np.sum(expected * rest_m, axis=1).min() / 0.01575)) > 20.0
