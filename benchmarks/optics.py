@@ -1,14 +1,13 @@
 """Times the camera on one core: depth and image apart, and Embree beside it in the same run.
 
+What other processes take of the core is in the wall-clock times but not in `camera_cpu`.
+
 python benchmarks/optics.py --json optics.json
 """
 
 from __future__ import annotations
 
 import argparse
-import json
-import os
-import platform
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -17,10 +16,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.optics.idle import lit_region, read_idle_frame
+from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.visibility import Visibility
@@ -65,20 +65,22 @@ def measure(sensor_name: str, frame_count: int) -> dict[str, Any]:
     camera = FisheyeCamera.from_specification(sensor.camera)
     skin = dome_skin(sensor.gel.outer_radius_m, sensor.gel.skin_spacing_m)
     idle = read_idle_frame(parameter_path(sensor.camera.idle_image), camera)
-    region = lit_region(idle.image)
-    renderer = SkinRenderer(camera, skin, region=region)
-    reference = SkinRenderer(camera, skin, visibility=Visibility.EMBREE, region=region)
+    renderer = SkinRenderer(camera, skin)
+    reference = SkinRenderer(camera, skin, visibility=Visibility.EMBREE)
     images = ImageRenderer(
         camera, skin, idle.image, lighting=idle.lighting, vignetting=idle.vignetting
     )
     images.render(renderer.render(skin.rest_position_m))
     reference.render(skin.rest_position_m)
 
-    times: dict[str, list[float]] = {"depth": [], "image": [], "camera": [], "embree_depth": []}
+    names = ("depth", "image", "camera", "camera_cpu", "embree_depth")
+    times: dict[str, list[float]] = {name: [] for name in names}
     depth_error_m = 0.0
     for number, position in enumerate(pressed_skins(skin, frame_count)):
+        begun_s = time.thread_time()
         depth, view = milliseconds(lambda position=position: renderer.render(position))
         image, _ = milliseconds(lambda view=view: images.render(view))
+        times["camera_cpu"].append(1e3 * (time.thread_time() - begun_s))
         times["depth"].append(depth)
         times["image"].append(image)
         times["camera"].append(depth + image)
@@ -90,7 +92,6 @@ def measure(sensor_name: str, frame_count: int) -> dict[str, Any]:
             depth_error_m = max(depth_error_m, float(error))
     parts = {name: spread(samples) for name, samples in times.items()}
     return {
-        "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores",
         "width": camera.width,
         "height": camera.height,
         "vertex_count": skin.vertex_count,
@@ -98,6 +99,7 @@ def measure(sensor_name: str, frame_count: int) -> dict[str, Any]:
         "parts": parts,
         "embree_ratio": round(parts["embree_depth"]["p50_ms"] / parts["depth"]["p50_ms"], 2),
         "largest_depth_difference_to_embree_m": depth_error_m,
+        "provenance": provenance(),
     }
 
 
@@ -120,9 +122,7 @@ def main() -> None:
     print(f"Embree takes {result['embree_ratio']} times as long for the depth")
     print(f"largest difference of depth: {result['largest_depth_difference_to_embree_m']:.2g} m")
     if arguments.json:
-        temporary = arguments.json.with_suffix(".part")
-        temporary.write_text(json.dumps(result, indent=2) + "\n")
-        os.replace(temporary, arguments.json)
+        write_json(arguments.json, result)
 
 
 if __name__ == "__main__":
