@@ -40,7 +40,8 @@ class ContactResponse:
         pressure_pa: (C,) contact pressure per rest area.
         force_n: (C, 3) force on the markers, base frame.
         energy_j: sum of the contact energies.
-        hessian: (C, 3, 3) positive semi-definite part of the stiffness, N/m.
+        stiffness: (C, 3, 3) minus the derivative of the forces, N/m: of lagged friction the
+            positive semi-definite part, of Coulomb's law all of it.
         local_position_m, slip_m: (C, 3) in the indenter's frame, the history if the step ends.
         normal: (C, 3) gradient of the distance, base frame.
     """
@@ -49,10 +50,23 @@ class ContactResponse:
     pressure_pa: Array
     force_n: Array
     energy_j: float
-    hessian: Array
+    stiffness: Array
     local_position_m: Array
     slip_m: Array
     normal: Array
+
+
+NO_RESPONSE = ContactResponse(
+    distance_m=np.zeros(0),
+    pressure_pa=np.zeros(0),
+    force_n=np.zeros((0, 3)),
+    energy_j=0.0,
+    stiffness=np.zeros((0, 3, 3)),
+    local_position_m=np.zeros((0, 3)),
+    slip_m=np.zeros((0, 3)),
+    normal=np.zeros((0, 3)),
+)
+"""Of no candidates."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +117,6 @@ class Contact:
         self.device = device
         self.kernels = contact_kernels(wp.float64)
         self.field: Any = indenter_field(indenter, scalar=wp.float64, device=device)
-        self._area_m2 = area_m2
         self.area: Any = wp.array(area_m2, dtype=wp.float64, device=device)
         law = self.kernels.ContactLaw()
         law.stiffness = specification.stiffness * youngs_modulus_pa / REFERENCE_SPACING_M
@@ -112,14 +125,9 @@ class Contact:
         law.onset = ONSET_M
         law.smoothing = SMOOTHING_M
         self.law = law
-
-    def marker_stiffness(self, marker: IntArray) -> Array:
-        """Return (A, 3, 3) stiffness of markers that are stuck to the indenter, N/m."""
-        return self.normal_stiffness(marker)[:, None, None] * np.eye(3)
-
-    def normal_stiffness(self, marker: IntArray) -> Array:
-        """Return (A,) stiffness of markers in full contact along the normal, N/m."""
-        return np.asarray(self.law.stiffness * self._area_m2[marker])
+        self._history: ContactHistory | None = None
+        self._pose: Pose | None = None
+        self._record(len(area_m2))
 
     def respond(
         self,
@@ -129,38 +137,89 @@ class Contact:
         history: ContactHistory,
         lag: Lag,
     ) -> ContactResponse:
-        """Return the response of candidate markers (C,) at positions (C, 3) to the indenter."""
-        k, device, count = self.kernels, self.device, len(candidate)
+        """Return the response of candidate markers (C,) at positions (C, 3) to the indenter, with
+        friction limited by a lag."""
+        count = len(candidate)
+        self._inputs["lagged_pressure"][:count] = lag.pressure_pa
+        self._inputs["lagged_normal"][:count] = lag.normal
+        return self._launched(self._lagged, candidate, position_m, pose, history)
 
-        def vectors(values: Array) -> wp.array:
-            return wp.array(values, dtype=k.vec3, device=device, copy=False)
+    def respond_now(
+        self, candidate: IntArray, position_m: Array, pose: Pose, history: ContactHistory
+    ) -> ContactResponse:
+        """Return the response of candidate markers (C,) at positions (C, 3) to the indenter, with
+        friction limited by the pressure that there is."""
+        return self._launched(self._coulomb, candidate, position_m, pose, history)
 
-        def empty(dtype: Any) -> wp.array:
-            return wp.empty(count, dtype=dtype, device=device)
-
-        outputs = [empty(wp.float64), empty(wp.float64), empty(k.vec3), empty(wp.float64)]
-        outputs += [empty(k.mat33), empty(k.vec3), empty(k.vec3), empty(k.vec3)]
-        wp.launch(
-            k.contact_response,
-            dim=count,
-            inputs=[
-                wp.array(candidate, dtype=wp.int32, device=device, copy=False),
-                vectors(np.ascontiguousarray(position_m)),
-                self.area,
-                self.field,
-                k.mat33(*pose.rotation().ravel().tolist()),
-                k.vec3(*pose.position_m.tolist()),
-                self.law,
-                wp.array(lag.pressure_pa, dtype=wp.float64, device=device, copy=False),
-                vectors(lag.normal),
-                vectors(history.local_position_m),
-                vectors(history.slip_m),
-            ],
-            outputs=outputs,
-            device=device,
+    def _launched(
+        self,
+        launch: Any,
+        candidate: IntArray,
+        position_m: Array,
+        pose: Pose,
+        history: ContactHistory,
+    ) -> ContactResponse:
+        count = len(candidate)
+        if count == 0:
+            return NO_RESPONSE
+        host = self._inputs
+        host["candidate"][:count] = candidate
+        host["position"][:count] = position_m
+        if history is not self._history:
+            host["start_position"][:] = history.local_position_m
+            host["start_slip"][:] = history.slip_m
+            self._history = history
+        for name, array in self._device_inputs.items():
+            if array.ptr != host[name].ctypes.data:
+                array.assign(host[name])
+        if pose is not self._pose:
+            k = self.kernels
+            rotation, origin = pose.rotation().ravel().tolist(), pose.position_m.tolist()
+            for recorded in (self._lagged, self._coulomb):
+                recorded.set_param_by_name("rotation", k.mat33(*rotation))
+                recorded.set_param_by_name("origin", k.vec3(*origin))
+            self._pose = pose
+        launch.set_dim(count)
+        launch.launch()
+        distance, pressure, force, energy, *others = (
+            output.numpy()[:count].copy() for output in self._outputs
         )
-        distance, pressure, force, energy, *others = (o.numpy() for o in outputs)
         return ContactResponse(distance, pressure, force, float(energy.sum()), *others)
+
+    def _record(self, count: int) -> None:
+        """Record the launches for at most `count` candidates: recorded, they cost a tenth."""
+        k, device = self.kernels, self.device
+        self._inputs: dict[str, Any] = {
+            "candidate": np.zeros(count, dtype=np.int32),
+            "position": np.zeros((count, 3)),
+            "lagged_pressure": np.zeros(count),
+            "lagged_normal": np.zeros((count, 3)),
+            "start_position": np.zeros((count, 3)),
+            "start_slip": np.zeros((count, 3)),
+        }
+        input_dtypes = (wp.int32, k.vec3, wp.float64, k.vec3, k.vec3, k.vec3)
+        # On a CPU they share their memory with the arrays of the host.
+        self._device_inputs: dict[str, Any] = {
+            name: wp.array(values, dtype=dtype, device=device, copy=False)
+            for (name, values), dtype in zip(self._inputs.items(), input_dtypes, strict=True)
+        }
+        dtypes = (wp.float64, wp.float64, k.vec3, wp.float64, k.mat33, k.vec3, k.vec3, k.vec3)
+        self._outputs = [wp.empty(count, dtype=dtype, device=device) for dtype in dtypes]
+        candidate, position, pressure, normal, start, slip = self._device_inputs.values()
+        first = [candidate, position, self.area, self.field, k.mat33(), k.vec3(), self.law]
+
+        def record(kernel: Any, inputs: list[Any]) -> Any:
+            return wp.launch(
+                kernel,
+                dim=count,
+                inputs=[*first, *inputs],
+                outputs=self._outputs,
+                device=device,
+                record_cmd=True,
+            )
+
+        self._lagged = record(k.contact_response, [pressure, normal, start, slip])
+        self._coulomb = record(k.coulomb_response, [start, slip])
 
 
 def wrench_on_indenter(position_m: Array, force_on_marker_n: Array) -> Wrench:

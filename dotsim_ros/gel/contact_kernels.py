@@ -75,7 +75,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         new_pressure: wp.array(dtype=scalar),
         force: wp.array(dtype=vec3),
         energy: wp.array(dtype=scalar),
-        hessian: wp.array(dtype=mat33),
+        stiffness: wp.array(dtype=mat33),
         local_position: wp.array(dtype=vec3),
         slip: wp.array(dtype=vec3),
         normal: wp.array(dtype=vec3),
@@ -125,7 +125,71 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         normal[i] = rotation * n
         force[i] = rotation * f
         energy[i] = psi
-        hessian[i] = rotation * h * wp.transpose(rotation)
+        stiffness[i] = rotation * h * wp.transpose(rotation)
+
+    @wp.kernel(module="unique")
+    def coulomb_response(
+        candidate: wp.array(dtype=wp.int32),
+        position: wp.array(dtype=vec3),
+        area: wp.array(dtype=scalar),
+        field: field_type,
+        rotation: mat33,
+        origin: vec3,
+        law: ContactLaw,
+        start_position: wp.array(dtype=vec3),
+        start_slip: wp.array(dtype=vec3),
+        distance: wp.array(dtype=scalar),
+        new_pressure: wp.array(dtype=scalar),
+        force: wp.array(dtype=vec3),
+        energy: wp.array(dtype=scalar),
+        stiffness: wp.array(dtype=mat33),
+        local_position: wp.array(dtype=vec3),
+        slip: wp.array(dtype=vec3),
+        normal: wp.array(dtype=vec3),
+    ):
+        """As `contact_response`, with friction in the plane of the present normal and limited by
+        the present pressure, and with all of the stiffness, which is not symmetric."""
+        i = wp.tid()
+        m = candidate[i]
+        y = wp.transpose(rotation) * (position[i] - origin)
+        d, n, curvature = indenter_distance(field, y)
+        depth = law.onset - d
+        p = pressure(law, depth)
+        slope = pressure_slope(law, depth)
+        f = p * n
+        psi = pressure_energy(law, depth)
+        h = slope * wp.outer(n, n) - p * curvature
+        tangent_slip = vec3()
+        if p > scalar(0.0) and law.friction > scalar(0.0):
+            k = law.tangential_stiffness
+            projector = wp.identity(3, dtype=scalar) - wp.outer(n, n)
+            moved = start_slip[m] + y - start_position[m]
+            s = projector * moved
+            by_position = projector - wp.outer(n, curvature * moved) - wp.dot(n, moved) * curvature
+            length = wp.length(s)
+            limit = law.friction * p / k
+            if length <= limit:
+                f -= k * s
+                psi += scalar(0.5) * k * length * length
+                h += k * by_position
+                tangent_slip = s
+            elif length > smallest:
+                direction = s / length
+                f -= (k * limit) * direction
+                psi += k * limit * (length - scalar(0.5) * limit)
+                turning = wp.identity(3, dtype=scalar) - wp.outer(direction, direction)
+                h += (k * limit / length) * (turning * by_position)
+                h -= (law.friction * slope) * wp.outer(direction, n)
+                tangent_slip = limit * direction
+        a = area[m]
+        distance[i] = d
+        new_pressure[i] = p
+        local_position[i] = y
+        slip[i] = tangent_slip
+        normal[i] = rotation * n
+        force[i] = a * (rotation * f)
+        energy[i] = a * psi
+        stiffness[i] = a * (rotation * h * wp.transpose(rotation))
 
     return SimpleNamespace(
         scalar=scalar,
@@ -133,6 +197,7 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         mat33=mat33,
         ContactLaw=ContactLaw,
         contact_response=contact_response,
+        coulomb_response=coulomb_response,
         pressure=pressure,
         pressure_slope=pressure_slope,
     )

@@ -6,20 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import sparse
 
+from dotsim_ros.gel.contact_problem import by_component, by_marker
 from dotsim_ros.gel.refinement import Refinement
 
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]
+AnyArray = NDArray[np.floating]
 IntArray = NDArray[np.int32]
-
-SOFTENING = 1.0e-3
-"""Share of the normal contact stiffness that is added in all directions of the linear solve, so
-that free directions can be inverted; the solution does not depend on it."""
-
-
-CONTACT_SET_ITERATIONS = 10
 
 
 @dataclass(frozen=True)
@@ -32,7 +27,7 @@ class Patch:
         weight: (C, N) weights of the grid's nodes.
         fine_node: (F,) nodes of the refinement beside the markers.
         fine_weight: (C, F) weights of those.
-        added_compliance: (3 F, 3 F) of the refinement, m/N; empty without one.
+        added_compliance: (3 F, 3 F) of the refinement by component, m/N; empty without one.
     """
 
     marker: IntArray
@@ -42,14 +37,21 @@ class Patch:
     fine_weight: sparse.csr_matrix
     added_compliance: FloatArray
 
-    def added_displacement(self, fine_force_n: Array) -> Array:
-        """Return the refinement's displacement (F, 3) under forces (F, 3) on its nodes."""
-        flat = self.added_compliance @ fine_force_n.astype(self.added_compliance.dtype).ravel()
-        return flat.astype(np.float64).reshape(-1, 3)
+    def added_displacement(self, force_n: Array) -> Array:
+        """Return what the refinement adds to the markers' displacement under forces (C, 3)."""
+        if len(self.fine_node) == 0:
+            return np.zeros_like(force_n)
+        load = by_component(self.fine_weight.T @ force_n)
+        flat = self.added_compliance @ load.astype(self.added_compliance.dtype)
+        moved: Array = self.fine_weight @ by_marker(flat)
+        return moved
 
-    def position(self, displacement_m: Array, added_m: Array) -> Array:
-        """Return the markers' positions (C, 3)."""
-        return self.rest_position_m + self.weight @ displacement_m + self.fine_weight @ added_m
+    def position(self, displacement_m: Array, force_n: Array) -> Array:
+        """Return the markers (C, 3) at displacements (N, 3) of the grid under forces (C, 3)."""
+        position: Array = (
+            self.rest_position_m + self.weight @ displacement_m + self.added_displacement(force_n)
+        )
+        return position
 
 
 def make_patch(
@@ -69,14 +71,21 @@ def make_patch(
             (rows.data, np.searchsorted(nodes, rows.indices), rows.indptr),
             shape=(len(marker), len(nodes)),
         )
-        compliance = refinement.dense(nodes)
+        compliance = refinement.by_component(nodes)
     return Patch(
         marker, skin_position_m[marker], skin_weight[marker], nodes, fine_weight, compliance
     )
 
 
-class NearContact:
-    """Markers in contact or close to it, and how the refinement lets them give way.
+def _component_order(matrix: AnyArray) -> AnyArray:
+    """Return a (3 n, 3 n) matrix whose rows and columns go node by node, by component."""
+    count = len(matrix) // 3
+    blocks = matrix.reshape(count, 3, count, 3).transpose(1, 0, 3, 2)
+    return np.ascontiguousarray(blocks).reshape(3 * count, 3 * count)
+
+
+class NearMarkers:
+    """Markers in contact or close to it, and the grid's nodes beside them.
 
     Args:
         patch: the patch.
@@ -84,116 +93,49 @@ class NearContact:
 
     Attributes:
         rows: as given.
+        marker: (A,) their numbers.
+        weight: (A, N) their weights on the grid.
         node: (n,) grid nodes beside them.
-        weight: (A, n) their weights.
-        compliance: (A, 3, A, 3) dC, the refinement's compliance between them, m/N.
     """
 
     def __init__(self, patch: Patch, rows: NDArray[np.int64]) -> None:
         self.rows = rows
-        weight = patch.weight[rows]
-        self.node = np.unique(weight.indices).astype(np.int32)
-        self.weight: FloatArray = weight[:, self.node].toarray().astype(np.float32)
+        self.marker = patch.marker[rows]
+        self.weight = patch.weight[rows]
+        self.node = np.unique(self.weight.indices).astype(np.int32)
+        self._dense = self.weight[:, self.node].toarray().astype(np.float32)
         count = len(rows)
-        self._spread = np.zeros((count, 3, len(self.node), 3), dtype=np.float32)
-        for i in range(3):
-            self._spread[:, i, :, i] = self.weight
-        self.compliance = np.zeros((count, 3, count, 3), dtype=np.float32)
+        self._added = np.zeros((3 * count, 3 * count), dtype=np.float32)
         if len(patch.fine_node):
             fine_rows = patch.fine_weight[rows]
             fine = np.unique(fine_rows.indices)
-            fine_weight = fine_rows[:, fine].toarray().astype(np.float32)
-            dof = (3 * fine[:, None] + np.arange(3)).ravel()
-            added = patch.added_compliance[dof][:, dof].reshape(len(fine), 9 * len(fine))
-            half = (fine_weight @ added).reshape(count, 3, len(fine), 3).transpose(0, 1, 3, 2)
-            whole = half.reshape(9 * count, len(fine)) @ fine_weight.T
-            self.compliance = np.ascontiguousarray(
-                whole.reshape(count, 3, 3, count).transpose(0, 1, 3, 2)
+            dof = (np.arange(3)[:, None] * len(patch.fine_node) + fine).ravel()
+            _add_between(
+                self._added,
+                fine_rows[:, fine].toarray().astype(np.float32),
+                patch.added_compliance[dof].take(dof, axis=1),
             )
 
-    def normal_compliance(self, normal: Array) -> Array:
-        """Return (A, A) of dC along the normals (C, 3) of the patch's markers."""
-        own = normal[self.rows].astype(np.float32)
-        half = np.sum([self.compliance[:, :, :, j] * own[:, j] for j in range(3)], axis=0)
-        whole = np.sum([half[:, i] * own[:, i, None] for i in range(3)], axis=0)
-        return np.asarray(whole, dtype=np.float64)
+    def compliance(self, of_nodes: AnyArray) -> AnyArray:
+        """Return (3 A, 3 A) of the gel between the markers by component, the refinement included.
 
-    def effective(self, hessian: Array) -> EffectiveContact:
-        """Return their effective stiffness for the Hessians (C, 3, 3) of the patch's markers."""
-        own = hessian[self.rows]
-        size = np.trace(own, axis1=1, axis2=2)
-        softened = own + SOFTENING * np.maximum(size, size.max())[:, None, None] * np.eye(3)
-        count = len(self.rows)
-        each = np.arange(count)
-        compliance = self.compliance.copy()
-        compliance[each, :, each, :] += np.linalg.inv(softened)
-        matrix = compliance.reshape(3 * count, 3 * count)
-        root = _positive_root(matrix)
-        reduced = linalg.blas.strsm(1.0, root, self._spread.reshape(3 * count, -1), lower=1)
-        return EffectiveContact(self.rows, self.node, self.weight, root, reduced.T @ reduced)
+        Args:
+            of_nodes: (3 n, 3 n) of the grid between the nodes beside them, node by node.
+        """
+        result = self._added.astype(of_nodes.dtype)
+        _add_between(result, self._dense.astype(of_nodes.dtype), _component_order(of_nodes))
+        return result
 
 
-@dataclass(frozen=True)
-class EffectiveContact:
-    """The contact's stiffness against the grid, once the refinement has given way.
-
-    With marker Hessians H and the added compliance dC, the markers' force answers a displacement
-    of the grid with (H^-1 + dC)^-1.
-
-    Attributes:
-        rows: (A,) rows of the patch that it covers.
-        node: (n,) grid nodes beside them.
-        weight: (A, n) their weights.
-        root: (3 A, 3 A) lower Cholesky factor of H^-1 + dC.
-        stiffness: (3 n, 3 n) on the grid's nodes.
-    """
-
-    rows: NDArray[np.int64]
-    node: IntArray
-    weight: FloatArray
-    root: FloatArray
-    stiffness: FloatArray
-
-    def force(self, displacement_m: Array) -> Array:
-        """Return the change of force (A, 3) for displacements (A, 3) of its markers."""
-        right = -displacement_m.astype(np.float32).ravel()
-        solved, _ = linalg.lapack.spotrs(self.root, right, lower=1)
-        return solved.astype(np.float64).reshape(-1, 3)
-
-
-def _positive_root(matrix: FloatArray) -> FloatArray:
-    """Return the lower Cholesky factor; fading dG out may have left it indefinite by a hair."""
-    mean = float(np.trace(matrix)) / len(matrix)
-    for share in (0.0, 1.0e-4, 1.0e-3, 1.0e-2, 1.0e-1):
-        shifted = matrix + np.diag(np.full(len(matrix), share * mean, dtype=np.float32))
-        root, info = linalg.lapack.spotrf(shifted.T, lower=1, overwrite_a=1, clean=0)
-        if info == 0:
-            result: FloatArray = root
-            return result
-    raise np.linalg.LinAlgError("the compliance of the contact is not positive definite")
-
-
-def contact_set(
-    compliance: Array, stiffness: Array, penetration_m: Array, start: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """Return which markers (A,) touch in the linearised problem p = k (q - D p), p >= 0.
-
-    Primal-dual active set method (Hintermueller, Ito and Kunisch, 2002).
-
-    Args:
-        compliance: (A, A) D, normal displacements under normal forces, m/N.
-        stiffness: (A,) k of the contact, N/m.
-        penetration_m: (A,) q, the penetration if no marker were pushed.
-        start: (A,) the first guess.
-    """
-    active = start
-    for _ in range(CONTACT_SET_ITERATIONS):
-        rows = np.flatnonzero(active)
-        matrix = compliance[np.ix_(rows, rows)] + np.diag(1.0 / stiffness[rows])
-        force = np.zeros(len(active))
-        force[rows] = linalg.solve(matrix, penetration_m[rows], assume_a="pos", check_finite=False)
-        touching = penetration_m - compliance @ force > 0.0
-        if np.array_equal(touching, active):
-            break
-        active = touching
-    return active
+def _add_between(result: AnyArray, weight: AnyArray, between: AnyArray) -> None:
+    """Add W Z W^T to (3 A, 3 A), for weights (A, n) and Z (3 n, 3 n) symmetric, by component."""
+    count, nodes = weight.shape
+    for i in range(3):
+        rows = slice(i * count, (i + 1) * count)
+        half = weight @ between[i * nodes : (i + 1) * nodes, i * nodes :].reshape(nodes, -1)
+        for j in range(i, 3):
+            block = half[:, (j - i) * nodes : (j - i + 1) * nodes] @ weight.T
+            columns = slice(j * count, (j + 1) * count)
+            result[rows, columns] += block
+            if j > i:
+                result[columns, rows] += block.T

@@ -25,7 +25,7 @@ from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization, discretize, images_of_cells
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
-from dotsim_ros.gel.refinement_kernels import add_columns
+from dotsim_ros.gel.refinement_kernels import add_columns, gather_between
 
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]
@@ -71,6 +71,32 @@ class Refinement:
         return np.ascontiguousarray(result.transpose(0, 2, 1, 3)).reshape(
             3 * len(nodes), 3 * len(nodes)
         )
+
+    def by_component(self, nodes: IntArray) -> FloatArray:
+        """Return the (3 n, 3 n) block of dG between the given nodes with all x first."""
+        number = np.full(self.node_count, -1, dtype=np.int32)
+        number[nodes] = np.arange(len(nodes), dtype=np.int32)
+        result = np.zeros((3 * len(nodes), 3 * len(nodes)), dtype=self.block.dtype)
+        scalar = wp.float64 if self.block.dtype == np.float64 else wp.float32
+        wp.launch(
+            gather_between,
+            dim=len(nodes),
+            inputs=[
+                wp.array(nodes, dtype=wp.int32, device="cpu"),
+                wp.array(number, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(self.indptr, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(self.index, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(
+                    self.block,
+                    dtype=wp.types.matrix((3, 3), scalar),
+                    device="cpu",
+                    copy=False,
+                ),
+            ],
+            outputs=[wp.array(result, dtype=scalar, device="cpu", copy=False)],
+            device="cpu",
+        )
+        return result
 
     def displacement(self, nodes: IntArray, force_n: Array) -> Array:
         """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some."""

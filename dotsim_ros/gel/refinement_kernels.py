@@ -3,6 +3,8 @@
 # Warp reads kernels by its own rules, which are none of a type checker's.
 # mypy: disable-error-code="no-untyped-def, valid-type, arg-type, assignment, index, operator, misc"
 
+from typing import Any
+
 import warp as wp
 
 
@@ -20,3 +22,25 @@ def add_columns(
     n = node[i]
     for k in range(indptr[n], indptr[n + 1]):
         wp.atomic_add(displacement, index[k], wp.transpose(block[k]) * force[i])
+
+
+@wp.kernel
+def gather_between(
+    node: wp.array(dtype=wp.int32),
+    number: wp.array(dtype=wp.int32),
+    indptr: wp.array(dtype=wp.int32),
+    index: wp.array(dtype=wp.int32),
+    block: wp.array(dtype=Any),
+    matrix: wp.array2d(dtype=Any),
+):
+    """Write dG between some nodes, whose numbers the others lack (-1), by component."""
+    i = wp.tid()
+    count = node.shape[0]
+    n = node[i]
+    for k in range(indptr[n], indptr[n + 1]):
+        j = number[index[k]]
+        if j >= 0:
+            b = block[k]
+            for row in range(3):
+                for column in range(3):
+                    matrix[row * count + i, column * count + j] = b[row, column]

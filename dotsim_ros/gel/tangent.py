@@ -4,7 +4,7 @@ The fast one uses what a press looks like. Far from the indenter the gel barely 
 stiffness there is that of rest, whose inverse G is computed once. Near the indenter (the region R)
 the stiffness is assembled anew. The step of the region's unknowns solves the small dense system
 
-    (G_RR^-1 + K_RR(u) - K_RR(0) + contact) du_R = G_RR^-1 (G r)_R
+    (G_RR^-1 + K_RR(u) - K_RR(0)) du_R = G_RR^-1 (G r)_R
 
 and the rest of the gel follows: du = G r + G_R z, z = G_RR^-1 (du_R - (G r)_R). This is a block
 elimination (static condensation, Guyan 1965) of the far unknowns with their rest stiffness.
@@ -14,15 +14,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
+from scipy.sparse.linalg import splu
 
 from dotsim_ros.gel.block_solver import BlockCholesky
 from dotsim_ros.gel.elasticity import ElasticBody, region_base
-from dotsim_ros.gel.patch import EffectiveContact
 
 Array = NDArray[np.float64]
 FloatArray = NDArray[np.float32]
@@ -99,23 +99,64 @@ class ExactTangent:
     def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
         self.body, self.extra = body, sparse.kron(extra, sparse.eye(3), format="csr")
 
-    def factor(
-        self, displacement_m: Array, contact: EffectiveContact | None, environment: int
-    ) -> BlockCholesky:
-        """Factor the stiffness at displacements (N, 3) with a contact."""
+    def factor(self, displacement_m: Array, environment: int) -> ExactFactor:
+        """Factor the stiffness at displacements (N, 3), made positive definite."""
         matrix = self.body.stiffness(displacement_m, environment) + self.extra
-        if contact is not None:
-            dof = (3 * contact.node[:, None] + np.arange(3)).ravel()
-            rows, columns = np.meshgrid(dof, dof, indexing="ij")
-            added = (contact.stiffness.ravel().astype(np.float64), (rows.ravel(), columns.ravel()))
-            matrix = matrix + sparse.coo_matrix(added, shape=matrix.shape).tocsr()
         matrix = matrix.astype(self.body.dtype).tocsr()
         mean = float(matrix.diagonal().mean())
         unit = sparse.eye(matrix.shape[0], dtype=matrix.dtype, format="csr")
         cell = self.body.discretization.node_cell
-        return factor_shifted(
-            lambda share: BlockCholesky(matrix + (share * mean) * unit if share else matrix, cell)
+        return ExactFactor(
+            factor_shifted(
+                lambda share: BlockCholesky(
+                    matrix + (share * mean) * unit if share else matrix, cell
+                )
+            ).solve,
+            matrix.shape[0],
+            self.body.dtype,
         )
+
+    def factor_as_is(self, displacement_m: Array, environment: int) -> ExactFactor:
+        """Factor the stiffness at displacements (N, 3), positive definite or not: without the
+        indenter that holds it, a strongly compressed gel may be unstable."""
+        matrix = (self.body.stiffness(displacement_m, environment) + self.extra).tocsr()
+        solve: Callable[[Any], Any]
+        try:
+            solve = BlockCholesky(matrix, self.body.discretization.node_cell).solve
+        except np.linalg.LinAlgError:
+            solve = splu(matrix.tocsc()).solve
+        return ExactFactor(solve, matrix.shape[0], self.body.dtype)
+
+
+@dataclass(frozen=True)
+class ExactFactor:
+    """The factored stiffness of the whole gel: its solution, its size and its precision."""
+
+    inverse: Callable[[Any], Any]
+    size: int
+    dtype: type[np.floating]
+
+    def solve(self, right: Array) -> Array:
+        """Return the step (3 N,) for forces (3 N,) anywhere."""
+        return np.asarray(self.inverse(right.astype(self.dtype)), dtype=np.float64)
+
+    def solve_near(self, right: Array) -> Array:
+        """Return the step (3 N,) for forces (3 N,) near the contact."""
+        return self.solve(right)
+
+    def between(self, node: IntArray) -> NDArray[np.floating]:
+        """Return (3 n, 3 n) of the inverse between nodes."""
+        dof = degrees_of_freedom(node)
+        unit = np.zeros((self.size, len(dof)), dtype=self.dtype)
+        unit[dof, np.arange(len(dof))] = 1.0
+        result: NDArray[np.floating] = np.asarray(self.inverse(unit), dtype=self.dtype)[dof]
+        return result
+
+
+def degrees_of_freedom(node: IntArray) -> IntArray:
+    """Return (3 n,) unknowns of nodes (n,)."""
+    dof: IntArray = (3 * node[:, None] + np.arange(3)).ravel().astype(np.int32)
+    return dof
 
 
 @dataclass(frozen=True)
@@ -145,16 +186,15 @@ class LocalFactor:
         whole: Array = (region.compliance_columns @ (region.condensed @ step)).astype(np.float64)
         return whole
 
-
-def compliance_between(factor: LocalFactor | BlockCholesky, load: sparse.csr_matrix) -> Array:
-    """Return (A, A) displacements that unit loads, rows of (A, 3 N), cause along each other."""
-    if isinstance(factor, BlockCholesky):
-        dense = load.T.toarray()
-        return np.asarray(load @ factor.solve(dense))
-    local = load[:, factor.region.dof].toarray().astype(np.float32)
-    lower, _ = factor.factor
-    half = linalg.blas.strsm(1.0, lower, local.T, lower=1)
-    return np.asarray((half.T @ half).astype(np.float64))
+    def between(self, node: IntArray) -> FloatArray:
+        """Return (3 n, 3 n) of the inverse between nodes of the region."""
+        lower, _ = self.factor
+        dof = degrees_of_freedom(self.region.number[node])
+        unit = np.zeros((len(lower), len(dof)), dtype=np.float32, order="F")
+        unit[dof, np.arange(len(dof))] = 1.0
+        half = linalg.blas.strsm(1.0, lower, unit, lower=1, overwrite_b=1)
+        result: FloatArray = half.T @ half
+        return result
 
 
 class LocalTangent:
@@ -188,7 +228,7 @@ class LocalTangent:
         number = np.full(self.body.discretization.node_count, -1, dtype=np.int32)
         number[node] = np.arange(len(node), dtype=np.int32)
         inside = np.flatnonzero(np.all(number[node_of_cell] >= 0, axis=1)).astype(np.int32)
-        dof = (3 * node[:, None] + np.arange(3)).ravel().astype(np.int32)
+        dof = degrees_of_freedom(node)
         base = region_base(node_of_cell[inside], number, len(dof))
         rows = self.compliance[dof]
         condensed = inverse_of_positive(np.asfortranarray(rows[:, dof]))
@@ -204,17 +244,13 @@ class LocalTangent:
         now -= region.rest
         return now
 
-    def factor(
-        self, region: Region, stiffness: FloatArray, contact: EffectiveContact | None
-    ) -> LocalFactor:
-        """Factor an assembled stiffness with a contact."""
+    def factor(self, region: Region, stiffness: FloatArray) -> LocalFactor:
+        """Factor an assembled stiffness."""
         mean = float(np.trace(stiffness)) / len(stiffness)
 
         def factor(share: float) -> tuple[FloatArray, bool]:
-            matrix = np.array(stiffness, order="F")
-            if contact is not None:
-                dof = (3 * region.number[contact.node][:, None] + np.arange(3)).ravel()
-                matrix[np.ix_(dof, dof)] += contact.stiffness
+            # The transpose is the same matrix in LAPACK's order.
+            matrix = stiffness.T.copy(order="F")
             matrix[np.diag_indices(len(matrix))] += share * mean
             result: tuple[FloatArray, bool] = linalg.cho_factor(
                 matrix, lower=True, overwrite_a=True, check_finite=False

@@ -12,7 +12,8 @@ from scipy import sparse
 from dotsim_ros.gel.contact import Lag
 from dotsim_ros.gel.differentiable_contact import MarkerContact
 from dotsim_ros.gel.equilibrium import Candidates, fine_part, settle
-from dotsim_ros.gel.implicit import GelState, ImplicitGel, World, _Inertia, _Point
+from dotsim_ros.gel.implicit import GelState, ImplicitGel, Inertia, World
+from dotsim_ros.gel.newton import Point
 from dotsim_ros.gel.relaxation import StressMemory
 from dotsim_ros.geometry.pose import Pose
 
@@ -59,7 +60,7 @@ class Substep:
     skin_before_m: Array
     contact: ContactRecord | None
     relaxation: StressMemory
-    inertia: _Inertia | None
+    inertia: Inertia | None
 
 
 @dataclass
@@ -116,11 +117,11 @@ class Recorder:
         self,
         world: World,
         pose: Pose | None,
-        point: _Point,
-        inertia: _Inertia | None,
+        point: Point,
+        inertia: Inertia | None,
         dt_s: float,
         environment: int,
-    ) -> _Point:
+    ) -> Point:
         gel = self.gel
 
         def forces(displacement_m: Array) -> Array:
@@ -135,11 +136,8 @@ class Recorder:
         cell = gel.discretization.node_cell
         settled = settle(point.displacement_m, cell, forces, stiffness, candidates)
         displacement = settled.displacement_m
-        fine_force = np.zeros_like(point.fine_force_n)
         contact, lag = None, _present(np.zeros(0))
         if pose is not None and candidates is not None:
-            if gel.refinement is not None:
-                fine_force = gel.refinement.skin_weight[candidates.marker].T @ settled.force_n
             active = np.flatnonzero(np.any(settled.force_n != 0.0, axis=1))
             marker = candidates.marker[active]
             contact = ContactRecord(pose, marker, _memory(world)[marker], world.response is None)
@@ -148,15 +146,15 @@ class Recorder:
             Substep(
                 dt_s,
                 displacement,
-                _skin(gel, displacement, fine_force),
+                gel.skin_at(displacement, world.patch, settled.force_n),
                 world.skin_position_m,
                 contact,
                 gel._relaxation[environment].memory(gel.discretization.particle_count),
                 inertia,
             )
         )
-        unknowns = (displacement, fine_force)
-        return gel._evaluate(world, pose, unknowns, lag, inertia, environment, {})
+        problem = gel._problem(world, pose, inertia, environment)
+        return problem.at(displacement, settled.force_n, lag)
 
 
 def _present(pressure_pa: Array) -> Lag:
@@ -165,7 +163,7 @@ def _present(pressure_pa: Array) -> Lag:
 
 
 def elastic_forces(
-    gel: ImplicitGel, displacement_m: Array, inertia: _Inertia | None, environment: int
+    gel: ImplicitGel, displacement_m: Array, inertia: Inertia | None, environment: int
 ) -> Array:
     """Return the nodal forces (N, 3) of elasticity and inertia at displacements (N, 3)."""
     batch = np.zeros((gel.environment_count, *displacement_m.shape))
@@ -177,7 +175,7 @@ def elastic_forces(
 
 
 def elastic_stiffness(
-    gel: ImplicitGel, displacement_m: Array, inertia: _Inertia | None, environment: int
+    gel: ImplicitGel, displacement_m: Array, inertia: Inertia | None, environment: int
 ) -> sparse.csr_matrix:
     """Return the derivative (3 N, 3 N) of `elastic_forces`."""
     result = gel.body.stiffness(displacement_m, environment)
@@ -186,23 +184,13 @@ def elastic_stiffness(
     return result.tocsr()
 
 
-def _skin(gel: ImplicitGel, displacement_m: Array, fine_force_n: Array) -> Array:
-    """Return the skin (V, 3) at displacements of the nodes, under forces on the refinement."""
-    result: Array = gel.skin.rest_position_m + gel.skin_weight @ displacement_m
-    if gel.refinement is not None:
-        loaded = np.flatnonzero(np.any(fine_force_n, axis=1)).astype(np.int32)
-        added = gel.refinement.displacement(loaded, fine_force_n[loaded])
-        result = result + gel.refinement.skin_weight @ added
-    return result
-
-
 def _memory(world: World) -> Array:
     """Return slip minus position (V, 3) at the end of the last substep, indenter's frame."""
     assert world.history is not None
     return world.history.slip_m - world.history.local_position_m
 
 
-def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: _Point) -> Candidates:
+def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: Point) -> Candidates:
     assert world.patch is not None
     marker = world.patch.marker
     memory = _memory(world)[marker]
@@ -218,7 +206,7 @@ def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: _Point) -> Ca
     return Candidates(
         marker,
         gel.skin.rest_position_m[marker],
-        _skin(gel, point.displacement_m, point.fine_force_n)[marker],
+        gel.skin_at(point.displacement_m, world.patch, point.force_n)[marker],
         gel.skin_weight[marker],
         None if gel.refinement is None else fine_part(gel.refinement, marker),
         respond,

@@ -119,7 +119,7 @@ class SolverSpecification:
     refined: bool = True
     tolerance_m: float = 10.0e-6
     iterations: int = 15
-    friction_passes: int = 2
+    friction_passes: int = 5
     dynamic: bool = False
 
     def __post_init__(self) -> None:

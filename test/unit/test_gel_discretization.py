@@ -216,6 +216,8 @@ def test_refinement_displacement_is_that_of_its_matrix(
     assert (part @ force.ravel()).reshape(-1, 3) == pytest.approx(
         found[nodes], abs=2e-3 * np.abs(found).max()
     )
+    order = (3 * np.arange(4) + np.arange(3)[:, None]).ravel()
+    assert np.array_equal(refinement.by_component(nodes), part[np.ix_(order, order)])
 
 
 def test_refinement_is_read_back_from_its_cache(
