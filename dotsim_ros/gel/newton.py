@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +45,15 @@ SLOW_CONVERGENCE = 0.5
 """An iteration that moves farther than this share of the one before renews the linearisation."""
 
 Factor = ExactFactor | LocalFactor
+
+
+class Care(IntEnum):
+    """What an iteration makes linear: elasticity near the contact; the contact too, since a deep
+    press can make a gel unstable that only the indenter holds; all elasticity besides."""
+
+    NONE = 0
+    CONTACT = 1
+    WHOLE = 2
 
 
 @dataclass(frozen=True)
@@ -166,7 +176,7 @@ class EquilibriumSearch:
         self.near: NearMarkers | None = None
         self.factor: Factor | None = None
         self.compliance: NDArray[np.floating] | None = None
-        self.is_careful = self.is_slow = False
+        self.care, self.is_slow = Care.NONE, False
 
     def run(self, displacement_m: Array, force_n: Array, lag: Lag) -> tuple[Point, int, bool]:
         """Return the equilibrium, the iterations used, and whether the tolerance was met.
@@ -180,8 +190,7 @@ class EquilibriumSearch:
         last_m = np.inf
         for iteration in range(1, self.solver.iterations + 1):
             step = self._step(point, lag)
-            if step.slope_j >= 0.0 and not self.is_careful:
-                self._be_careful()
+            while step.slope_j >= 0.0 and self._be_more_careful():
                 step = self._step(point, lag)
             lag = step.lag
             if last_m < np.inf:
@@ -193,11 +202,10 @@ class EquilibriumSearch:
             trial, scale = self._search_line(point, step)
             self.trace.moves.append((step.largest_m, scale))
             if scale < SMALLEST_SCALE:
-                if self.is_careful:
+                if not self._be_more_careful():
                     return self._ended(point), iteration, False
-                self._be_careful()
                 continue
-            if self.is_careful or step.largest_m > SLOW_CONVERGENCE * last_m:
+            if self.care > Care.NONE or step.largest_m > SLOW_CONVERGENCE * last_m:
                 self._relinearise(trial)
             last_m = step.largest_m if scale == 1.0 else np.inf
             point = trial
@@ -313,7 +321,7 @@ class EquilibriumSearch:
         rows, respond, respond_now = near.rows, self.problem.respond, self.problem.respond_now
         free = near.weight @ free_m.reshape(-1, 3)
         force = point.force_n[rows]
-        if self.is_careful:
+        if self.care > Care.NONE:
             now = Lag(point.response.pressure_pa[rows], point.response.normal[rows])
             response = respond(near.marker, point.position_m[rows], now)
             linear = linear_contact(compliance, free, force, response)
@@ -336,7 +344,7 @@ class EquilibriumSearch:
 
     def _free(self, factor: Factor, right: Array) -> Array:
         """Return the step (3 N,) if the forces stayed; what is out of balance far away may wait."""
-        if isinstance(factor, LocalFactor) and not (self.is_careful or self.is_slow):
+        if isinstance(factor, LocalFactor) and not self.is_slow:
             inside = float(np.linalg.norm(right[factor.region.dof]))
             outside = np.sqrt(max(0.0, float(right @ right) - inside * inside))
             if outside < NEGLIGIBLE_FAR_SHARE * inside:
@@ -383,7 +391,7 @@ class EquilibriumSearch:
         return replace(point, response=response)
 
     def _linearise(self, near: NearMarkers, point: Point) -> Factor:
-        if self.is_careful:
+        if self.care is Care.WHOLE:
             return self.problem.linearise_as_is(point.displacement_m)
         return self.problem.linearise(near, point.displacement_m if self.is_slow else None)
 
@@ -392,7 +400,10 @@ class EquilibriumSearch:
         if self.near is not None:
             self.factor, self.compliance = self._linearise(self.near, point), None
 
-    def _be_careful(self) -> None:
-        """From now on linearise the whole gel where the search stands."""
-        self.is_careful = True
+    def _be_more_careful(self) -> bool:
+        """Linearise more from now on, where the search stands; return whether there is more."""
+        if self.care is Care.WHOLE:
+            return False
+        self.care, self.is_slow = Care(self.care + 1), True
         self.near = self.factor = self.compliance = None
+        return True

@@ -20,8 +20,8 @@ def make_camera(distortion=(0.0, 0.0, 0.0, 0.0), pose=None):
 @given(
     x=st.floats(-0.5, 63.5),
     y=st.floats(-0.5, 47.5),
-    k1=st.floats(-0.02, 0.05),
-    k2=st.floats(-0.001, 0.01),
+    k1=st.floats(-0.01, 0.05),
+    k2=st.floats(-0.0002, 0.01),
 )
 def test_unprojected_pixels_project_to_themselves(x, y, k1, k2):
     camera = make_camera((k1, k2, 0.0, 0.0))
