@@ -21,8 +21,12 @@ moved since the last exact frame. A short cut is never longer than the path that
 takes too old a pose rather than one too new: the latency of a lagging frame is an upper bound.
 Lengths are those of the way of the indenter's tip; the motion never turns in place.
 
-The lag of such a frame is the distance from where it shows the tip to the newest pose that was sent
-before the frame's stamp.
+Frames come fewest where they take longest, so latency counts hard moments less often than easy
+ones. The age at hand counts every moment alike: it is the age of the newest sent pose that the last
+Image has reached, sampled evenly in time, as a controller at a fixed rate would meet it.
+
+The lag of a lagging frame is the distance from where it shows the tip to the newest pose that was
+sent before the frame's stamp.
 """
 
 from __future__ import annotations
@@ -144,6 +148,19 @@ def frame_ages(
         if stamp_ns in arrived_s:
             ages.latency_s[stamp_ns] = arrived_s[stamp_ns] - float(sent.sent_s[reached])
     return ages
+
+
+def ages_at_hand_s(latency_s: list[float], arrived_s: list[float]) -> list[float]:
+    """Return the age of the last image at each millisecond between the first and the last.
+
+    Args:
+        latency_s: of each image.
+        arrived_s: when it came, in order.
+    """
+    moment_s = np.arange(arrived_s[0], arrived_s[-1], 1e-3)
+    last = np.searchsorted(arrived_s, moment_s, side="right") - 1
+    ages = np.asarray(latency_s)[last] + moment_s - np.asarray(arrived_s)[last]
+    return [float(age) for age in ages]
 
 
 class PosePlayer(threading.Thread):
@@ -269,7 +286,8 @@ def measure_node(seconds: float, rate_hz: float) -> dict[str, Any]:
     first_s = sent.sent_s[0] + SETTLE_S
     stamps = [stamp for stamp in sorted(arrived_s) if arrived_s[stamp] >= first_s]
     ages = frame_ages(sent, shown_m, arrived_s)
-    latency_s = [ages.latency_s[stamp] for stamp in stamps if stamp in ages.latency_s]
+    known = [stamp for stamp in stamps if stamp in ages.latency_s]
+    latency_s = [ages.latency_s[stamp] for stamp in known]
     lag_m = [ages.lag_m[stamp] for stamp in stamps if stamp in ages.lag_m]
     exact = ages.latency_s.keys() - ages.lag_m.keys()
     exact_s = [ages.latency_s[stamp] for stamp in stamps if stamp in exact]
@@ -281,6 +299,9 @@ def measure_node(seconds: float, rate_hz: float) -> dict[str, Any]:
         "frames": len(stamps),
         "frames_per_second": round((len(stamps) - 1) / span_s, 3),
         "latency_s": latency_s,
+        "age_at_hand": quantiles_ms(
+            ages_at_hand_s(latency_s, [arrived_s[stamp] for stamp in known])
+        ),
         "latency_of_exact_frames": quantiles_ms(exact_s),
         "frames_without_pose": len(stamps) - len(latency_s),
         "lagging_share": round(len(lag_m) / len(latency_s), 4),
@@ -433,8 +454,12 @@ def print_table(figures: dict[str, Any]) -> None:
     print(
         f"node over DDS: {figures['frames_per_second']:.2f} frames/s at {node['rate_hz']:g} Hz, "
         f"latency {figures['latency_p50_ms']:.1f} ms median, {figures['latency_p99_ms']:.1f} ms "
-        f"p99, {node['node'].get('dropped', '?')} dropped, longest gap {node['longest_gap_ms']} "
-        f"ms, ready after {node['start_up_s']} s"
+        f"p99, age at hand {node['age_at_hand']['p50_ms']:.1f} ms median, "
+        f"{node['age_at_hand']['p99_ms']:.1f} ms p99"
+    )
+    print(
+        f"{node['node'].get('dropped', '?')} dropped, longest gap {node['longest_gap_ms']} ms, "
+        f"ready after {node['start_up_s']} s"
     )
     print(
         f"lagging behind the newest pose: {100.0 * figures['lagging_share']:.1f} % of frames, by "
