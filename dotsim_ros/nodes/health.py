@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from threading import Lock
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,6 +25,8 @@ FAULT_MEMORY_S = 5.0
 class FrameCounter:
     """Counts frames, their rate over the last seconds, and where their time went.
 
+    One thread may count while another one reads.
+
     Attributes:
         count: frames since the start.
         unconverged: those of them whose gel had not converged.
@@ -34,32 +37,37 @@ class FrameCounter:
         self.count = 0
         self.unconverged = 0
         self.last_unconverged_s = -np.inf
+        self._lock = Lock()
         self._times_s: deque[float] = deque()
         self._spent_s: deque[Mapping[str, float]] = deque(maxlen=SPENT_FRAME_COUNT)
 
     def note(self, now_s: float, spent_s: Mapping[str, float], *, converged: bool) -> None:
         """Count a frame that took `spent_s` by part."""
-        self.count += 1
-        if not converged:
-            self.unconverged += 1
-            self.last_unconverged_s = now_s
-        self._times_s.append(now_s)
-        self._spent_s.append(spent_s)
+        with self._lock:
+            self.count += 1
+            if not converged:
+                self.unconverged += 1
+                self.last_unconverged_s = now_s
+            self._times_s.append(now_s)
+            self._spent_s.append(spent_s)
 
     def rate_hz(self, now_s: float) -> float:
         """Return frames per second over the last seconds."""
-        while self._times_s and now_s - self._times_s[0] > RATE_WINDOW_S:
-            self._times_s.popleft()
-        if len(self._times_s) < 2:
-            return 0.0
-        return (len(self._times_s) - 1) / max(now_s - self._times_s[0], 1e-9)
+        with self._lock:
+            while self._times_s and now_s - self._times_s[0] > RATE_WINDOW_S:
+                self._times_s.popleft()
+            if len(self._times_s) < 2:
+                return 0.0
+            return (len(self._times_s) - 1) / max(now_s - self._times_s[0], 1e-9)
 
     def p95_ms(self) -> dict[str, float]:
         """Return the 95th percentile of each part and group over the last minute at 25 Hz."""
-        parts = sorted({part for spent in self._spent_s for part in spent})
+        with self._lock:
+            frames = list(self._spent_s)
+        parts = sorted({part for spent in frames for part in spent})
         table_ms = np.array(
-            [[1e3 * spent.get(part, 0.0) for part in parts] for spent in self._spent_s]
-        ).reshape(len(self._spent_s), len(parts))
+            [[1e3 * spent.get(part, 0.0) for part in parts] for spent in frames]
+        ).reshape(len(frames), len(parts))
         columns = dict(zip(parts, table_ms.T, strict=True))
         for name, members in GROUPS.items():
             if set(members) <= set(columns):

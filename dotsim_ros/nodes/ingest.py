@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from enum import StrEnum
+from threading import Lock
 
 import numpy as np
 
@@ -74,7 +75,7 @@ class InputArbiter:
 
 
 class FaultLog:
-    """Counts faults and says which are worth a line in the log.
+    """Counts faults and says which are worth a line in the log; from any thread.
 
     Args:
         period_s: time between two lines about faults of one kind.
@@ -86,6 +87,7 @@ class FaultLog:
 
     def __init__(self, *, period_s: float = 5.0) -> None:
         self._period_s = period_s
+        self._lock = Lock()
         self._count: Counter[Fault] = Counter()
         self._logged_s: dict[Fault, float] = {}
         self.last_reason = ""
@@ -93,13 +95,15 @@ class FaultLog:
 
     def note(self, fault: Fault, reason: str, now_s: float) -> bool:
         """Count a fault; return whether to log it."""
-        self._count[fault] += 1
-        self.last_reason, self.last_s = reason, now_s
-        if now_s - self._logged_s.get(fault, -np.inf) < self._period_s:
-            return False
-        self._logged_s[fault] = now_s
-        return True
+        with self._lock:
+            self._count[fault] += 1
+            self.last_reason, self.last_s = reason, now_s
+            if now_s - self._logged_s.get(fault, -np.inf) < self._period_s:
+                return False
+            self._logged_s[fault] = now_s
+            return True
 
     def counts(self) -> dict[Fault, int]:
         """Return how often each fault has happened, all of them."""
-        return {fault: self._count[fault] for fault in Fault}
+        with self._lock:
+            return {fault: self._count[fault] for fault in Fault}

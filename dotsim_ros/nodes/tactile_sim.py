@@ -1,6 +1,10 @@
 """`tactile_sim`: stands where an optical tactile sensor's driver would.
 
 An indenter's pose or velocity goes in; images, depth, the skin and the wrench come out.
+
+The real-time clock has one thread that presses, renders and publishes. Two, one for the gel and one
+for the camera, were measured: on two cores, which the readers of the images need as well, they slow
+each other down, and every picture comes later.
 """
 
 from __future__ import annotations
@@ -175,25 +179,25 @@ class TactileSim(Node):
                 "use_sim_time is set and /clock is silent: there is no time to stamp frames with",
                 throttle_duration_sec=5.0,
             )
-        with self._lock:
-            condition = Condition(
+        # Not under the lock: poses would wait here until a frame ends, and the next frame would
+        # begin with an old one.
+        states = statuses(
+            self.get_name(),
+            self._settings.sensor,
+            condition=Condition(
                 is_enabled=self._is_enabled,
                 silence_s=self._input.silence_s(),
                 timeout_s=self._settings.input_timeout_s if self._is_realtime else np.inf,
                 is_realtime=self._is_realtime,
                 late=self._pace.late + self._session.behind,
                 dropped=self._pace.dropped,
-            )
-            states = statuses(
-                self.get_name(),
-                self._settings.sensor,
-                condition=condition,
-                counter=self._counter,
-                faults=self._faults,
-                gel=self._session.moment.gel,
-                effects=(),
-                now_s=time.monotonic(),
-            )
+            ),
+            counter=self._counter,
+            faults=self._faults,
+            gel=self._session.moment.gel,
+            effects=(),
+            now_s=time.monotonic(),
+        )
         self._diagnostics.publish(
             msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
         )

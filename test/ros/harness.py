@@ -48,6 +48,7 @@ class Executable:
         module: the module that is run.
         parameters: ROS parameters of the node.
         arguments: further ROS arguments.
+        code: Python code to run in the module's place.
     """
 
     def __init__(
@@ -55,8 +56,11 @@ class Executable:
         module: str,
         parameters: Mapping[str, Any] | None = None,
         arguments: Sequence[str] = (),
+        *,
+        code: str = "",
     ) -> None:
-        command = [sys.executable, "-u", "-m", module, "--ros-args", *arguments]
+        program = ["-c", code] if code else ["-m", module]
+        command = [sys.executable, "-u", *program, "--ros-args", *arguments]
         for name, value in (parameters or {}).items():
             command += ["-p", f"{name}:={value}"]
         self.process = subprocess.Popen(
@@ -123,9 +127,10 @@ def running(
     ready: str = "ready:",
     parameters: Mapping[str, Any] | None = None,
     arguments: Sequence[str] = (),
+    code: str = "",
 ) -> Iterator[Executable]:
     """Run a node from ready to the end of the block."""
-    executable = Executable(module, parameters, arguments)
+    executable = Executable(module, parameters, arguments, code=code)
     try:
         executable.wait_for_line(ready)
         yield executable
@@ -186,9 +191,10 @@ class Client:
 
     Args:
         is_deaf: subscribe to everything and never read any of it.
+        topics: what of the frames to read.
     """
 
-    def __init__(self, *, is_deaf: bool = False) -> None:
+    def __init__(self, *, is_deaf: bool = False, topics: Mapping[str, type] = FRAME_TOPICS) -> None:
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = rclpy.create_node("client", context=self._context)
@@ -199,7 +205,7 @@ class Client:
         self._poses = self.node.create_publisher(
             PoseStamped, "indenter/pose", QoSProfile(history=HistoryPolicy.KEEP_ALL)
         )
-        for topic, kind in {**FRAME_TOPICS, STATE_TOPIC: PoseStamped}.items():
+        for topic, kind in {**topics, STATE_TOPIC: PoseStamped}.items():
             self.node.create_subscription(kind, topic, self._collector(topic), 50)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._executor = SingleThreadedExecutor(context=self._context)
