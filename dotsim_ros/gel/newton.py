@@ -41,6 +41,8 @@ CONTACT_SHARE = 0.3
 """Share of the tolerance to which the contact of the linear gel is solved."""
 NEGLIGIBLE_FAR_SHARE = 0.5
 """Residual forces outside of the region below this share of those in it can wait."""
+LARGEST_STEP_M = 0.3e-3
+"""A step from where the gel may be unstable goes no farther."""
 SLOW_CONVERGENCE = 0.5
 """An iteration that moves farther than this share of the one before renews the linearisation."""
 
@@ -370,6 +372,8 @@ class EquilibriumSearch:
             response = self.problem.respond(patch.marker, point.position_m, step.lag)
         energy = self._energy_j(point, response)
         scale = 1.0
+        if self.care > Care.NONE:
+            scale = min(1.0, LARGEST_STEP_M / step.largest_m)
         while True:
             trial = self._at(
                 point.displacement_m + scale * step.displacement_m,
