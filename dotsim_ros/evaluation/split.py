@@ -1,0 +1,75 @@
+"""Which presses a model is fitted on, and which it is judged on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+HELD_OUT_COUNT = 9
+
+
+@dataclass(frozen=True)
+class Split:
+    """Names of the presses to fit on and to judge on.
+
+    Attributes:
+        name: "held_out", or the indenter that is left out.
+        train: names to fit on.
+        test: names to judge on.
+    """
+
+    name: str
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+def hold_out(
+    names: Iterable[str], count: int = HELD_OUT_COUNT, seed: int = 0
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return (train, test): `count` names drawn by a seed are the test; both are sorted.
+
+    The order of the names does not matter.
+
+    Raises:
+        ValueError: a name twice, or a count that leaves nothing to fit on or to judge on.
+    """
+    ordered = _distinct(names)
+    if not 0 < count < len(ordered):
+        raise ValueError(
+            f"{count} of {len(ordered)} presses cannot be held out; expected 1 to "
+            f"{len(ordered) - 1}"
+        )
+    drawn = np.random.default_rng(seed).choice(len(ordered), size=count, replace=False)
+    test = {ordered[index] for index in drawn}
+    return tuple(n for n in ordered if n not in test), tuple(n for n in ordered if n in test)
+
+
+def leave_one_indenter_out(indenter_of: Mapping[str, str]) -> Iterator[Split]:
+    """Yield a split for each indenter: its presses are judged on, all others fitted on.
+
+    Args:
+        indenter_of: indenter of each press, by the press's name.
+
+    Raises:
+        ValueError: fewer than two indenters.
+    """
+    indenters = sorted(set(indenter_of.values()))
+    if len(indenters) < 2:
+        raise ValueError(f"leaving one indenter out takes two at least, got {indenters}")
+    names = _distinct(indenter_of)
+    for left_out in indenters:
+        yield Split(
+            left_out,
+            tuple(n for n in names if indenter_of[n] != left_out),
+            tuple(n for n in names if indenter_of[n] == left_out),
+        )
+
+
+def _distinct(names: Iterable[str]) -> list[str]:
+    ordered = sorted(names)
+    twice = sorted({n for n in ordered if ordered.count(n) > 1})
+    if twice:
+        raise ValueError(f"names of presses must differ, got {', '.join(twice)} more than once")
+    return ordered
