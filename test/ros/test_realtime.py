@@ -78,6 +78,41 @@ def test_a_silent_input_is_told_and_the_next_press_is_that_of_a_fresh_start(
     assert press(client, 0.001).is_same(first)
 
 
+@pytest.fixture
+def slow_session(session: Session) -> Iterator[Session]:
+    """The session at a rate at which no frame starts late."""
+    assert session[1].set_parameters(rate_hz=2.0, input_timeout_s=0.6).successful
+    yield session
+    assert session[1].set_parameters(rate_hz=25.0, input_timeout_s=0.3).successful
+
+
+def test_a_fast_motion_lags_is_counted_and_arrives(slow_session: Session) -> None:
+    client = slow_session[1]
+    start_m, end_m = [0.0, 0.0, APEX_M + 0.0002], [0.0, 0.0, APEX_M - 0.003]
+    client.send((0.0, 0.0, APEX_M + 0.05))
+    client.next_frame(is_at_rest)
+    client.send(start_m)
+    begun = client.next_frame(lambda frame: frame.indenter_m() == start_m)
+    late = int(client.state("frames").values["late"])
+    client.send(end_m)
+    arrived = client.next_frame(lambda frame: frame.indenter_m() == end_m)
+    between = [
+        client.frames[stamp_ns]
+        for stamp_ns in sorted(client.frames)
+        if begun.stamp_ns < stamp_ns < arrived.stamp_ns
+    ]
+    heights_m = [frame.indenter_m()[2] for frame in between if frame.indenter_m() is not None]
+    on_the_way_m = [height for height in heights_m if height != start_m[2]]
+    # 0.2 mm are free, 3 mm are not: two frames of 1.2 mm, and the rest.
+    assert len(on_the_way_m) == 2
+    assert np.all(np.diff([start_m[2], *on_the_way_m, end_m[2]]) < 0.0)
+    assert np.diff([*on_the_way_m, end_m[2]]).min() > -0.0013
+    client.wait_for_state("frames", lambda state: int(state.values["late"]) >= late + 2)
+    held = client.next_frame(lambda frame: True)
+    assert held.is_same(arrived)
+    assert is_pressed(held)
+
+
 def test_ten_thousand_poses_a_second_leave_the_frames_running(session: Session) -> None:
     client = session[1]
     first = press(client, 0.001)

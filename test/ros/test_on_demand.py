@@ -1,0 +1,53 @@
+"""Pictures are rendered for whoever reads one, and for nobody else."""
+
+from __future__ import annotations
+
+import pytest
+from geometry_msgs.msg import WrenchStamped
+from harness import APEX_M, Client, running
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
+
+import msg_adapters
+
+PICTURES = {
+    "image_raw": Image,
+    "image_raw/compressed": CompressedImage,
+    "depth/image": Image,
+}
+DEPTH_M = 0.001
+
+
+def is_rendered(client: Client) -> bool:
+    """Whether a frame of the last minute has spent time on the camera."""
+    values = client.state("frames").values
+    return "depth_p95_ms" in values or "image_p95_ms" in values
+
+
+@pytest.mark.parametrize("topic", PICTURES)
+def test_frames_are_rendered_once_somebody_reads_a_picture_and_not_before(topic: str) -> None:
+    with running(parameters={"diagnostics_period_s": 0.1}):
+        client = Client(topics={"wrench": WrenchStamped, "points": PointCloud2})
+        try:
+            client.meet()
+            client.send((0.0, 0.0, APEX_M - DEPTH_M))
+
+            def is_pressed() -> bool:
+                wrenches = [frame.messages.get("wrench") for frame in list(client.frames.values())]
+                return any(
+                    wrench is not None and msg_adapters.decode_wrench_stamped(wrench)[0][2] > 0.0
+                    for wrench in wrenches
+                )
+
+            client.wait(is_pressed, "a force")
+            count = int(client.state("frames").values["frames"])
+            client.wait_for_state("frames", lambda state: int(state.values["frames"]) > count + 25)
+            assert not is_rendered(client)
+
+            pictures = []
+            client.node.create_subscription(PICTURES[topic], topic, pictures.append, 5)
+            client.wait(lambda: len(pictures) > 3, f"{topic} for its first reader")
+            client.wait(lambda: is_rendered(client), "time spent on the camera")
+            if topic != "image_raw/compressed":
+                assert msg_adapters.decode_image(pictures[-1]).shape[:2] == (480, 640)
+        finally:
+            client.close()
