@@ -8,6 +8,7 @@ previous iteration, so that every iteration has an energy.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -169,8 +170,8 @@ class Contact:
             host["start_position"][:] = history.local_position_m
             host["start_slip"][:] = history.slip_m
             self._history = history
-        for name, array in self._device_inputs.items():
-            if array.ptr != host[name].ctypes.data:
+        if not self._is_shared:
+            for name, array in self._device_inputs.items():
                 array.assign(host[name])
         if pose is not self._pose:
             k = self.kernels
@@ -182,7 +183,7 @@ class Contact:
         launch.set_dim(count)
         launch.launch()
         distance, pressure, force, energy, *others = (
-            output.numpy()[:count].copy() for output in self._outputs
+            output[:count].copy() for output in self._output_arrays()
         )
         return ContactResponse(distance, pressure, force, float(energy.sum()), *others)
 
@@ -203,8 +204,16 @@ class Contact:
             name: wp.array(values, dtype=dtype, device=device, copy=False)
             for (name, values), dtype in zip(self._inputs.items(), input_dtypes, strict=True)
         }
+        self._is_shared = self._device_inputs["position"].device.is_cpu
         dtypes = (wp.float64, wp.float64, k.vec3, wp.float64, k.mat33, k.vec3, k.vec3, k.vec3)
         self._outputs = [wp.empty(count, dtype=dtype, device=device) for dtype in dtypes]
+        on_host = [output.numpy() for output in self._outputs]
+        # A view that is taken once: to take it costs more than a launch.
+        self._output_arrays: Callable[[], list[Array]] = (
+            (lambda: on_host)
+            if self._is_shared
+            else (lambda: [output.numpy() for output in self._outputs])
+        )
         candidate, position, pressure, normal, start, slip = self._device_inputs.values()
         first = [candidate, position, self.area, self.field, k.mat33(), k.vec3(), self.law]
 

@@ -460,20 +460,12 @@ class ImplicitGel:
             region = self._region(world, near, local)
             return local.factor(region, local.assemble(region, displacement, environment))
 
-        def linearise_as_is(displacement_m: Array) -> Factor:
-            tangent = ExactTangent(
-                self.body, self._mass * 0.0 if inertia is None else inertia.stiffness
-            )
-            return tangent.factor_as_is(displacement_m, environment)
-
         def at_rest(force_n: Array) -> Array:
             if local is None:
                 return self._exact_tangent.factor(start_m, environment).solve(force_n)
             return local.solve_at_rest(force_n)
 
-        return Problem(
-            world.patch, elastic, respond, respond_now, linearise, linearise_as_is, at_rest
-        )
+        return Problem(world.patch, elastic, respond, respond_now, linearise, at_rest)
 
     def _region(self, world: World, near: NearMarkers, local: LocalTangent) -> Region:
         """Return the region around the near markers: the last one while it holds them."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,23 +38,14 @@ LEFT_SHARE = 0.3
 """Share of the tolerance that an iteration may leave to the one after it."""
 CONTACT_SHARE = 0.3
 """Share of the tolerance to which the contact of the linear gel is solved."""
-NEGLIGIBLE_FAR_SHARE = 0.5
-"""Residual forces outside of the region below this share of those in it can wait."""
+FAR_SHARE = 0.2
+"""Forces out of balance far away below this share of those near the contact move nothing there."""
 LARGEST_STEP_M = 0.3e-3
 """A step from where the gel may be unstable goes no farther."""
 SLOW_CONVERGENCE = 0.5
 """An iteration that moves farther than this share of the one before renews the linearisation."""
 
 Factor = ExactFactor | LocalFactor
-
-
-class Care(IntEnum):
-    """What an iteration makes linear: elasticity near the contact; the contact too, since a deep
-    press can make a gel unstable that only the indenter holds; all elasticity besides."""
-
-    NONE = 0
-    CONTACT = 1
-    WHOLE = 2
 
 
 @dataclass(frozen=True)
@@ -90,7 +80,6 @@ class Problem:
         respond_now: the same with friction limited by the pressure that there is.
         linearise: the factored stiffness near the listed markers: at the start of the substep, or
             at the displacements (N, 3) given.
-        linearise_as_is: that of the whole gel in double precision at displacements (N, 3).
         at_rest: the step (3 N,) that answers forces (3 N,) on a gel that nothing touches.
     """
 
@@ -99,7 +88,6 @@ class Problem:
     respond: Callable[[NDArray[np.int32], Array, Lag], ContactResponse]
     respond_now: Callable[[NDArray[np.int32], Array], ContactResponse]
     linearise: Callable[[NearMarkers, Array | None], Factor]
-    linearise_as_is: Callable[[Array], Factor]
     at_rest: Callable[[Array], Array]
 
     def at(self, displacement_m: Array, force_n: Array, lag: Lag) -> Point:
@@ -178,7 +166,7 @@ class EquilibriumSearch:
         self.near: NearMarkers | None = None
         self.factor: Factor | None = None
         self.compliance: NDArray[np.floating] | None = None
-        self.care, self.is_slow = Care.NONE, False
+        self.is_careful = self.is_slow = False
 
     def run(self, displacement_m: Array, force_n: Array, lag: Lag) -> tuple[Point, int, bool]:
         """Return the equilibrium, the iterations used, and whether the tolerance was met.
@@ -192,7 +180,8 @@ class EquilibriumSearch:
         last_m = np.inf
         for iteration in range(1, self.solver.iterations + 1):
             step = self._step(point, lag)
-            while step.slope_j >= 0.0 and self._be_more_careful():
+            if step.slope_j >= 0.0 and not self.is_careful:
+                self._be_careful()
                 step = self._step(point, lag)
             lag = step.lag
             if last_m < np.inf:
@@ -204,10 +193,11 @@ class EquilibriumSearch:
             trial, scale = self._search_line(point, step)
             self.trace.moves.append((step.largest_m, scale))
             if scale < SMALLEST_SCALE:
-                if not self._be_more_careful():
+                if self.is_careful:
                     return self._ended(point), iteration, False
+                self._be_careful()
                 continue
-            if self.care > Care.NONE or step.largest_m > SLOW_CONVERGENCE * last_m:
+            if self.is_careful or step.largest_m > SLOW_CONVERGENCE * last_m:
                 self._relinearise(trial)
             last_m = step.largest_m if scale == 1.0 else np.inf
             point = trial
@@ -277,7 +267,7 @@ class EquilibriumSearch:
         clock = time.perf_counter()
         change = solution.force_n - point.force_n[rows]
         load = (near.weight.T @ change).ravel()
-        displacement = (free + factor.solve_near(load)).reshape(-1, 3)
+        displacement = (free + factor.solve_loads(load)).reshape(-1, 3)
         force = np.zeros_like(point.force_n)
         force[rows] = change
         renewed = no_lag(len(patch.marker))
@@ -323,7 +313,7 @@ class EquilibriumSearch:
         rows, respond, respond_now = near.rows, self.problem.respond, self.problem.respond_now
         free = near.weight @ free_m.reshape(-1, 3)
         force = point.force_n[rows]
-        if self.care > Care.NONE:
+        if self.is_careful:
             now = Lag(point.response.pressure_pa[rows], point.response.normal[rows])
             response = respond(near.marker, point.position_m[rows], now)
             linear = linear_contact(compliance, free, force, response)
@@ -345,11 +335,11 @@ class EquilibriumSearch:
         )
 
     def _free(self, factor: Factor, right: Array) -> Array:
-        """Return the step (3 N,) if the forces stayed; what is out of balance far away may wait."""
+        """Return the step (3 N,) if the forces stayed; a little out of balance far away waits."""
         if isinstance(factor, LocalFactor) and not self.is_slow:
             inside = float(np.linalg.norm(right[factor.region.dof]))
             outside = np.sqrt(max(0.0, float(right @ right) - inside * inside))
-            if outside < NEGLIGIBLE_FAR_SHARE * inside:
+            if outside < FAR_SHARE * inside:
                 return factor.solve_near(right)
         return factor.solve(right)
 
@@ -372,7 +362,7 @@ class EquilibriumSearch:
             response = self.problem.respond(patch.marker, point.position_m, step.lag)
         energy = self._energy_j(point, response)
         scale = 1.0
-        if self.care > Care.NONE:
+        if self.is_careful:
             scale = min(1.0, LARGEST_STEP_M / step.largest_m)
         while True:
             trial = self._at(
@@ -395,8 +385,6 @@ class EquilibriumSearch:
         return replace(point, response=response)
 
     def _linearise(self, near: NearMarkers, point: Point) -> Factor:
-        if self.care is Care.WHOLE:
-            return self.problem.linearise_as_is(point.displacement_m)
         return self.problem.linearise(near, point.displacement_m if self.is_slow else None)
 
     def _relinearise(self, point: Point) -> None:
@@ -404,10 +392,8 @@ class EquilibriumSearch:
         if self.near is not None:
             self.factor, self.compliance = self._linearise(self.near, point), None
 
-    def _be_more_careful(self) -> bool:
-        """Linearise more from now on, where the search stands; return whether there is more."""
-        if self.care is Care.WHOLE:
-            return False
-        self.care, self.is_slow = Care(self.care + 1), True
+    def _be_careful(self) -> None:
+        """From now on make the contact linear too, where the search stands: a deep press can make
+        a gel unstable that only the indenter holds."""
+        self.is_careful = self.is_slow = True
         self.near = self.factor = self.compliance = None
-        return True

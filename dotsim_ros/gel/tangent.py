@@ -19,7 +19,6 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
-from scipy.sparse.linalg import splu
 
 from dotsim_ros.gel.block_solver import BlockCholesky
 from dotsim_ros.gel.elasticity import ElasticBody, region_base
@@ -34,7 +33,7 @@ class Region:
     """A part of the grid around the contact.
 
     Attributes:
-        node: (R,) its nodes.
+        node: (R,) its nodes, in the order of its unknowns.
         number: (N,) the number of each node in it, -1 outside.
         cell: (C,) the cells all of whose nodes are in it.
         base: (C, 27, 27) positions of the cells' blocks in the region's matrix.
@@ -116,17 +115,6 @@ class ExactTangent:
             self.body.dtype,
         )
 
-    def factor_as_is(self, displacement_m: Array, environment: int) -> ExactFactor:
-        """Factor the stiffness at displacements (N, 3), positive definite or not: without the
-        indenter that holds it, a strongly compressed gel may be unstable."""
-        matrix = (self.body.stiffness(displacement_m, environment) + self.extra).tocsr()
-        solve: Callable[[Any], Any]
-        try:
-            solve = BlockCholesky(matrix, self.body.discretization.node_cell).solve
-        except np.linalg.LinAlgError:
-            solve = splu(matrix.tocsc()).solve
-        return ExactFactor(solve, matrix.shape[0], self.body.dtype)
-
 
 @dataclass(frozen=True)
 class ExactFactor:
@@ -140,7 +128,7 @@ class ExactFactor:
         """Return the step (3 N,) for forces (3 N,) anywhere."""
         return np.asarray(self.inverse(right.astype(self.dtype)), dtype=np.float64)
 
-    def solve_near(self, right: Array) -> Array:
+    def solve_loads(self, right: Array) -> Array:
         """Return the step (3 N,) for forces (3 N,) near the contact."""
         return self.solve(right)
 
@@ -179,7 +167,19 @@ class LocalFactor:
         return whole
 
     def solve_near(self, right: Array) -> Array:
-        """Return the step (3 N,) for residual forces (3 N,), leaving out those outside."""
+        """Return the step (3 N,) for residual forces (3 N,): in the region for all of them, outside
+        for those in the region."""
+        region = self.region
+        local = right[region.dof].astype(np.float32)
+        free_here = region.compliance_columns.T @ right.astype(np.float32)
+        step = linalg.cho_solve(self.factor, region.condensed @ free_here, check_finite=False)
+        change = local + region.condensed @ (step - free_here)
+        whole: Array = (region.compliance_columns @ change).astype(np.float64)
+        whole[region.dof] = step
+        return whole
+
+    def solve_loads(self, right: Array) -> Array:
+        """Return the step (3 N,) for forces (3 N,) that are all in the region."""
         region = self.region
         local = right[region.dof].astype(np.float32)
         step = linalg.cho_solve(self.factor, local, check_finite=False)
@@ -190,9 +190,11 @@ class LocalFactor:
         """Return (3 n, 3 n) of the inverse between nodes of the region."""
         lower, _ = self.factor
         dof = degrees_of_freedom(self.region.number[node])
-        unit = np.zeros((len(lower), len(dof)), dtype=np.float32, order="F")
-        unit[dof, np.arange(len(dof))] = 1.0
-        half = linalg.blas.strsm(1.0, lower, unit, lower=1, overwrite_b=1)
+        # Those before the first of them do not matter: the forward solution is zero there.
+        first = int(dof.min())
+        unit = np.zeros((len(lower) - first, len(dof)), dtype=np.float32, order="F")
+        unit[dof - first, np.arange(len(dof))] = 1.0
+        half = linalg.blas.strsm(1.0, lower[first:, first:], unit, lower=1, overwrite_b=1)
         result: FloatArray = half.T @ half
         return result
 
@@ -222,9 +224,16 @@ class LocalTangent:
         return whole
 
     def region(self, cell: IntArray, needed_node: IntArray) -> Region:
-        """Return the region of the given cells, with further nodes that contact needs."""
+        """Return the region of the given cells, with further nodes that contact needs.
+
+        Its nodes go from the farthest to those in the middle of the needed ones, which
+        `LocalFactor.between` profits from.
+        """
         node_of_cell = self.body.cells.node
         node = np.union1d(node_of_cell[cell], needed_node).astype(np.int32)
+        position = self.body.discretization.node_position_m
+        middle = position[needed_node].mean(axis=0)
+        node = node[np.argsort(-np.linalg.norm(position[node] - middle, axis=1), kind="stable")]
         number = np.full(self.body.discretization.node_count, -1, dtype=np.int32)
         number[node] = np.arange(len(node), dtype=np.int32)
         inside = np.flatnonzero(np.all(number[node_of_cell] >= 0, axis=1)).astype(np.int32)
