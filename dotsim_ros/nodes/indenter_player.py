@@ -12,7 +12,6 @@ from collections.abc import Iterator
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.duration import Duration
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.time import Time
@@ -22,19 +21,18 @@ import msg_adapters
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.declare import declare
 from dotsim_ros.nodes.player_parameters import PlayerParameters, program_of
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.spin import WorkingNode, run_node
 
 POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 POLL_S = 0.02
 WARN_EVERY_S = 5.0
 
 
-class IndenterPlayer(Node):
+class IndenterPlayer(WorkingNode):
     """Plays a program from a thread of its own, at absolute deadlines."""
 
     def __init__(self) -> None:
         super().__init__("indenter_player")
-        self.exit_status = 0
         self._settings = declare(self, PlayerParameters)
         self._program = program_of(self._settings)
         self._publisher = self.create_publisher(
@@ -49,6 +47,9 @@ class IndenterPlayer(Node):
         if self._settings.wait_for_answer:
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
         self._thread = threading.Thread(target=self._run, name="player", daemon=True)
+
+    def begin(self) -> None:
+        """Start to play."""
         self._thread.start()
         self.get_logger().info(
             f"ready: {self._settings.source}, {self._program.motion.duration_s:.2f} s of motion on "
@@ -58,7 +59,8 @@ class IndenterPlayer(Node):
     def destroy_node(self) -> None:
         """Stop the thread, then take the node down."""
         self._stop.set()
-        self._thread.join()
+        if self._thread.is_alive():
+            self._thread.join()
         super().destroy_node()
 
     def _on_answer(self, message: WrenchStamped) -> None:

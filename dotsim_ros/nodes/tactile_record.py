@@ -14,15 +14,14 @@ from typing import Any
 
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.logging import get_logger
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
 from dotsim_ros.nodes.declare import declare
 from dotsim_ros.nodes.options import check_options, option
-from dotsim_ros.nodes.recording import Recording
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.recording import Recording, RecordingSummary
+from dotsim_ros.nodes.spin import WorkingNode, run_node
 from msg_adapters import message_class
 
 SENSOR_TOPICS = {
@@ -105,42 +104,48 @@ def _check_stamped(kind: str) -> None:
         raise ValueError(f"{kind} has no header: only stamped messages are recorded")
 
 
-class TactileRecord(Node):
+class TactileRecord(WorkingNode):
     """Subscribes to the sensor's topics and hands their messages to a recording."""
 
     def __init__(self) -> None:
         super().__init__("tactile_record")
-        self.exit_status = 0
         self._settings = declare(self, RecordParameters)
         self._path = Path(self._settings.output or f"tactile_{datetime.now():%Y%m%d_%H%M%S}")
         named = self._settings.message_types()
         for kind in named.values():
             _check_stamped(kind)
-        resolved = {self.resolve_topic_name(name): kind for name, kind in named.items()}
+        self._types = {self.resolve_topic_name(name): kind for name, kind in named.items()}
         self._received = 0
         self._heard: set[str] = set()
         self._lost = 0
-        self._recording = Recording(
-            self._path, resolved, queue_bytes=self._settings.queue_mb * 2**20
-        )
-        for topic, kind in resolved.items():
+        self._recording: Recording | None = None
+
+    def begin(self) -> None:
+        """Open the recording and listen."""
+        recording = Recording(self._path, self._types, queue_bytes=self._settings.queue_mb * 2**20)
+        self._recording = recording
+        for topic, kind in self._types.items():
             self.create_subscription(
                 message_class(kind),
                 topic,
-                partial(self._on_message, topic),
+                partial(self._on_message, recording, topic),
                 RECORD_QOS,
                 raw=True,
                 event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
-        self.create_timer(CHECK_PERIOD_S, self._check)
+        self.create_timer(CHECK_PERIOD_S, partial(self._check, recording))
         if self._settings.duration_s > 0.0:
             self.create_timer(self._settings.duration_s, try_shutdown)
-        self.get_logger().info(f"recording {', '.join(resolved)} to {self._path}")
+        self.get_logger().info(f"recording {', '.join(self._types)} to {self._path}")
 
     def destroy_node(self) -> None:
         """Finish the bag, say what is in it, and take the node down."""
-        summary = self._recording.close()
+        if self._recording is not None:
+            self._finish(self._recording.close())
+        super().destroy_node()
+
+    def _finish(self, summary: RecordingSummary) -> None:
         # Not the node's own logger, which would try to publish what it says after the shutdown.
         logger = get_logger("dotsim_ros.tactile_record")
         dropped = sum(summary.dropped.values())
@@ -155,14 +160,13 @@ class TactileRecord(Node):
                 f"wrote {sum(summary.written.values())} messages to {self._path} ({counts}); "
                 f"{dropped} dropped, {self._lost} lost on the way"
             )
-        super().destroy_node()
 
-    def _on_message(self, topic: str, serialized: bytes) -> None:
+    def _on_message(self, recording: Recording, topic: str, serialized: bytes) -> None:
         self._received += 1
         if topic not in self._heard:
             self._heard.add(topic)
             self.get_logger().info(f"receiving {topic}")
-        if not self._recording.put(topic, serialized):
+        if not recording.put(topic, serialized):
             self.get_logger().warning(
                 "the disk does not keep up: messages are dropped", throttle_duration_sec=5.0
             )
@@ -170,9 +174,9 @@ class TactileRecord(Node):
     def _on_lost(self, event: Any) -> None:
         self._lost += event.total_count_change
 
-    def _check(self) -> None:
+    def _check(self, recording: Recording) -> None:
         self.get_logger().debug(f"{self._received} messages so far")
-        if self._recording.error is not None:
+        if recording.error is not None:
             try_shutdown()
 
 

@@ -19,7 +19,6 @@ import yaml
 from diagnostic_msgs.msg import DiagnosticArray
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
-from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
@@ -35,7 +34,7 @@ from dotsim_ros.nodes.motion import Motion, NewestMotion
 from dotsim_ros.nodes.motion_input import MotionInput
 from dotsim_ros.nodes.pace import FramePace
 from dotsim_ros.nodes.session import Moment, SensorSession
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.spin import WorkingNode, run_node
 from dotsim_ros.nodes.static_frame import publish_static_frame
 from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.transport import carry_images
@@ -45,7 +44,7 @@ REALTIME_MOVE_M = 2.0 * LARGEST_SUBSTEP_M
 """A frame that took long must not make the next one take longer: its motion costs two substeps."""
 
 
-class TactileSim(Node):
+class TactileSim(WorkingNode):
     """The node; parameters, topics and services as the README lists them."""
 
     def __init__(self) -> None:
@@ -53,7 +52,6 @@ class TactileSim(Node):
         self._settings = declare(self, TactileSimParameters)
         self._lock = RLock()
         self._stop = Event()
-        self.exit_status = 0
         self._is_enabled = True
         self._is_realtime = self._settings.clock == REALTIME
         sensor = self._make_sensor()
@@ -63,7 +61,7 @@ class TactileSim(Node):
             limit_m=REALTIME_MOVE_M if self._is_realtime else np.inf,
         )
         self.get_logger().info("warming up: the first start compiles the kernels")
-        warm_up_s = self._session.warm_up()
+        self._warm_up_s = self._session.warm_up()
         self._counter = FrameCounter()
         self._faults = FaultLog()
         self._newest = NewestMotion()
@@ -94,11 +92,14 @@ class TactileSim(Node):
                 child=self._settings.optical_frame,
             )
         self._thread = Thread(target=self._run_frames, name="frames", daemon=True)
+
+    def begin(self) -> None:
+        """Start the frames."""
         if self._is_realtime:
             self._thread.start()
         self.get_logger().info(
             f"ready: {self._settings.sensor}, {self._settings.indenter}, "
-            f"{self._settings.clock}, warmed up in {warm_up_s:.1f} s"
+            f"{self._settings.clock}, warmed up in {self._warm_up_s:.1f} s"
         )
 
     def destroy_node(self) -> None:

@@ -29,11 +29,39 @@ from dotsim_ros.nodes.spin import run_node
 class Slow(Node):
     def __init__(self):
         super().__init__("slow")
-        self.create_timer(0.01, lambda: None)
+        self.timer = self.create_timer(0.01, self.tell)
+
+    def tell(self):
+        self.timer.cancel()
         print("starting", flush=True)
 
     def destroy_node(self):
         time.sleep(0.5)
+        print("finished", flush=True)
+        super().destroy_node()
+
+sys.exit(run_node(Slow))
+"""
+
+SLOW_TO_BEGIN = """
+import sys, threading, time
+from dotsim_ros.nodes.spin import WorkingNode, run_node
+
+class Slow(WorkingNode):
+    def __init__(self):
+        super().__init__("slow")
+        self.stop = threading.Event()
+
+    def begin(self):
+        self.thread = threading.Thread(target=self.stop.wait)
+        self.thread.start()
+        print("starting", flush=True)
+        time.sleep(0.5)
+        print("begun", flush=True)
+
+    def destroy_node(self):
+        self.stop.set()
+        self.thread.join()
         print("finished", flush=True)
         super().destroy_node()
 
@@ -84,7 +112,11 @@ def started(code):
 
 
 @pytest.mark.parametrize("gap_s", [0.0, 0.05])
-@pytest.mark.parametrize("code", [SLOW_TO_START, SLOW_TO_STOP], ids=["starting", "stopping"])
+@pytest.mark.parametrize(
+    "code",
+    [SLOW_TO_START, SLOW_TO_BEGIN, SLOW_TO_STOP],
+    ids=["starting", "beginning", "stopping"],
+)
 def test_doubled_interrupt_ends_cleanly(code, gap_s):
     process = started(code)
     for _ in range(2):
@@ -93,7 +125,8 @@ def test_doubled_interrupt_ends_cleanly(code, gap_s):
     log, _ = process.communicate(timeout=30)
     assert process.returncode == 0, log
     assert "Traceback" not in log
-    assert ("finished" in log) == (code is SLOW_TO_STOP)
+    assert ("begun" in log) == (code is SLOW_TO_BEGIN)
+    assert ("finished" in log) == (code is not SLOW_TO_START)
 
 
 def test_terminate_ends_cleanly():
