@@ -67,6 +67,7 @@ setup(
     },
     data_files=shared_files(),
     install_requires=[
+        "POT>=0.9",
         "embreex>=2.17.7.post5",
         "imageio-ffmpeg>=0.4.9",
         "matplotlib>=3.6",

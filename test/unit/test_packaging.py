@@ -56,12 +56,18 @@ NAMES_ELSEWHERE = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
     "imageio_ffmpeg": "imageio-ffmpeg",
+    "ot": "POT",
     "warp": "warp-lang",
     "yaml": "PyYAML",
 }
 """The distribution on PyPI of a module with another name."""
 
-ROS_KEYS = {"opencv-python-headless": "opencv", "pillow": "pil", "PyYAML": "yaml"}
+ROS_KEYS = {
+    "POT": "pot",
+    "PyYAML": "yaml",
+    "opencv-python-headless": "opencv",
+    "pillow": "pil",
+}
 """What rosdep calls a distribution that it does not call by its name."""
 
 
