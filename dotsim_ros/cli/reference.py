@@ -1,0 +1,158 @@
+"""Solve presses with finite elements (CalculiX) and write them as a data set.
+
+Writes dataset.yaml, skin_mesh.npz, bags/ and indenters/ in the layout of measured data, one
+trajectory for each indenter and tilt, and prints for each frame how far our own gel, pressed the
+same way, is off. Trajectories that OUT already holds are left as they are, so a broken run goes on
+where it stopped. Needs CalculiX: apt-get install calculix-ccx
+
+example:
+  dotsim_ros reference --sensor densetact2 --indenter sphere_4mm --out out/reference
+  dotsim_ros reference --indenter cone torus --tilt-deg 0 20 40 --shear-mm 0.5 --out out/reference
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from pathlib import Path
+from typing import Any
+
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (value > 0.0 and math.isfinite(value)):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
+
+
+def _tilt(text: str) -> float:
+    value = float(text)
+    if not 0.0 <= value <= 40.0:
+        raise argparse.ArgumentTypeError(f"{text} is not an angle from 0 to 40 degrees")
+    return value
+
+
+def _count(text: str) -> int:
+    value = int(text)
+    if not 1 <= value <= 100:
+        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to 100")
+    return value
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the verb takes."""
+    add = parser.add_argument
+    add("--sensor", default="densetact2", help="name or YAML file of the sensor (densetact2)")
+    add("--indenter", nargs="+", default=["sphere_4mm"], help="names or files (sphere_4mm)")
+    add("--out", type=Path, default=Path("out/reference"), help="the data set (out/reference)")
+    add("--depth-mm", type=_positive, default=1.0, help="of the tip below the skin at rest (1)")
+    add("--frames", type=_count, default=4, help="equal moves to that depth, one a frame (4)")
+    add("--tilt-deg", type=_tilt, nargs="+", default=[0.0], help="place, from the apex (0)")
+    add("--azimuth-deg", type=float, default=0.0, help="of the place, from +x (0)")
+    add("--shear-mm", type=float, default=0.0, help="drag along the indenter's +x at the end (0)")
+    add("--friction", type=float, help="coefficient of friction (the sensor's)")
+    add("--spacing-mm", type=_positive, default=1.0, help="of the elements at the press (1)")
+    add("--threads", type=_count, default=1, help="of CalculiX (1)")
+    add("--time-limit-s", type=_positive, help="for each trajectory (none)")
+    add("--keep", type=Path, help="folder for CalculiX's own files")
+    add("--json", type=Path, help="write the table to this file")
+    add("--seed", type=int, default=0, help="accepted; nothing here is random")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Solve, write and compare; 1 where a press did not come to its end."""
+    from dataclasses import replace
+
+    from dotsim_ros.evaluation.provenance import provenance, write_json
+    from dotsim_ros.geometry.indenter import load_indenter
+    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.measured.reference.comparison import compare
+    from dotsim_ros.measured.reference.results import (
+        ReferenceDataSet,
+        ReferenceSettings,
+        press_poses,
+        reference_deck,
+        settings_notes,
+        trajectory_of,
+    )
+    from dotsim_ros.measured.reference.run import CalculixError, calculix_version, solve
+    from dotsim_ros.measured.scripted import Site
+    from dotsim_ros.sensor import skin_of
+
+    version = calculix_version()
+    specification = load_sensor(arguments.sensor)
+    if arguments.friction is not None:
+        contact = replace(specification.contact, friction_coefficient=arguments.friction)
+        specification = replace(specification, contact=contact)
+    skin = skin_of(specification.gel)
+    data_set = ReferenceDataSet(arguments.out, skin)
+    settings = ReferenceSettings(spacing_m=1e-3 * arguments.spacing_mm)
+    friction = specification.contact.friction_coefficient
+    rows: list[dict[str, Any]] = []
+    failures = []
+    print(_HEADER)
+    for source in arguments.indenter:
+        indenter = load_indenter(source)
+        for tilt_deg in arguments.tilt_deg:
+            site = Site(
+                outer_radius_m=specification.gel.outer_radius_m,
+                tilt_rad=math.radians(tilt_deg),
+                azimuth_rad=math.radians(arguments.azimuth_deg),
+            )
+            poses = press_poses(
+                site,
+                depth_m=1e-3 * arguments.depth_mm,
+                frame_count=arguments.frames,
+                shear_m=1e-3 * arguments.shear_mm,
+            )
+            name = (
+                f"{indenter.name}_depth{arguments.depth_mm:g}_tilt{tilt_deg:g}"
+                f"_shear{arguments.shear_mm:g}_friction{friction:g}_spacing{arguments.spacing_mm:g}"
+            )
+            if data_set.bag(name).exists():
+                print(f"{name}: there already")
+                continue
+            deck = reference_deck(specification, skin, indenter, poses, settings)
+            try:
+                solution = solve(
+                    deck,
+                    thread_count=arguments.threads,
+                    keep=None if arguments.keep is None else arguments.keep / name,
+                    time_limit_s=arguments.time_limit_s,
+                )
+            except CalculixError as error:
+                failures.append(f"{name}: {error}")
+                print(failures[-1])
+                continue
+            trajectory = trajectory_of(deck, solution, skin, name=name)
+            notes = {"calculix": version, "settings": settings_notes(settings)}
+            data_set.add(trajectory, indenter, notes)
+            for row in compare(specification, skin, indenter, poses, trajectory):
+                figures = {
+                    "trajectory": name,
+                    "iterations": solution.steps[row.frame - 1].iterations,
+                    **row.figures(),
+                }
+                rows.append(figures)
+                print(_ROW.format(**figures), flush=True)
+            if solution.failure:
+                failures.append(
+                    f"{name}: CalculiX stopped after {len(solution.steps)} of {len(poses) - 1} "
+                    f"frames: {solution.failure}"
+                )
+                print(failures[-1])
+    if arguments.json is not None:
+        origin = provenance() | {"calculix": version}
+        write_json(arguments.json, {"origin": origin, "frames": rows, "failures": failures})
+    return 1 if failures else 0
+
+
+_HEADER = (
+    "frame  normal N  tangential N  normal error  tangential error  skin RMS mm  max mm  "
+    "contact RMS mm  iterations  trajectory"
+)
+_ROW = (
+    "{frame:5d}  {normal_n:8.4f}  {tangential_n:12.4f}  {normal_error:+12.1%}  "
+    "{tangential_error:16.1%}  {skin_rms_mm:11.3f}  {skin_max_mm:6.3f}  {contact_rms_mm:14.3f}  "
+    "{iterations:10d}  {trajectory}"
+)

@@ -1,0 +1,132 @@
+"""Our gel at the poses of a reference trajectory: how far its skin and force are off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.specification import SensorSpecification
+from dotsim_ros.measured.trajectory import Trajectory
+from dotsim_ros.sensor import make_gel
+
+FloatArray = NDArray[np.float64]
+
+STEP_S = 0.05
+"""Of a quasi-static gel; it has no effect."""
+
+CONTACT_BAND_M = 0.1e-3
+"""Skin of the reference this close to the indenter is the contact region."""
+
+
+@dataclass(frozen=True)
+class FrameComparison:
+    """One frame; errors are ours minus the reference's.
+
+    Attributes:
+        frame: its number in the trajectory.
+        reference_force_n, our_force_n: (3,) of the gel on the indenter.
+        normal_n, tangential_n: the reference's force along the indenter's axis and across it.
+        normal_error: of the force along the indenter's axis, as a share of the reference's.
+        tangential_error: length of the rest of the difference, as a share of the same.
+        skin_rms_m, skin_max_m: distance of corresponding points, over the whole dome.
+        contact_rms_m: over the contact region.
+        converged: whether our solver met its tolerance.
+    """
+
+    frame: int
+    reference_force_n: FloatArray
+    our_force_n: FloatArray
+    normal_n: float
+    tangential_n: float
+    normal_error: float
+    tangential_error: float
+    skin_rms_m: float
+    skin_max_m: float
+    contact_rms_m: float
+    converged: bool
+
+    def figures(self) -> dict[str, Any]:
+        """Return the frame as plain values, lengths in mm."""
+        return {
+            "frame": self.frame,
+            "force_n": self.reference_force_n.tolist(),
+            "our_force_n": self.our_force_n.tolist(),
+            "normal_n": self.normal_n,
+            "tangential_n": self.tangential_n,
+            "normal_error": self.normal_error,
+            "tangential_error": self.tangential_error,
+            "skin_rms_mm": 1e3 * self.skin_rms_m,
+            "skin_max_mm": 1e3 * self.skin_max_m,
+            "contact_rms_mm": 1e3 * self.contact_rms_m,
+            "converged": self.converged,
+        }
+
+
+def _root_mean_square(distance: FloatArray, weight: FloatArray) -> float:
+    total = float(weight.sum())
+    return float(np.sqrt((weight * distance**2).sum() / total)) if total > 0.0 else float("nan")
+
+
+def compare(
+    specification: SensorSpecification,
+    skin: SkinMesh,
+    indenter: Indenter,
+    poses: Sequence[Pose],
+    trajectory: Trajectory,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> list[FrameComparison]:
+    """Return the comparison of every solved frame with contact.
+
+    Args:
+        specification: the sensor that the reference was solved for.
+        skin: whose vertices the trajectory lists.
+        indenter: the rigid shape.
+        poses: of its frame in the base frame, as many as the trajectory has frames at least.
+        trajectory: with skin and wrench; the first frame is without contact.
+        progress: told the finished share of tables that are computed once and cached.
+
+    Raises:
+        ValueError: the trajectory has no skin or no wrench, or our gel refuses a pose.
+    """
+    if trajectory.skin is None or trajectory.wrench is None:
+        raise ValueError("a reference trajectory needs skin and wrench")
+    quasi_static = replace(specification, solver=replace(specification.solver, dynamic=False))
+    gel = make_gel(quasi_static, skin, indenter, progress=progress)
+    found = []
+    frame_count = len(trajectory.skin.stamp_ns)
+    for frame, pose in enumerate(poses[:frame_count]):
+        ours = gel.step(pose, STEP_S)
+        if frame == 0:
+            continue
+        reference = trajectory.skin.position_m[frame].astype(np.float64)
+        distance = np.linalg.norm(ours.skin_position_m - reference, axis=1)
+        local = (reference - pose.position_m) @ pose.rotation()
+        near = indenter.signed_distance(local) < CONTACT_BAND_M
+        force, axis = trajectory.wrench.force_n[frame], pose.rotation()[:, 2]
+        difference = ours.wrench.force_n - force
+        normal, normal_difference = float(force @ axis), float(difference @ axis)
+        scale = abs(normal)
+        found.append(
+            FrameComparison(
+                frame,
+                force,
+                ours.wrench.force_n,
+                normal,
+                float(np.linalg.norm(force - normal * axis)),
+                normal_difference / scale,
+                float(np.linalg.norm(difference - normal_difference * axis)) / scale,
+                _root_mean_square(distance, skin.rest_area_m2),
+                float(distance.max()),
+                _root_mean_square(distance, skin.rest_area_m2 * near),
+                ours.converged,
+            )
+        )
+    return found

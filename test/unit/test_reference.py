@@ -1,0 +1,272 @@
+"""The finite-element reference: its mesh, its input file, and a press that CalculiX solves."""
+
+import shutil
+
+import numpy as np
+import pytest
+import trimesh
+
+from dotsim_ros.cli.main import main
+from dotsim_ros.gel.material import MooneyRivlin, NeoHookean, Yeoh
+from dotsim_ros.geometry.indenter import load_indenter, sphere
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.specification import ContactSpecification, load_sensor
+from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.reference.deck import Deck
+from dotsim_ros.measured.reference.mesh import (
+    Press,
+    corner_volumes,
+    dome_mesh,
+    interpolate_skin,
+    pressed_place,
+)
+from dotsim_ros.measured.reference.results import (
+    ReferenceSettings,
+    press_poses,
+    reference_deck,
+    stamps_ns,
+)
+from dotsim_ros.measured.reference.run import (
+    CalculixError,
+    CalculixMissingError,
+    calculix_path,
+    solve,
+)
+from dotsim_ros.measured.reference.surface import indenter_surface
+from dotsim_ros.measured.scripted import Site
+
+OUTER_M, CORE_M = 0.01575, 0.006
+INDENTERS = ("sphere_4mm", "cone", "flat_punch", "lying_cylinder", "torus", "box_edge")
+FACES = (
+    (0, 1, 2, 3),
+    (4, 7, 6, 5),
+    (0, 4, 5, 1),
+    (1, 5, 6, 2),
+    (2, 6, 7, 3),
+    (3, 7, 4, 0),
+)
+
+needs_calculix = pytest.mark.skipif(
+    shutil.which("ccx") is None, reason="CalculiX is not installed: apt-get install calculix-ccx"
+)
+
+
+def _mesh(tilt_deg=0.0, spacing_m=1.2e-3, radius_m=3e-3):
+    pole = Site(tilt_rad=np.deg2rad(tilt_deg), azimuth_rad=0.7).direction()
+    return dome_mesh(
+        core_radius_m=CORE_M,
+        outer_radius_m=OUTER_M,
+        press=Press(pole, radius_m),
+        spacing_m=spacing_m,
+    )
+
+
+@pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 40.0])
+def test_elements_are_well_shaped_wherever_the_dome_is_pressed(tilt_deg):
+    assert corner_volumes(_mesh(tilt_deg)).min() > 0.7
+
+
+def test_elements_fill_the_shell_without_gaps():
+    mesh = _mesh(30.0)
+    face = np.sort(mesh.element[:, FACES].reshape(-1, 4), axis=1)
+    kinds, count = np.unique(face, axis=0, return_counts=True)
+    assert set(count.tolist()) == {1, 2}
+    node = mesh.node_m[kinds[count == 1]]
+    radius = np.linalg.norm(node, axis=2)
+    on_skin = np.all(np.isclose(radius, OUTER_M), axis=1)
+    on_core = np.all(np.isclose(radius, CORE_M), axis=1)
+    on_base = np.all(np.abs(node[..., 2]) < 1e-12, axis=1)
+    assert np.all(on_skin | on_core | on_base)
+    assert on_skin.sum() == len(mesh.skin_element)
+
+
+def test_core_and_base_are_bonded_and_nothing_else():
+    mesh = _mesh(20.0)
+    free = np.setdiff1d(np.arange(len(mesh.node_m)), mesh.bonded)
+    assert mesh.node_m[free, 2].min() > 1e-6
+    assert np.linalg.norm(mesh.node_m[free], axis=1).min() > CORE_M + 1e-6
+
+
+def test_elements_are_as_fine_as_asked_for_where_the_dome_is_pressed():
+    mesh = _mesh(20.0, spacing_m=0.8e-3)
+    corner = mesh.node_m[mesh.skin_face[:, :4]]
+    away = np.linalg.norm(corner.mean(axis=1) - OUTER_M * _pole(20.0), axis=1)
+    edge = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
+    assert edge[away < 2e-3].max() < 0.8e-3
+
+
+def _pole(tilt_deg):
+    return Site(tilt_rad=np.deg2rad(tilt_deg), azimuth_rad=0.7).direction()
+
+
+def test_interpolation_reproduces_a_quadratic_field_of_the_skin():
+    mesh = _mesh(20.0)
+    points = dome_skin(OUTER_M, 1e-3).rest_position_m
+    at = interpolate_skin(mesh, points)
+    np.testing.assert_allclose(at.weight.sum(axis=1), 1.0, atol=1e-12)
+    near = np.linalg.norm(points - OUTER_M * _pole(20.0), axis=1) < 4e-3
+    assert np.abs(at.of(mesh.node_m) - points)[near].max() < 2e-6
+
+
+def test_a_shell_without_core_is_refused():
+    with pytest.raises(ValueError, match="rigid core"):
+        dome_mesh(
+            core_radius_m=0.0,
+            outer_radius_m=OUTER_M,
+            press=Press(np.array([0.0, 0.0, 1.0]), 3e-3),
+            spacing_m=1e-3,
+        )
+
+
+def test_a_pose_off_the_skin_is_refused():
+    skin = dome_skin(OUTER_M, 1e-3).rest_position_m
+    with pytest.raises(ValueError, match="none of the poses"):
+        pressed_place(skin, sphere(4e-3), [Site().pose(-2e-3)])
+
+
+@pytest.mark.parametrize("name", INDENTERS)
+def test_surface_of_an_indenter_is_closed_and_exact(name):
+    indenter = load_indenter(name)
+    surface = indenter_surface(indenter, 0.3e-3)
+    mesh = trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    assert mesh.volume > 0.0
+    assert np.abs(indenter.signed_distance(surface.vertices_m)).max() < 1e-9
+    middle = surface.vertices_m[surface.triangles].mean(axis=1)
+    assert np.abs(indenter.signed_distance(middle)).max() < 20e-6
+    assert abs(surface.vertices_m[:, 2].min()) < 1e-9
+
+
+def _deck(law, friction=0.4, depth_m=0.4e-3, spacing_m=2.4e-3):
+    indenter = load_indenter("sphere_4mm")
+    poses = press_poses(Site(), depth_m=depth_m, frame_count=1)
+    settings = ReferenceSettings(spacing_m=spacing_m)
+    specification = load_sensor("densetact2")
+    skin = dome_skin(OUTER_M, 1e-3)
+    deck = reference_deck(specification, skin, indenter, poses, settings)
+    contact = ContactSpecification(friction_coefficient=friction)
+    return Deck(deck.gel, deck.surface, deck.poses, law, contact, deck.control)
+
+
+def _block(text, keyword):
+    lines = text.splitlines()
+    return lines[lines.index(keyword) + 1]
+
+
+def test_yeoh_is_given_positive_volumetric_constants():
+    line = _block(_deck(Yeoh(4e4, 3e3, 2e2, 5e6)).text(), "*HYPERELASTIC, YEOH")
+    constants = [float(entry) for entry in line.split(",")]
+    np.testing.assert_allclose(constants[:4], [0.04, 0.003, 0.0002, 0.4])
+    assert min(constants[4:]) > 1e3 * constants[3]
+
+
+def test_laws_have_their_own_cards():
+    neo_hooke = _block(_deck(NeoHookean(3e5, 0.48)).text(), "*HYPERELASTIC, NEO HOOKE")
+    mu, bulk = 0.3 / 2.96, 0.3 / 0.12
+    np.testing.assert_allclose(
+        [float(entry) for entry in neo_hooke.split(",")], [0.5 * mu, 2 / bulk]
+    )
+    mooney = _block(_deck(MooneyRivlin(4e4, 1e4, 5e6)).text(), "*HYPERELASTIC, MOONEY-RIVLIN")
+    np.testing.assert_allclose([float(entry) for entry in mooney.split(",")], [0.04, 0.01, 0.4])
+
+
+def test_frictionless_contact_has_no_friction_card():
+    law = NeoHookean(3e5, 0.48)
+    assert "*FRICTION" not in _deck(law, friction=0.0).text()
+    assert _block(_deck(law, friction=0.3).text(), "*FRICTION").startswith("3.0")
+
+
+def test_press_ends_with_a_drag_along_the_indenter():
+    site = Site(tilt_rad=0.5)
+    poses = press_poses(site, depth_m=1e-3, frame_count=4, shear_m=0.6e-3)
+    assert len(poses) == 1 + 4 + 3
+    moved = poses[-1].position_m - poses[4].position_m
+    np.testing.assert_allclose(moved, 0.6e-3 * poses[4].rotation()[:, 0], atol=1e-12)
+    assert np.all(np.diff(stamps_ns(poses)) > 0)
+
+
+def test_missing_calculix_is_told_with_the_way_to_install_it(monkeypatch, tmp_path, capsys):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(CalculixMissingError, match="apt-get install calculix-ccx"):
+        calculix_path()
+    assert main(["reference", "--out", str(tmp_path / "out")]) == 1
+    assert "apt-get install calculix-ccx" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+@needs_calculix
+def test_a_run_that_takes_too_long_is_ended():
+    with pytest.raises(CalculixError, match="ended after"):
+        solve(_deck(NeoHookean(3e5, 0.48)), time_limit_s=0.2)
+
+
+SENSOR = """
+gel: {skin_spacing_m: 0.001}
+material: {law: yeoh, c10_pa: 5.0e4, c20_pa: 4.0e3, c30_pa: 2.0e2, bulk_modulus_pa: 2.5e6}
+contact: {friction_coefficient: 0.3}
+solver: {refined: false}
+"""
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """A coarse, tilted press with friction, through the command line."""
+    folder = tmp_path_factory.mktemp("reference")
+    sensor = folder / "sensor.yaml"
+    sensor.write_text(SENSOR)
+    out = folder / "out"
+    command = ["reference", "--sensor", str(sensor), "--out", str(out), "--tilt-deg", "25"]
+    command += ["--depth-mm", "0.5", "--frames", "1", "--spacing-mm", "2.4"]
+    command += ["--json", str(folder / "table.json")]
+    assert main(command) == 0
+    return command, out
+
+
+@needs_calculix
+def test_solved_press_is_a_data_set(reference):
+    _, out = reference
+    data_set = read_data_set(out)
+    entry = data_set.entries[0]
+    assert (entry.indenter, entry.frame_count, entry.has_images) == ("sphere_4mm", 2, False)
+    indenter = load_indenter(data_set.indenter_mesh("sphere_4mm"))
+    np.testing.assert_allclose(indenter.bounds_m()[1, 2], 8e-3, atol=1e-6)
+    trajectory = entry.read()
+    rest = data_set.skin_mesh().rest_position_m
+    np.testing.assert_allclose(trajectory.skin.position_m[0], rest, atol=1e-8)
+    assert not trajectory.wrench.force_n[0].any()
+
+
+@needs_calculix
+def test_solved_skin_follows_the_indenter(reference):
+    _, out = reference
+    data_set = read_data_set(out)
+    trajectory = data_set.entries[0].read()
+    pose = trajectory.pose.poses()[1]
+    skin = trajectory.skin.position_m[1].astype(np.float64)
+    local = (skin - pose.position_m) @ pose.rotation()
+    assert sphere(4e-3).signed_distance(local).min() > -0.1e-3
+    moved = np.linalg.norm(skin - data_set.skin_mesh().rest_position_m, axis=1)
+    assert 0.4e-3 < moved.max() < 0.55e-3
+
+
+@needs_calculix
+def test_solved_force_is_that_of_a_press_along_the_normal(reference):
+    _, out = reference
+    trajectory = read_data_set(out).entries[0].read()
+    axis = trajectory.pose.poses()[1].rotation()[:, 2]
+    force = trajectory.wrench.force_n[1]
+    normal = float(force @ axis)
+    # Hertz, of two spheres and an incompressible half-space of E = 6 C10.
+    radius = 1.0 / (1.0 / 4e-3 + 1.0 / OUTER_M)
+    hertz = 4.0 / 3.0 * (3e5 / 0.75) * np.sqrt(radius) * 0.5e-3**1.5
+    assert 0.9 * hertz < normal < 1.5 * hertz
+    assert np.linalg.norm(force - normal * axis) < 0.05 * normal
+
+
+@needs_calculix
+def test_solved_trajectory_is_not_solved_again(reference, capsys):
+    command, out = reference
+    assert main(command) == 0
+    assert "there already" in capsys.readouterr().out
+    assert len(read_data_set(out).entries) == 1
