@@ -83,6 +83,7 @@ setup(
     extras_require={"ros": ROS, "test": TEST, "dev": DEVELOPMENT},
     entry_points={
         "console_scripts": [
+            "calibrate = dotsim_ros.nodes.calibrate:main",
             "dotsim_ros = dotsim_ros.cli.main:main",
             "indenter_player = dotsim_ros.nodes.indenter_player:main",
             "tactile_record = dotsim_ros.nodes.tactile_record:main",

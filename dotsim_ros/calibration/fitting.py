@@ -1,0 +1,313 @@
+"""Gauss-Newton fit of a press, by the whole Jacobian of the model.
+
+The Jacobian's columns are differences of the solver at a tight tolerance, not gradients by its
+adjoint: Gauss-Newton steps, Fisher information and intervals need all columns of all residuals,
+while an adjoint pass gives one loss's derivatives. Young's modulus has its column without a solve.
+A test compares the gradient that the columns give with the adjoint's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.loss import (
+    CHAMFER,
+    FORCE,
+    SKIN,
+    Noise,
+    force_deviation_n,
+    nearest_partners,
+    residuals,
+)
+from dotsim_ros.calibration.observation import Observation
+from dotsim_ros.calibration.parameters import (
+    GelValues,
+    Parameter,
+    coordinates,
+    with_coordinates,
+)
+from dotsim_ros.calibration.simulation import GelSimulator, Simulated, SolveError
+from dotsim_ros.evaluation.presses import Press
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+
+Array = NDArray[np.float64]
+
+OFFSET_STEPS = np.array([0.02e-3] * 3 + [5.0e-3] * 3)
+"""Of the differences by an indenter's offset: metres, radians."""
+
+SMALLEST_STEP = 0.02
+"""A fit ends when its step moves no coordinate by this share of the prior's width."""
+
+FIRST_DAMPING, LARGEST_DAMPING = 1.0e-3, 1.0e3
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What is fitted, and how.
+
+    Attributes:
+        parameters: the P that are free.
+        start: the gel's parameters before the fit; the prior's centre.
+        noise: of the measurement.
+        skin_loss: `POINTS` or `CHAMFER`.
+        with_offset: whether each press has an offset of the indenter of its own.
+    """
+
+    parameters: tuple[Parameter, ...]
+    start: GelValues
+    noise: Noise
+    skin_loss: str
+    with_offset: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns of a press: P, and 6 of its offset."""
+        return len(self.parameters) + (6 if self.with_offset else 0)
+
+    def precision(self) -> Array:
+        """Return the inverse variances (n,) of the priors of a press's unknowns."""
+        width = [p.prior_width for p in self.parameters]
+        if self.with_offset:
+            width += self.noise.offset().tolist()
+        return np.array(width) ** -2.0
+
+    def centre(self) -> Array:
+        """Return the unknowns (n,) at the priors' centres."""
+        offset = np.zeros(6 if self.with_offset else 0)
+        return np.concatenate([coordinates(self.parameters, self.start), offset])
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Half the sum of squares of a press around a point, without priors, by channel.
+
+    Attributes:
+        point: (n,) unknowns: coordinates of the parameters, then the offset.
+        information: (n, n) J^T J of each channel.
+        gradient: (n,) J^T r of each channel.
+        loss: r^T r / 2 of each channel.
+        count: number of residuals of each channel.
+        solve_count: solves of the press that it took.
+        converged: whether all of them met the solver's tolerance.
+    """
+
+    point: Array
+    information: dict[str, Array]
+    gradient: dict[str, Array]
+    loss: dict[str, float]
+    count: dict[str, int]
+    solve_count: int
+    converged: bool
+
+    def total(self, channels: Sequence[str] = (SKIN, FORCE)) -> tuple[Array, Array, float]:
+        """Return information, gradient and loss of some channels together."""
+        n = len(self.point)
+        present = [c for c in channels if c in self.loss]
+        information = sum((self.information[c] for c in present), np.zeros((n, n)))
+        gradient = sum((self.gradient[c] for c in present), np.zeros(n))
+        return information, gradient, float(sum(self.loss[c] for c in present))
+
+
+@dataclass(frozen=True)
+class PressFit:
+    """The fit of one press.
+
+    Attributes:
+        best: the linearisation at the best point.
+        losses: with priors, of each accepted point.
+        solve_count: solves of the press.
+        has_settled: whether the last step was small, not the budget spent.
+    """
+
+    best: Linearisation
+    losses: list[float] = field(default_factory=list)
+    solve_count: int = 0
+    has_settled: bool = False
+
+
+def simulate(
+    simulator: GelSimulator, observation: Observation, problem: Problem, point: Array
+) -> Simulated:
+    """Return the model at unknowns (n,).
+
+    Raises:
+        SolveError: it could not be solved there.
+    """
+    count = len(problem.parameters)
+    values = with_coordinates(problem.start, problem.parameters, point[:count])
+    press = observation.press
+    offset = point[count:] if problem.with_offset else None
+    return simulator.press(values, observation.indenter, press.poses, press.stamp_s, offset)
+
+
+def linearise(
+    simulator: GelSimulator,
+    observation: Observation,
+    problem: Problem,
+    point: Array,
+    simulated: Simulated | None = None,
+) -> Linearisation:
+    """Return the squares and their derivatives at unknowns (n,).
+
+    Args:
+        simulator: of the sensor.
+        observation: the press.
+        problem: what is fitted.
+        point: (n,) unknowns.
+        simulated: the model at the point, if it is known.
+
+    Raises:
+        SolveError: the model could not be solved at the point or beside it.
+    """
+    solve_count = 0
+    if simulated is None:
+        simulated = simulate(simulator, observation, problem, point)
+        solve_count += 1
+    press, noise, skin = observation.press, problem.noise, simulator.skin
+    # Held while differences are taken: to first order the nearest stay the nearest.
+    partners = nearest_partners(press, simulated) if problem.skin_loss == CHAMFER else None
+    here = residuals(press, simulated, noise, skin, partners)
+    columns: list[dict[str, Array]] = []
+    converged = simulated.converged
+    for index in range(problem.size):
+        if index < len(problem.parameters):
+            parameter = problem.parameters[index]
+            if parameter.field == "youngs_modulus_pa":
+                columns.append(_modulus_column(press, simulated, noise, skin, here))
+                continue
+            # Towards the prior's centre, away from the bounds.
+            step = np.copysign(parameter.step, problem.centre()[index] - point[index])
+        else:
+            step = OFFSET_STEPS[index - len(problem.parameters)]
+        beside_point = point.copy()
+        beside_point[index] += step
+        beside = simulate(simulator, observation, problem, beside_point)
+        solve_count += 1
+        converged = converged and beside.converged
+        there = residuals(press, beside, noise, skin, partners)
+        columns.append({c: (there[c] - here[c]) / step for c in here})
+    jacobian = {c: np.stack([column[c] for column in columns], axis=1) for c in here}
+    return Linearisation(
+        point=point.copy(),
+        information={c: jacobian[c].T @ jacobian[c] for c in here},
+        gradient={c: jacobian[c].T @ here[c] for c in here},
+        loss={c: 0.5 * float(here[c] @ here[c]) for c in here},
+        count={c: len(here[c]) for c in here},
+        solve_count=solve_count,
+        converged=converged,
+    )
+
+
+def _modulus_column(
+    press: Press, simulated: Simulated, noise: Noise, skin: SkinMesh, here: dict[str, Array]
+) -> dict[str, Array]:
+    """Return the derivatives by log E: none of the skin's, the force itself of the force's."""
+    column = {c: np.zeros(len(here[c])) for c in here}
+    if press.force_n is not None:
+        sigma_n = force_deviation_n(press, noise, skin)
+        column[FORCE] = (simulated.force_n / sigma_n).ravel()
+    return column
+
+
+def penalised(problem: Problem, linearisation: Linearisation) -> tuple[Array, Array, float]:
+    """Return information, gradient and loss of all channels with the priors."""
+    information, gradient, loss = linearisation.total()
+    away = linearisation.point - problem.centre()
+    precision = problem.precision()
+    return (
+        information + np.diag(precision),
+        gradient + precision * away,
+        loss + 0.5 * float(precision @ away**2),
+    )
+
+
+def damped_step(information: Array, gradient: Array, damping: float) -> Array:
+    """Return the step (n,) of Levenberg and Marquardt."""
+    scaled = information + damping * np.diag(np.diag(information))
+    return np.asarray(-np.linalg.solve(scaled, gradient))
+
+
+def fit_press(
+    simulator: GelSimulator,
+    observation: Observation,
+    problem: Problem,
+    start: Linearisation,
+    *,
+    budget: int,
+    progress: Callable[[int], None] | None = None,
+) -> PressFit:
+    """Fit one press alone.
+
+    Args:
+        simulator: of the sensor.
+        observation: the press.
+        problem: what is fitted.
+        start: where to begin.
+        budget: most solves of the press.
+        progress: told the solves so far.
+    """
+    best, spent, damping = start, 0, FIRST_DAMPING
+    width = problem.precision() ** -0.5
+    cost = 1 + sum(1 for index in range(problem.size) if not _is_modulus(problem, index))
+    losses = [penalised(problem, best)[2]]
+    has_settled = False
+    while spent + cost <= budget and damping < LARGEST_DAMPING and not has_settled:
+        information, gradient, loss = penalised(problem, best)
+        step = damped_step(information, gradient, damping)
+        step = _kept_in_bounds(problem, best.point, step)
+        if np.all(np.abs(step) < SMALLEST_STEP * width):
+            has_settled = True
+            break
+        spent += 1
+        try:
+            simulated = simulate(simulator, observation, problem, best.point + step)
+            trial = _loss_at(observation, problem, simulator, best.point + step, simulated)
+            if trial >= loss:
+                damping *= 10.0
+                continue
+            best = linearise(simulator, observation, problem, best.point + step, simulated)
+        except SolveError:
+            damping *= 10.0
+            continue
+        spent += best.solve_count
+        damping = max(damping / 10.0, 1e-6)
+        losses.append(trial)
+        if progress is not None:
+            progress(spent)
+    return PressFit(best, losses, spent, has_settled)
+
+
+def _is_modulus(problem: Problem, index: int) -> bool:
+    parameters = problem.parameters
+    return index < len(parameters) and parameters[index].field == "youngs_modulus_pa"
+
+
+def _kept_in_bounds(problem: Problem, point: Array, step: Array) -> Array:
+    """Return the step with its parameters kept within their bounds."""
+    moved = point + step
+    for index, parameter in enumerate(problem.parameters):
+        ends = [parameter.to_coordinate(value) for value in parameter.bounds]
+        moved[index] = np.clip(moved[index], min(ends), max(ends))
+    result: Array = moved - point
+    return result
+
+
+def _loss_at(
+    observation: Observation,
+    problem: Problem,
+    simulator: GelSimulator,
+    point: Array,
+    simulated: Simulated,
+) -> float:
+    """Return half the sum of squares with the priors at unknowns (n,)."""
+    partners = None
+    if problem.skin_loss == CHAMFER:
+        partners = nearest_partners(observation.press, simulated)
+    missed = residuals(observation.press, simulated, problem.noise, simulator.skin, partners)
+    away = point - problem.centre()
+    squares = sum(float(r @ r) for r in missed.values())
+    return 0.5 * (squares + float(problem.precision() @ away**2))

@@ -1,0 +1,139 @@
+"""What a simulated press misses of a measured one, in units of the measurement's noise.
+
+The losses: the skin point to point where the clouds list the skin's vertices, or the paper's
+bidirectional Chamfer distance where they do not, and the force. A fit minimises half the sum of
+their squares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from dotsim_ros.calibration.simulation import Simulated
+from dotsim_ros.evaluation.geometry import tip_depth_m
+from dotsim_ros.evaluation.presses import Press
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+
+Array = NDArray[np.float64]
+
+SKIN, FORCE = "skin", "force"
+POINTS, CHAMFER = "points", "chamfer"
+
+
+@dataclass(frozen=True)
+class Noise:
+    """One standard deviation of each error of the measurement.
+
+    The error of discretisation is the same over a patch of the skin, so that the points of a patch
+    tell no more than one: an error s of white noise and one d of n points that err together have
+    the variance s^2 + n d^2 each.
+
+    Attributes:
+        skin_m: white noise of a skin point, an axis.
+        skin_discretisation_m: of the measured skin, an axis, the same over a patch...
+        patch_radius_m: ...of this radius.
+        force_n: white noise of the force, an axis.
+        force_discretisation: of the force, relative, in the main the same in all frames.
+        pose_m: of the indenter's position, an axis; prior of its offset.
+        pose_rad: of the indenter's rotation, an axis; prior of its offset.
+    """
+
+    skin_m: float = 0.04e-3
+    skin_discretisation_m: float = 0.1e-3
+    patch_radius_m: float = 2.4e-3
+    force_n: float = 0.015
+    force_discretisation: float = 0.06
+    pose_m: float = 0.015e-3
+    pose_rad: float = 1.5e-3
+
+    def __post_init__(self) -> None:
+        for name in ("skin_m", "force_n", "pose_m", "pose_rad"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"noise {name} is {getattr(self, name)}, expected above 0")
+
+    def skin_point_m(self, skin: SkinMesh) -> float:
+        """Return the deviation of an axis of a point that its weight is the inverse of."""
+        area = float(np.mean(skin.rest_area_m2))
+        together = max(1.0, np.pi * self.patch_radius_m**2 / area)
+        return float(np.hypot(self.skin_m, np.sqrt(together) * self.skin_discretisation_m))
+
+    def offset(self) -> Array:
+        """Return the deviations (6,) of an indenter's offset: metres, radians."""
+        return np.array([self.pose_m] * 3 + [self.pose_rad] * 3)
+
+
+@dataclass(frozen=True)
+class Partners:
+    """Which points the Chamfer distance compares, frame by frame.
+
+    Attributes:
+        of_measured: (F, M) number of the simulated point nearest to each measured one.
+        of_simulated: (F, V) number of the measured point nearest to each simulated one.
+    """
+
+    of_measured: NDArray[np.int64]
+    of_simulated: NDArray[np.int64]
+
+
+def nearest_partners(press: Press, simulated: Simulated) -> Partners | None:
+    """Return the nearest neighbours both ways; None where no skin was measured."""
+    if press.skin_position_m is None:
+        return None
+    there, back = [], []
+    for measured, own in zip(press.skin_position_m, simulated.skin_position_m, strict=True):
+        there.append(cKDTree(own).query(measured)[1])
+        back.append(cKDTree(measured).query(own)[1])
+    return Partners(np.stack(there), np.stack(back))
+
+
+def residuals(
+    press: Press,
+    simulated: Simulated,
+    noise: Noise,
+    skin: SkinMesh,
+    partners: Partners | None,
+) -> dict[str, Array]:
+    """Return simulated minus measured over noise, (n,) for each channel that was measured.
+
+    Args:
+        press: the measured one.
+        simulated: at the same poses.
+        noise: of the measurement.
+        skin: the simulated skin.
+        partners: that the Chamfer distance compares; None compares point to point.
+    """
+    result = {}
+    if press.skin_position_m is not None:
+        own, measured = simulated.skin_position_m, press.skin_position_m
+        sigma = noise.skin_point_m(skin)
+        if partners is None:
+            missed = ((own - measured)[:, ~skin.on_base] / sigma).ravel()
+        else:
+            frame = np.arange(len(own))[:, None]
+            there = (own[frame, partners.of_measured] - measured) / sigma
+            back = (own - measured[frame, partners.of_simulated]) / sigma
+            # Both ways see the same errors, so each counts half.
+            missed = np.sqrt(0.5) * np.concatenate([there.ravel(), back.ravel()])
+        result[SKIN] = missed
+    if press.force_n is not None:
+        sigma_n = force_deviation_n(press, noise, skin)
+        result[FORCE] = ((simulated.force_n - press.force_n) / sigma_n).ravel()
+    return result
+
+
+def force_deviation_n(press: Press, noise: Noise, skin: SkinMesh) -> Array:
+    """Return the deviation (F, 1) of an axis of the force in each frame.
+
+    A surface that is off by d changes the depth of a press by as much, and with it the force, which
+    grows with the depth's power of 3/2 (Hertz): shallow frames tell little.
+    """
+    assert press.force_n is not None
+    d = noise.skin_discretisation_m
+    depth_m = np.maximum(tip_depth_m(skin, press.poses), d)
+    relative = np.hypot(noise.force_discretisation, 1.5 * d / depth_m)
+    size = np.linalg.norm(press.force_n, axis=1)
+    return np.asarray(np.hypot(noise.force_n, relative * size)[:, None])

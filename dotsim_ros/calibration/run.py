@@ -1,0 +1,391 @@
+"""A whole calibration: read, see what the data can tell, fit each press, combine, judge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from time import monotonic
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
+from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, Noise
+from dotsim_ros.calibration.observation import Observation, Omission, read_observations
+from dotsim_ros.calibration.parameters import (
+    GelValues,
+    chosen_parameters,
+    specification_with,
+    values_of,
+    with_coordinates,
+)
+from dotsim_ros.calibration.simulation import GelSimulator
+from dotsim_ros.calibration.stages import Outcome, Task, Workers, open_workers, task_key
+from dotsim_ros.calibration.statistics import (
+    Combination,
+    Identifiability,
+    identifiability,
+    joint_estimate,
+    joint_step,
+    median_estimate,
+    offset_step,
+)
+from dotsim_ros.evaluation.geometry import FrameScore, score_press
+from dotsim_ros.evaluation.presses import Prediction
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.specification import SensorSpecification
+from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.trajectory import Topics
+from dotsim_ros.sensor import skin_of
+
+Array = NDArray[np.float64]
+
+SOLVE_BUDGET = 40
+"""Most solves of a press in a whole calibration."""
+JOINT_STEPS = 2
+"""Gauss-Newton steps of the joint fit: from the median, whose neighbourhood is nearly linear."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to calibrate.
+
+    Attributes:
+        data_set: the bags.
+        sensor: the sensor before; its constants are the priors' centres.
+        train: names of the trajectories to fit on.
+        held_out: names of those to judge on.
+        fit: names of parameters, keys of `PARAMETERS`.
+        with_offset: whether to fit an offset of the indenter to each press.
+        losses: which of `POINTS`, `CHAMFER` and `FORCE`.
+        noise: of the measurement.
+        topics: where the channels lie in the bags.
+        directory: of the run's files.
+        workers: processes.
+        seed: of the bootstrap.
+    """
+
+    data_set: DataSet
+    sensor: SensorSpecification
+    train: tuple[str, ...]
+    held_out: tuple[str, ...]
+    fit: tuple[str, ...]
+    with_offset: bool
+    losses: tuple[str, ...]
+    noise: Noise
+    topics: Topics
+    directory: Path
+    workers: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a calibration found.
+
+    Attributes:
+        problem: what was fitted, of the parameters that the data tell.
+        asked: names of all parameters that were asked for.
+        frozen: names of those that the data do not tell; they keep their priors' centres.
+        identifiability: of all that were asked for, at the start.
+        fits: of single presses, by name.
+        median, joint: the two combinations.
+        values: the gel's, by the joint fit.
+        specification: the sensor with them.
+        linearisations: at the joint fit's last point, by press.
+        solve_counts: solves of each press.
+        scores: of the held-out frames, empty where nothing could be judged.
+        omissions: trajectories that were left out, and why.
+        fit_seconds: what fitting took, without reading, tables and judging.
+    """
+
+    problem: Problem
+    asked: tuple[str, ...]
+    frozen: tuple[str, ...]
+    identifiability: list[Identifiability]
+    fits: dict[str, PressFit]
+    median: Combination
+    joint: Combination
+    values: GelValues
+    specification: SensorSpecification
+    linearisations: dict[str, Linearisation]
+    solve_counts: dict[str, int]
+    scores: list[FrameScore]
+    omissions: list[Omission]
+    fit_seconds: float
+
+    def named(self, name: str) -> SensorSpecification:
+        """Return the calibrated sensor under a name."""
+        return replace(self.specification, name=name)
+
+
+Progress = Callable[[str, int, int], None]
+"""Told the stage, how many presses of it are done, and of how many."""
+
+
+def measured_skin(data_set: DataSet, sensor: SensorSpecification) -> tuple[SkinMesh, bool]:
+    """Return the skin to simulate, and whether the bags' clouds list its vertices."""
+    try:
+        return data_set.skin_mesh(), True
+    except FileNotFoundError:
+        return skin_of(sensor.gel), False
+
+
+def calibrate(request: Request, progress: Progress) -> Calibration:
+    """Fit the gel to the data.
+
+    Raises:
+        ValueError: nothing to fit, no usable trajectory, or losses that the data do not have.
+    """
+    r = request
+    skin, has_vertices = measured_skin(r.data_set, r.sensor)
+    if POINTS in r.losses and not has_vertices:
+        raise ValueError(
+            f"{r.data_set.directory} has no skin_mesh.npz, so its points do not correspond to "
+            "vertices; use the loss chamfer"
+        )
+    count = skin.vertex_count if has_vertices else None
+    observations, omissions = read_observations(
+        r.data_set, r.train, vertex_count=count, topics=r.topics
+    )
+    judged, unjudged = read_observations(
+        r.data_set, r.held_out, vertex_count=count, topics=r.topics
+    )
+    omissions += unjudged
+    observations = [_with_losses(observation, r.losses) for observation in observations]
+    if not observations:
+        reasons = "\n".join(omission.reason for omission in omissions)
+        raise ValueError(f"no trajectory can be fitted:\n{reasons}")
+    asked = Problem(
+        chosen_parameters(r.fit),
+        values_of(r.sensor),
+        r.noise,
+        CHAMFER if CHAMFER in r.losses else POINTS,
+        r.with_offset,
+    )
+    _prepare_tables(r.sensor, skin, asked, progress)
+    with open_workers(r.sensor, skin, r.directory, r.workers) as workers:
+        stages = _Stages(r, skin, workers, progress)
+        return _calibrate(r, stages, asked, observations, judged, omissions, has_vertices)
+
+
+def _calibrate(
+    request: Request,
+    stages: _Stages,
+    asked: Problem,
+    observations: list[Observation],
+    judged: list[Observation],
+    omissions: list[Omission],
+    has_vertices: bool,
+) -> Calibration:
+    begun = monotonic()
+    solves: dict[str, int] = {}
+    first = stages.linearised("start", asked, observations, {}, solves, omissions)
+    told = identifiability(asked, list(first.values()))
+    everything = {i.parameter for i in told if i.data == "skin and force" and i.is_told}
+    kept = [k for k, p in enumerate(asked.parameters) if p.name in everything]
+    if not kept:
+        raise ValueError(
+            f"the data tell none of {', '.join(p.name for p in asked.parameters)}; add forces, or "
+            "deeper presses"
+        )
+    problem = replace(asked, parameters=tuple(asked.parameters[k] for k in kept))
+    first = {name: _restricted(asked, kept, lin) for name, lin in first.items()}
+    fits = stages.fitted("single", problem, observations, first, solves, omissions)
+    median = median_estimate(problem, list(fits.values()), seed=request.seed)
+    points = {name: _joined(problem, median.point, fits[name].best) for name in fits}
+    joint_observations = [o for o in observations if o.press.name in fits]
+    for number in range(JOINT_STEPS):
+        at = stages.linearised(
+            f"joint_{number}", problem, joint_observations, points, solves, omissions
+        )
+        step = joint_step(problem, list(at.values()))
+        points = {
+            name: lin.point + np.concatenate([step, offset_step(problem, lin, step)])
+            for name, lin in at.items()
+        }
+    joint = joint_estimate(problem, list(at.values()), seed=request.seed)
+    values = with_coordinates(problem.start, problem.parameters, joint.point)
+    fit_seconds = monotonic() - begun
+    scores: list[FrameScore] = []
+    if has_vertices:
+        scores = stages.judged(problem, joint.point, judged, omissions, request.seed)
+    return Calibration(
+        problem=problem,
+        asked=tuple(p.name for p in asked.parameters),
+        frozen=tuple(p.name for p in asked.parameters if p.name not in everything),
+        identifiability=told,
+        fits=fits,
+        median=median,
+        joint=joint,
+        values=values,
+        specification=specification_with(request.sensor, values),
+        linearisations=at,
+        solve_counts=solves,
+        scores=scores,
+        omissions=omissions,
+        fit_seconds=fit_seconds,
+    )
+
+
+class _Stages:
+    """Runs the stages of a request, each over all presses."""
+
+    def __init__(
+        self, request: Request, skin: SkinMesh, workers: Workers, progress: Progress
+    ) -> None:
+        self._request, self._skin = request, skin
+        self._workers, self._progress = workers, progress
+
+    def linearised(
+        self,
+        stage: str,
+        problem: Problem,
+        observations: Sequence[Observation],
+        points: dict[str, Array],
+        solves: dict[str, int],
+        omissions: list[Omission],
+    ) -> dict[str, Linearisation]:
+        """Return the linearisations at points (n,), by default the priors' centres."""
+        tasks = []
+        for observation in observations:
+            name = observation.press.name
+            if points and name not in points:
+                continue
+            point = points.get(name, problem.centre())
+            key = task_key(self._request.sensor, self._skin, observation, problem, point)
+            tasks.append(Task(stage, observation, problem, point, None, 0, key))
+        found = self._run(stage, tasks, solves, omissions)
+        return {name: fit.best for name, fit in found.items()}
+
+    def fitted(
+        self,
+        stage: str,
+        problem: Problem,
+        observations: Sequence[Observation],
+        starts: dict[str, Linearisation],
+        solves: dict[str, int],
+        omissions: list[Omission],
+    ) -> dict[str, PressFit]:
+        """Return the fits of single presses."""
+        cost = 1 + problem.size
+        tasks = []
+        for observation in observations:
+            start = starts.get(observation.press.name)
+            if start is None:
+                continue
+            budget = SOLVE_BUDGET - solves[observation.press.name] - JOINT_STEPS * cost
+            key = task_key(
+                self._request.sensor,
+                self._skin,
+                observation,
+                problem,
+                start.point,
+                np.array(budget),
+            )
+            tasks.append(Task(stage, observation, problem, start.point, start, budget, key))
+        return self._run(stage, tasks, solves, omissions)
+
+    def judged(
+        self,
+        problem: Problem,
+        point: Array,
+        observations: Sequence[Observation],
+        omissions: list[Omission],
+        seed: int,
+    ) -> list[FrameScore]:
+        """Return the scores of held-out presses at the shared parameters' point (P,)."""
+        shared = replace(problem, with_offset=False)
+        tasks = [Task("judge", o, shared, point, None, 0, "") for o in observations]
+        predicted = self._workers.predict(tasks, self._counter("held out", len(tasks)))
+        scores: list[FrameScore] = []
+        for observation in observations:
+            skin, force, error = predicted[observation.press.name]
+            if skin is None:
+                omissions.append(Omission(observation.press.name, f"held out: {error}"))
+                continue
+            if observation.press.skin_position_m is not None:
+                scores += score_press(
+                    observation.press,
+                    Prediction(skin, force),
+                    observation.indenter,
+                    self._skin,
+                    seed=seed,
+                )
+        return scores
+
+    def _run(
+        self,
+        stage: str,
+        tasks: Sequence[Task],
+        solves: dict[str, int],
+        omissions: list[Omission],
+    ) -> dict[str, PressFit]:
+        outcomes: dict[str, Outcome] = self._workers.run(tasks, self._counter(stage, len(tasks)))
+        found = {}
+        for task in tasks:
+            name = task.observation.press.name
+            outcome = outcomes[name]
+            if outcome.fit is None:
+                omissions.append(
+                    Omission(
+                        name,
+                        f"{name}, stage {stage}: {outcome.error}; check the poses' frame and units "
+                        "and the indenter's mesh, or press less deep",
+                    )
+                )
+                continue
+            solves[name] = solves.get(name, 0) + outcome.fit.solve_count
+            found[name] = outcome.fit
+        if not found:
+            raise ValueError(f"no press could be solved in stage {stage}")
+        return found
+
+    def _counter(self, stage: str, total: int) -> Callable[[str], None]:
+        done = 0
+        self._progress(stage, 0, total)
+
+        def count(_name: str) -> None:
+            nonlocal done
+            done += 1
+            self._progress(stage, done, total)
+
+        return count
+
+
+def _with_losses(observation: Observation, losses: Sequence[str]) -> Observation:
+    """Return the observation without the channels that no loss asks for."""
+    press = observation.press
+    if FORCE not in losses:
+        press = replace(press, force_n=None)
+    if POINTS not in losses and CHAMFER not in losses:
+        press = replace(press, skin_position_m=None)
+    return replace(observation, press=press)
+
+
+def _prepare_tables(
+    sensor: SensorSpecification, skin: SkinMesh, problem: Problem, progress: Progress
+) -> None:
+    """Compute the tables that the start needs once, not in each worker."""
+    simulator = GelSimulator(
+        sensor, skin, progress=lambda share: progress("tables", round(100 * share), 100)
+    )
+    simulator.prepare(problem.start)
+
+
+def _restricted(asked: Problem, kept: Sequence[int], lin: Linearisation) -> Linearisation:
+    """Return a linearisation of the kept parameters and the offset alone."""
+    count = len(asked.parameters)
+    rows = [*kept, *range(count, asked.size)]
+    return replace(
+        lin,
+        point=lin.point[rows],
+        information={c: m[np.ix_(rows, rows)] for c, m in lin.information.items()},
+        gradient={c: g[rows] for c, g in lin.gradient.items()},
+    )
+
+
+def _joined(problem: Problem, shared: Array, lin: Linearisation) -> Array:
+    """Return shared coordinates (P,) with a press's own offset."""
+    return np.concatenate([shared, lin.point[len(problem.parameters) :]])

@@ -1,0 +1,194 @@
+"""What presses tell together: information, the joint step, and intervals by bootstrap."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
+from dotsim_ros.calibration.loss import FORCE, SKIN
+from dotsim_ros.calibration.parameters import coordinates
+
+Array = NDArray[np.float64]
+
+TOLD_SHARE = 0.5
+"""A parameter is told if the data leave at most this share of its prior's width."""
+
+CHANNEL_SETS = {"skin alone": (SKIN,), "force alone": (FORCE,), "skin and force": (SKIN, FORCE)}
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """What one kind of data tells of one parameter.
+
+    Attributes:
+        parameter: its name.
+        data: a key of `CHANNEL_SETS`.
+        information: its Fisher information with all other parameters known, per squared
+            coordinate.
+        deviation: of its coordinate after the data, with the others unknown, and their priors.
+        prior_deviation: before the data.
+        is_told: whether the data shrink the prior to `TOLD_SHARE` or less.
+    """
+
+    parameter: str
+    data: str
+    information: float
+    deviation: float
+    prior_deviation: float
+    is_told: bool
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A combined estimate.
+
+    Attributes:
+        point: (P,) coordinates.
+        low, high: (P,) ends of the 95 % intervals.
+    """
+
+    point: Array
+    low: Array
+    high: Array
+
+
+def reduced(
+    problem: Problem, linearisation: Linearisation, channels: Sequence[str] = (SKIN, FORCE)
+) -> tuple[Array, Array]:
+    """Return a press's information (P, P) on the shared parameters, its own offset eliminated, and
+    the gradient (P,); priors of the shared ones are left out, that of the offset is in."""
+    information, gradient, _ = linearisation.total(channels)
+    count = len(problem.parameters)
+    if not problem.with_offset:
+        return information, gradient
+    precision = np.diag(problem.precision()[count:])
+    own = information[count:, count:] + precision
+    across = information[:count, count:]
+    own_gradient = gradient[count:] + precision @ linearisation.point[count:]
+    solved = np.linalg.solve(own, np.column_stack([across.T, own_gradient]))
+    return (
+        information[:count, :count] - across @ solved[:, :-1],
+        gradient[:count] - across @ solved[:, -1],
+    )
+
+
+def identifiability(
+    problem: Problem, linearisations: Sequence[Linearisation]
+) -> list[Identifiability]:
+    """Return what each kind of data tells of each parameter, all presses together."""
+    count = len(problem.parameters)
+    prior = problem.precision()[:count]
+    result = []
+    for data, channels in CHANNEL_SETS.items():
+        information = sum(
+            (reduced(problem, lin, channels)[0] for lin in linearisations),
+            np.zeros((count, count)),
+        )
+        covariance = np.linalg.inv(information + np.diag(prior))
+        for index, parameter in enumerate(problem.parameters):
+            deviation = float(np.sqrt(covariance[index, index]))
+            width = parameter.prior_width
+            result.append(
+                Identifiability(
+                    parameter=parameter.name,
+                    data=data,
+                    information=float(information[index, index]),
+                    deviation=deviation,
+                    prior_deviation=width,
+                    is_told=deviation <= TOLD_SHARE * width,
+                )
+            )
+    return result
+
+
+def joint_step(problem: Problem, linearisations: Sequence[Linearisation]) -> Array:
+    """Return the Gauss-Newton step (P,) of the shared parameters, from the mean of their points."""
+    count = len(problem.parameters)
+    informations, gradients = _stacked(problem, linearisations)
+    here = np.mean([lin.point[:count] for lin in linearisations], axis=0)
+    return _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
+
+
+def offset_step(problem: Problem, linearisation: Linearisation, shared_step: Array) -> Array:
+    """Return the step (6,) of a press's offset that goes with a step (P,) of the shared."""
+    count = len(problem.parameters)
+    if not problem.with_offset:
+        return np.zeros(0)
+    information, gradient, _ = linearisation.total()
+    precision = np.diag(problem.precision()[count:])
+    right = gradient[count:] + precision @ linearisation.point[count:]
+    right = right + information[count:, :count] @ shared_step
+    return np.asarray(-np.linalg.solve(information[count:, count:] + precision, right))
+
+
+def joint_estimate(
+    problem: Problem,
+    linearisations: Sequence[Linearisation],
+    *,
+    replicates: int = 4000,
+    seed: int = 0,
+) -> Combination:
+    """Return the joint fit's estimate and intervals by bootstrap over presses.
+
+    Each replicate draws presses with replacement and takes one Gauss-Newton step from their
+    information and gradients: no new solve. Deviations are widened by sqrt(n / (n - 1)) and
+    Student's quantile over the normal one, since n presses are few.
+    """
+    count = len(problem.parameters)
+    informations, gradients = _stacked(problem, linearisations)
+    here = np.mean([lin.point[:count] for lin in linearisations], axis=0)
+    n = len(linearisations)
+    best = here + _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
+    drawn = np.random.default_rng(seed).integers(n, size=(replicates, n))
+    points = np.array(
+        [
+            here + _step(problem, here, informations[d].sum(axis=0), gradients[d].sum(axis=0))
+            for d in drawn
+        ]
+    )
+    return _interval(best, points, n)
+
+
+def median_estimate(
+    problem: Problem, fits: Sequence[PressFit], *, replicates: int = 4000, seed: int = 0
+) -> Combination:
+    """Return the paper's estimate, the median of the fits of single presses, and intervals by
+    bootstrap over them, widened as `joint_estimate`'s."""
+    count = len(problem.parameters)
+    points = np.array([fit.best.point[:count] for fit in fits])
+    n = len(points)
+    drawn = np.random.default_rng(seed).integers(n, size=(replicates, n))
+    return _interval(np.median(points, axis=0), np.median(points[drawn], axis=1), n)
+
+
+def small_sample_widening(count: int) -> float:
+    """Return by how much the deviations of a bootstrap over few items are widened."""
+    if count < 2:
+        return 1.0
+    student = stats.t.ppf(0.975, count - 1) / stats.norm.ppf(0.975)
+    return float(student * np.sqrt(count / (count - 1)))
+
+
+def _interval(best: Array, points: Array, count: int) -> Combination:
+    low, high = np.quantile(points, [0.025, 0.975], axis=0)
+    wide = small_sample_widening(count)
+    return Combination(best, best + wide * (low - best), best + wide * (high - best))
+
+
+def _stacked(problem: Problem, linearisations: Sequence[Linearisation]) -> tuple[Array, Array]:
+    pairs = [reduced(problem, lin) for lin in linearisations]
+    return np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+
+
+def _step(problem: Problem, here: Array, information: Array, gradient: Array) -> Array:
+    count = len(problem.parameters)
+    precision = problem.precision()[:count]
+    away = here - coordinates(problem.parameters, problem.start)
+    return np.asarray(
+        -np.linalg.solve(information + np.diag(precision), gradient + precision * away)
+    )

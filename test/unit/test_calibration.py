@@ -1,0 +1,227 @@
+"""Parameters, losses, statistics and reading of a calibration, without a gel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
+from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, Noise, nearest_partners
+from dotsim_ros.calibration.loss import residuals as missed
+from dotsim_ros.calibration.parameters import (
+    chosen_parameters,
+    coordinates,
+    shown_value,
+    specification_with,
+    values_of,
+    with_coordinates,
+)
+from dotsim_ros.calibration.sensor_file import write_sensor
+from dotsim_ros.calibration.simulation import Simulated, offset_pose
+from dotsim_ros.calibration.statistics import (
+    identifiability,
+    joint_estimate,
+    joint_step,
+    median_estimate,
+    offset_step,
+)
+from dotsim_ros.evaluation.presses import Press
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
+
+Array = NDArray[np.float64]
+
+SENSOR = SensorSpecification()
+SKIN_MESH = dome_skin(0.01575, 3e-3)
+
+
+def problem_of(*names: str, with_offset: bool = False) -> Problem:
+    return Problem(chosen_parameters(names), values_of(SENSOR), Noise(), POINTS, with_offset)
+
+
+def test_values_of_a_sensor_come_back_from_its_file(tmp_path: Path) -> None:
+    values = replace(values_of(SENSOR), youngs_modulus_pa=2e5, c20_ratio=0.1, thickness_m=9e-3)
+    path = tmp_path / "a.yaml"
+    write_sensor(path, specification_with(SENSOR, values), "one\ntwo")
+    read = values_of(load_sensor(path))
+    for name in ("youngs_modulus_pa", "poisson_ratio", "friction", "c20_ratio", "thickness_m"):
+        assert getattr(read, name) == pytest.approx(getattr(values, name), rel=1e-9)
+    assert path.read_text().startswith("# one\n# two\n")
+
+
+def test_a_gel_without_stiffening_stays_neo_hookean() -> None:
+    specification = specification_with(SENSOR, values_of(SENSOR))
+    assert specification.material.law == "neo_hookean"
+    assert specification.material.youngs_modulus_pa == pytest.approx(3e5)
+
+
+def test_coordinates_are_inverted_within_the_bounds() -> None:
+    parameters = chosen_parameters(["E", "nu", "friction", "c30", "thickness"])
+    values = values_of(SENSOR)
+    point = coordinates(parameters, values)
+    back = with_coordinates(values, parameters, point)
+    assert back.poisson_ratio == pytest.approx(values.poisson_ratio, rel=1e-12)
+    far = with_coordinates(values, parameters, point + 100.0)
+    assert far.youngs_modulus_pa == 1e8
+    assert far.poisson_ratio == 0.2
+    assert far.friction == 3.0
+
+
+def test_bulk_modulus_is_poissons_ratio_by_another_name() -> None:
+    (bulk,) = chosen_parameters(["bulk_modulus"])
+    assert shown_value(bulk, values_of(SENSOR)) == pytest.approx(3e5 / (3 * (1 - 0.96)))
+    with pytest.raises(ValueError, match="one, given E"):
+        chosen_parameters(["nu", "bulk_modulus"])
+
+
+@pytest.mark.parametrize(("names", "said"), [(["F"], "known are E"), ([], "nothing to fit")])
+def test_other_names_are_refused(names: list[str], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        chosen_parameters(names)
+
+
+def test_a_law_with_a_second_invariant_is_refused() -> None:
+    material = replace(
+        SENSOR.material, law="mooney_rivlin", c10_pa=1e4, c01_pa=1e4, bulk_modulus_pa=1e6
+    )
+    with pytest.raises(ValueError, match="neo_hookean or yeoh"):
+        values_of(replace(SENSOR, material=material))
+
+
+def test_an_offset_moves_along_the_indenters_axes() -> None:
+    quarter = Pose(np.array([1.0, 2.0, 3.0]), [0.0, 0.0, np.sqrt(0.5), np.sqrt(0.5)])
+    moved = offset_pose(quarter, np.array([0.1, 0.0, 0.0, 0.0, 0.0, 0.02]))
+    assert moved.position_m == pytest.approx([1.0, 2.1, 3.0])
+    turned = quarter.rotation().T @ moved.rotation()
+    assert turned[1, 0] == pytest.approx(0.02, rel=1e-3)
+
+
+def one_frame_press(skin_m: Array, force_n: Array) -> Press:
+    return Press(
+        "a",
+        "sphere",
+        [Pose(np.array([0.0, 0.0, 0.0130]))],
+        np.array([1.0]),
+        skin_m[None],
+        force_n[None],
+    )
+
+
+def test_a_shift_is_weighed_by_the_noise_point_to_point() -> None:
+    noise = Noise(skin_discretisation_m=0.0)
+    rest = SKIN_MESH.rest_position_m
+    press = one_frame_press(rest, np.array([0.0, 0.0, 2.0]))
+    simulated = Simulated(
+        (rest + np.array([0.0, 0.0, 0.08e-3]))[None], np.array([[0.0, 0.0, 2.12]]), True
+    )
+    found = missed(press, simulated, noise, SKIN_MESH, None)
+    free = np.count_nonzero(~SKIN_MESH.on_base)
+    assert np.sum(found[SKIN] ** 2) == pytest.approx(4.0 * free)
+    assert found[FORCE] == pytest.approx([0.0, 0.0, 0.12 / np.hypot(0.015, 0.12)])
+
+
+def test_points_that_err_together_tell_no_more_than_one() -> None:
+    fine, coarse = dome_skin(0.01575, 1e-3), SKIN_MESH
+    noise = Noise(skin_m=1e-9)
+    told = [mesh.vertex_count / noise.skin_point_m(mesh) ** 2 for mesh in (fine, coarse)]
+    assert told[0] == pytest.approx(told[1], rel=0.2)
+
+
+def test_chamfer_needs_no_order_of_the_points() -> None:
+    rest = SKIN_MESH.rest_position_m
+    moved = rest + np.array([0.0, 0.0, 0.2e-3])
+    simulated = Simulated(moved[None], np.zeros((1, 3)), True)
+    found = []
+    for order in (np.arange(len(rest)), np.random.default_rng(0).permutation(len(rest))):
+        press = one_frame_press(rest[order], np.zeros(3))
+        partners = nearest_partners(press, simulated)
+        found.append(np.sum(missed(press, simulated, Noise(), SKIN_MESH, partners)[SKIN] ** 2))
+    assert found[0] == pytest.approx(found[1])
+    expected = len(rest) * (0.2e-3 / Noise().skin_point_m(SKIN_MESH)) ** 2
+    assert found[0] == pytest.approx(expected)
+
+
+def linear_press(
+    jacobian: dict[str, Array], residual: dict[str, Array], point: Array
+) -> Linearisation:
+    return Linearisation(
+        point,
+        {c: j.T @ j for c, j in jacobian.items()},
+        {c: jacobian[c].T @ residual[c] for c in jacobian},
+        {c: 0.5 * float(r @ r) for c, r in residual.items()},
+        {c: len(r) for c, r in residual.items()},
+        1,
+        True,
+    )
+
+
+def test_the_skin_alone_does_not_tell_youngs_modulus() -> None:
+    problem = problem_of("E", "nu")
+    random = np.random.default_rng(1)
+    skin = random.normal(size=(50, 2))
+    skin[:, 0] = 0.0
+    jacobian = {SKIN: skin, FORCE: 20.0 * random.normal(size=(9, 2))}
+    press = linear_press(jacobian, {c: np.zeros(len(j)) for c, j in jacobian.items()}, np.zeros(2))
+    rows = {(r.parameter, r.data): r for r in identifiability(problem, [press])}
+    alone = rows["E", "skin alone"]
+    assert alone.information == 0.0
+    assert alone.deviation == pytest.approx(alone.prior_deviation)
+    assert not alone.is_told
+    assert rows["E", "skin and force"].is_told
+    assert rows["nu", "skin alone"].is_told
+
+
+def test_a_press_own_offset_is_eliminated_as_if_all_were_solved_together() -> None:
+    problem = problem_of("E", "nu", with_offset=True)
+    random = np.random.default_rng(2)
+    scale = 1.0 / np.concatenate([[0.3, 0.3], problem.noise.offset()])
+    point = problem.centre()
+    presses = []
+    for _ in range(3):
+        jacobian = {SKIN: random.normal(size=(40, 8)) * scale}
+        presses.append(linear_press(jacobian, {SKIN: random.normal(size=40)}, point))
+    whole = np.zeros((2 + 18, 2 + 18))
+    right = np.zeros(2 + 18)
+    precision = problem.precision()
+    whole[:2, :2] += np.diag(precision[:2])
+    for k, press in enumerate(presses):
+        rows = [0, 1, *range(2 + 6 * k, 8 + 6 * k)]
+        own = np.diag(np.concatenate([[0.0, 0.0], precision[2:]]))
+        whole[np.ix_(rows, rows)] += press.information[SKIN] + own
+        right[rows] += press.gradient[SKIN]
+    expected = -np.linalg.solve(whole, right)
+    step = joint_step(problem, presses)
+    assert step == pytest.approx(expected[:2], rel=1e-8)
+    for k, press in enumerate(presses):
+        assert offset_step(problem, press, step) == pytest.approx(
+            expected[2 + 6 * k : 8 + 6 * k], rel=1e-6
+        )
+
+
+def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say() -> None:
+    """Presses that each have an error of their own, which no stated noise covers."""
+    problem = problem_of("E", "nu")
+    random = np.random.default_rng(3)
+    truth = problem.centre() + np.array([0.1, -0.3])
+    covered = []
+    for trial in range(200):
+        presses, fits = [], []
+        for _ in range(19):
+            jacobian = random.normal(size=(12, 2)) * [4.0, 2.0]
+            here = truth + random.normal(size=2) * [0.1, 0.2]
+            residual = jacobian @ (problem.centre() - here) + random.normal(size=12)
+            presses.append(linear_press({FORCE: jacobian}, {FORCE: residual}, problem.centre()))
+            alone = np.linalg.lstsq(jacobian, -residual)[0]
+            fits.append(PressFit(replace(presses[-1], point=problem.centre() + alone), [], 1, True))
+        joint = joint_estimate(problem, presses, replicates=300, seed=trial)
+        median = median_estimate(problem, fits, replicates=300, seed=trial)
+        covered.append([(c.low <= truth) & (truth <= c.high) for c in (joint, median)])
+    share = np.mean(covered, axis=0)
+    # 0.95 within four deviations of a share of 200.
+    assert np.all(share > 0.88)
+    assert np.all(share[0] < 1.0)
