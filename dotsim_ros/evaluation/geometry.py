@@ -12,10 +12,10 @@ from scipy.spatial import KDTree
 from dotsim_ros.evaluation.metrics import (
     SAMPLE_COUNT,
     CloudDistances,
+    along_surface,
     cloud_distances,
-    relative_error,
+    relative_rms,
     sample_surface,
-    split_force,
     surface_distance,
     weighted_rms,
 )
@@ -76,7 +76,11 @@ class Summary:
         chamfer_mm, significant_chamfer_mm, emd_mm, f_score: means over the frames.
         skin_rms_mm, contact_rms_mm, vertex_rms_mm: root mean squares over the frames.
         normal_force_error, tangential_force_error: root mean square of the error over that of the
-            measured component.
+            measured component, along the sensor's axis (base frame +z) and in its base plane, as a
+            force sensor below it reads.
+        shear_force_error: root mean square of the error along the skin in contact over that of the
+            whole force. A press without a slide has little shear, which as a share of itself would
+            be noise.
         frames: how many.
         presses: of how many presses.
     """
@@ -90,6 +94,7 @@ class Summary:
     vertex_rms_mm: float
     normal_force_error: float | None
     tangential_force_error: float | None
+    shear_force_error: float | None
     frames: int
     presses: int
 
@@ -201,8 +206,8 @@ def score_press(
     scores = []
     for frame in judged_frames(press, skin, from_depth_m=from_depth_m).tolist():
         predicted = prediction.skin_position_m[frame]
-        distance = surface_distance(measured[frame], predicted, skin.triangles)
         region = contact_region(measured[frame], press.poses[frame], indenter)
+        skin_m, contact_m = surface_errors(measured[frame], predicted, region, skin)
         scores.append(
             FrameScore(
                 press=press.name,
@@ -212,10 +217,8 @@ def score_press(
                     _sample(predicted, skin, seed, frame, 0),
                     _sample(measured[frame], skin, seed, frame, 1),
                 ),
-                skin_m=weighted_rms(distance, area),
-                contact_m=(
-                    weighted_rms(distance[region], area[region]) if region.any() else np.nan
-                ),
+                skin_m=skin_m,
+                contact_m=contact_m,
                 vertex_m=weighted_rms(np.linalg.norm(predicted - measured[frame], axis=1), area),
                 normal=_mean_normal(rest_normal, area * region, press.poses[frame]),
                 measured_n=None if press.force_n is None else press.force_n[frame],
@@ -223,6 +226,18 @@ def score_press(
             )
         )
     return scores
+
+
+def surface_errors(
+    measured_m: FloatArray, predicted_m: FloatArray, region: BoolArray, skin: SkinMesh
+) -> tuple[float, float]:
+    """Return the root mean square distances (m) from the measured vertices (V, 3) to the predicted
+    surface (V, 3), over the area of the skin and over that of a region (V,); NaN for an empty one.
+    """
+    area = skin.rest_area_m2
+    distance = surface_distance(measured_m, predicted_m, skin.triangles)
+    whole = weighted_rms(distance, area)
+    return whole, weighted_rms(distance[region], area[region]) if region.any() else np.nan
 
 
 def _mean_normal(normal: FloatArray, weight: FloatArray, pose: Pose) -> FloatArray:
@@ -301,7 +316,7 @@ def summarize(scores: Sequence[FrameScore]) -> Summary:
         for field in fields(CloudDistances)
     }
     contact = [score.contact_m for score in scores if np.isfinite(score.contact_m)]
-    normal_error, tangential_error = _force_errors(scores)
+    forces = _force_errors(scores)
     return Summary(
         chamfer_mm=1e3 * means["chamfer_m"],
         significant_chamfer_mm=1e3 * means["significant_chamfer_m"],
@@ -310,29 +325,35 @@ def summarize(scores: Sequence[FrameScore]) -> Summary:
         skin_rms_mm=1e3 * _rms([score.skin_m for score in scores]),
         contact_rms_mm=1e3 * _rms(contact) if contact else None,
         vertex_rms_mm=1e3 * _rms([score.vertex_m for score in scores]),
-        normal_force_error=normal_error,
-        tangential_force_error=tangential_error,
+        normal_force_error=forces.normal,
+        tangential_force_error=forces.tangential,
+        shear_force_error=forces.shear,
         frames=len(scores),
         presses=len({score.press for score in scores}),
     )
 
 
-def _force_errors(scores: Sequence[FrameScore]) -> tuple[float | None, float | None]:
+@dataclass(frozen=True)
+class _ForceErrors:
+    normal: float | None
+    tangential: float | None
+    shear: float | None
+
+
+def _force_errors(scores: Sequence[FrameScore]) -> _ForceErrors:
     pairs = [
         (score.predicted_n, score.measured_n, score.normal)
         for score in scores
         if score.predicted_n is not None and score.measured_n is not None
     ]
     if not pairs:
-        return None, None
+        return _ForceErrors(None, None, None)
     predicted, measured, normal = (np.stack(column) for column in zip(*pairs, strict=True))
-    predicted_along, predicted_rest = split_force(predicted, normal)
-    measured_along, measured_rest = split_force(measured, normal)
-    errors = (
-        relative_error(predicted_along, measured_along),
-        relative_error(predicted_rest, measured_rest),
+    return _ForceErrors(
+        relative_rms(predicted[:, 2] - measured[:, 2], measured[:, 2]),
+        relative_rms(predicted[:, :2] - measured[:, :2], measured[:, :2]),
+        relative_rms(along_surface(predicted - measured, normal), measured),
     )
-    return tuple(error if np.isfinite(error) else None for error in errors)  # type: ignore[return-value]
 
 
 def by_indenter(scores: Iterable[FrameScore]) -> dict[str, list[FrameScore]]:

@@ -178,16 +178,16 @@ def weighted_rms(values: FloatArray, weight: FloatArray) -> float:
     return float(np.sqrt(np.sum(weight * values**2) / total))
 
 
-def split_force(force_n: FloatArray, normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the component (F,) of forces (F, 3) along unit normals (F, 3), and the rest (F, 3)."""
-    along = np.sum(force_n * normal, axis=1)
-    return along, force_n - along[:, None] * normal
+def along_surface(vectors: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return vectors (F, 3) without their components along unit normals (F, 3)."""
+    along = np.sum(vectors * normal, axis=1)
+    return np.asarray(vectors - along[:, None] * normal)
 
 
-def relative_error(predicted: FloatArray, measured: FloatArray) -> float:
-    """Return the root mean square of the difference over that of the measured, (F,) or (F, 3).
+def relative_rms(error: FloatArray, measured: FloatArray) -> float | None:
+    """Return the root mean square of errors (F, ...) over that of what was measured (F, ...).
 
-    Small forces, which are mostly noise, weigh little; NaN where all measured are zero.
+    Small values, which are mostly noise, weigh little; None where all measured are zero.
     """
     scale = float(np.sum(measured**2))
-    return float(np.sqrt(np.sum((predicted - measured) ** 2) / scale)) if scale > 0.0 else np.nan
+    return float(np.sqrt(np.sum(error**2) / scale)) if scale > 0.0 else None

@@ -1,0 +1,386 @@
+"""Presses, splits, scores and the tables, on a small data set with a known answer."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from numpy.typing import NDArray
+
+from dotsim_ros.cli.main import main
+from dotsim_ros.evaluation.geometry import (
+    FrameScore,
+    by_indenter,
+    contact_region,
+    floor_scores,
+    judged_frames,
+    measurement_noise,
+    score_press,
+    summarize,
+    tip_depth_m,
+)
+from dotsim_ros.evaluation.ours import steps
+from dotsim_ros.evaluation.presses import Prediction, Press, press_of, read_press
+from dotsim_ros.evaluation.registry import factory_of, sensor_for
+from dotsim_ros.evaluation.report import read_measured
+from dotsim_ros.evaluation.split import Split, hold_out, leave_one_indenter_out
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
+from dotsim_ros.measured.trajectory import (
+    PoseChannel,
+    SkinChannel,
+    Trajectory,
+    WrenchChannel,
+    write_trajectory,
+)
+
+FloatArray = NDArray[np.float64]
+
+RADIUS_M = 0.01575
+SKIN = dome_skin(RADIUS_M, 0.0016)
+BALL = sphere(0.004)
+DEPTHS_M = (-0.2e-3, 1.0e-3, 2.5e-3, 3.0e-3)
+NOISE_M = 0.03e-3
+STIFFNESS_N_M = 1000.0
+
+
+def dented(depth_m: float) -> FloatArray:
+    """Return the skin clipped by a ball that presses from the top."""
+    position = SKIN.rest_position_m.copy()
+    centre = np.array([0.0, 0.0, RADIUS_M - depth_m + 0.004])
+    beyond = position - centre
+    distance = np.linalg.norm(beyond, axis=1)
+    inside = distance < 0.004
+    position[inside] = centre + beyond[inside] / distance[inside, None] * 0.004
+    return position
+
+
+def trajectory(*, seed: int = 0, **changes: Any) -> Trajectory:
+    """Return a press from the top, with noise on its skin."""
+    random = np.random.default_rng(seed)
+    stamps = np.array([1_000_000_000 + 100_000_000 * k for k in range(len(DEPTHS_M))])
+    tips = np.array([[0.0, 0.0, RADIUS_M - depth] for depth in DEPTHS_M])
+    skins = np.stack([dented(depth) for depth in DEPTHS_M])
+    forces = np.array([[0.0, 0.1, STIFFNESS_N_M * max(depth, 0.0)] for depth in DEPTHS_M])
+    channels = {
+        "pose": PoseChannel(stamps, tips, np.tile([0.0, 0.0, 0.0, 1.0], (len(tips), 1))),
+        "wrench": WrenchChannel(stamps, forces, np.zeros_like(forces)),
+        "skin": SkinChannel(
+            stamps, (skins + NOISE_M * random.normal(size=skins.shape)).astype(np.float32)
+        ),
+    }
+    return Trajectory(**{**channels, **changes})
+
+
+def press(**changes: Any) -> Press:
+    """Return the press of `trajectory`."""
+    return replace(press_of(trajectory(), name="ball_0", indenter="ball"), **changes)
+
+
+def write_ball(path: Path) -> None:
+    """Write a closed mesh of the ball, tip at the origin."""
+    import trimesh
+
+    mesh = trimesh.creation.icosphere(subdivisions=4, radius=0.004)
+    mesh.apply_translation([0.0, 0.0, 0.004])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    mesh.export(path)
+
+
+def write_data_set(directory: Path) -> DataSet:
+    """Write six presses of two indenters, which are the same ball."""
+    names = [f"{indenter}_{k}" for indenter in ("ball", "other") for k in range(3)]
+    for number, name in enumerate(names):
+        write_trajectory(directory / "bags" / name, trajectory(seed=number))
+        write_ball(directory / "indenters" / f"{name[:-2]}.stl")
+    records = [{"bag": f"bags/{name}", "indenter": name[:-2], "frames": 4} for name in names]
+    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
+    np.savez(
+        directory / "skin_mesh.npz",
+        rest_position_m=SKIN.rest_position_m,
+        triangles=SKIN.triangles,
+        on_base=SKIN.on_base,
+    )
+    return read_data_set(directory)
+
+
+@pytest.fixture(scope="module")
+def data_set(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
+    """The data set, written once."""
+    return write_data_set(tmp_path_factory.mktemp("data"))
+
+
+def perfect(measured: Press) -> Prediction:
+    """Return what was there before the noise."""
+    return Prediction(np.stack([dented(depth) for depth in DEPTHS_M]), measured.force_n)
+
+
+# Presses
+
+
+def test_press_is_what_was_written(data_set: DataSet) -> None:
+    read = read_press(data_set.entries[0])
+    assert (read.name, read.indenter, read.frame_count) == ("ball_0", "ball", 4)
+    assert read.stamp_s == pytest.approx([1.0, 1.1, 1.2, 1.3])
+    assert read.force_n == pytest.approx(trajectory().wrench.force_n)  # type: ignore[union-attr]
+    assert read.skin_position_m is not None
+    assert read.skin_position_m.shape == (4, SKIN.vertex_count, 3)
+
+
+def test_press_needs_poses() -> None:
+    with pytest.raises(ValueError, match="ball_0: no pose of the indenter; record it"):
+        press_of(trajectory(pose=None), name="ball_0", indenter="ball")
+
+
+def test_skin_and_force_may_be_missing() -> None:
+    only_poses = press_of(trajectory(skin=None, wrench=None), name="a", indenter="ball")
+    assert only_poses.skin_position_m is None
+    assert only_poses.force_n is None
+
+
+def test_channels_stamped_otherwise_are_refused() -> None:
+    wrench = trajectory().wrench
+    assert wrench is not None
+    late = WrenchChannel(wrench.stamp_ns + 1, wrench.force_n, wrench.torque_nm)
+    with pytest.raises(ValueError, match="stamps of the wrench differ"):
+        press_of(trajectory(wrench=late), name="a", indenter="ball")
+
+
+def test_millimetres_are_named() -> None:
+    skin = press().skin_position_m
+    assert skin is not None
+    with pytest.raises(ValueError, match=r"ball_0, skin, frame 0: .* were these millimetres\?"):
+        press(skin_position_m=1e3 * skin)
+
+
+def test_numbers_that_are_not_finite_are_named() -> None:
+    skin = press().skin_position_m
+    assert skin is not None
+    broken = skin.copy()
+    broken[2, 7, 1] = np.nan
+    with pytest.raises(ValueError, match="ball_0, skin, frame 2: a number is not finite"):
+        press(skin_position_m=broken)
+
+
+def test_times_that_do_not_increase_are_named() -> None:
+    with pytest.raises(ValueError, match="ball_0: frame 2 is not later"):
+        press(stamp_s=np.array([1.0, 1.1, 1.1, 1.2]))
+
+
+def test_steps_divide_what_is_too_long() -> None:
+    way = list(steps(press(), longest_step_s=0.04))
+    assert [ends for _, _, ends in way] == [True, *[False, False, True] * 3]
+    assert sum(dt_s for _, dt_s, _ in way[1:]) == pytest.approx(0.3)
+    assert way[3][0] is press_poses(way)[1]
+    assert way[1][0].position_m[2] == pytest.approx(RADIUS_M + 0.2e-3 - 0.4e-3)
+
+
+def press_poses(way: list[tuple[Pose, float, bool]]) -> list[Pose]:
+    """Return the poses that end a frame."""
+    return [pose for pose, _, ends in way if ends]
+
+
+# Splits
+
+
+def test_held_out_presses_depend_on_the_seed_alone() -> None:
+    names = [f"press_{k}" for k in range(28)]
+    train, test = hold_out(names)
+    assert (len(train), len(test)) == (19, 9)
+    assert sorted(train + test) == sorted(names)
+    assert hold_out(names[::-1]) == (train, test)
+    assert hold_out(names, seed=1)[1] != test
+
+
+@pytest.mark.parametrize("count", [0, 3, -1])
+def test_split_without_train_or_test_is_refused(count: int) -> None:
+    with pytest.raises(ValueError, match="cannot be held out"):
+        hold_out(["a", "b", "c"], count)
+
+
+def test_a_name_twice_is_refused() -> None:
+    with pytest.raises(ValueError, match="a more than once"):
+        hold_out(["a", "b", "a"], 1)
+
+
+def test_every_indenter_is_left_out_once() -> None:
+    splits = list(leave_one_indenter_out({"b_0": "b", "a_0": "a", "a_1": "a"}))
+    assert splits == [Split("a", ("b_0",), ("a_0", "a_1")), Split("b", ("a_0", "a_1"), ("b_0",))]
+    with pytest.raises(ValueError, match="two at least"):
+        list(leave_one_indenter_out({"a_0": "a"}))
+
+
+# Scores
+
+
+def test_depth_is_that_of_the_tip() -> None:
+    # The nearest vertex is the apex, on which the ball presses.
+    assert tip_depth_m(SKIN, press().poses) == pytest.approx(DEPTHS_M, abs=1e-9)
+    assert judged_frames(press(), SKIN).tolist() == [2, 3]
+    assert judged_frames(press(), SKIN, from_depth_m=0.0).tolist() == [1, 2, 3]
+
+
+def test_contact_region_is_what_the_indenter_touches() -> None:
+    region = contact_region(dented(3e-3), press().poses[3], BALL)
+    nearer = np.linalg.norm(dented(3e-3) - [0, 0, RADIUS_M - 3e-3 + 0.004], axis=1) < 0.0045
+    assert region.any()
+    assert np.array_equal(region, nearer)
+
+
+def test_what_is_right_scores_the_noise() -> None:
+    summary = summarize(score_press(press(), perfect(press()), BALL, SKIN))
+    # Of the noise of three axes a surface sees one, a vertex all.
+    assert summary.skin_rms_mm == pytest.approx(1e3 * NOISE_M, rel=0.1)
+    assert summary.vertex_rms_mm == pytest.approx(1e3 * NOISE_M * np.sqrt(3.0), rel=0.05)
+    assert summary.normal_force_error == 0.0
+    assert (summary.frames, summary.presses) == (2, 1)
+    noise = measurement_noise([press()], SKIN)
+    assert noise is not None
+    assert noise.skin_rms_m == pytest.approx(NOISE_M, rel=0.1)
+    assert noise.frames == 1
+
+
+def test_floor_is_that_of_the_samples() -> None:
+    floor = summarize(floor_scores(press(), BALL, SKIN))
+    right = summarize(score_press(press(), perfect(press()), BALL, SKIN))
+    assert floor.chamfer_mm == pytest.approx(0.44, abs=0.03)
+    assert right.chamfer_mm == pytest.approx(floor.chamfer_mm, rel=0.05)
+    assert right.emd_mm == pytest.approx(floor.emd_mm, rel=0.1)
+    assert floor.skin_rms_mm == 0.0
+
+
+def test_a_skin_that_stays_at_rest_is_wrong_in_the_contact() -> None:
+    rest = Prediction(np.tile(SKIN.rest_position_m, (4, 1, 1)))
+    still, right = (
+        summarize(score_press(press(), prediction, BALL, SKIN))
+        for prediction in (rest, perfect(press()))
+    )
+    assert still.contact_rms_mm is not None
+    assert right.contact_rms_mm is not None
+    assert still.contact_rms_mm > 10.0 * right.contact_rms_mm
+    assert still.significant_chamfer_mm > right.significant_chamfer_mm
+    assert still.normal_force_error is None
+
+
+def test_force_errors_are_shares() -> None:
+    measured = press()
+    assert measured.force_n is not None
+    scaled = Prediction(perfect(measured).skin_position_m, measured.force_n * [1.0, 0.5, 1.2])
+    summary = summarize(score_press(measured, scaled, BALL, SKIN))
+    assert summary.normal_force_error == pytest.approx(0.2)
+    assert summary.tangential_force_error == pytest.approx(0.5)
+    assert summary.shear_force_error is not None
+    assert summary.shear_force_error < 0.05
+
+
+def test_same_seed_same_scores() -> None:
+    first, again = (
+        summarize(score_press(press(), perfect(press()), BALL, SKIN, seed=7)) for _ in range(2)
+    )
+    assert first == again
+    other = summarize(score_press(press(), perfect(press()), BALL, SKIN, seed=8))
+    assert other.chamfer_mm != first.chamfer_mm
+
+
+def test_scores_are_grouped_by_indenter() -> None:
+    scores: list[FrameScore] = []
+    for name in ("b", "a"):
+        scores += floor_scores(press(indenter=name), BALL, SKIN)
+    assert {k: len(v) for k, v in by_indenter(scores).items()} == {"a": 2, "b": 2}
+
+
+@pytest.mark.parametrize(
+    ("prediction", "message"),
+    [
+        (Prediction(np.zeros((4, 7, 3))), "expected"),
+        (Prediction(np.full((4, SKIN.vertex_count, 3), np.nan)), "not finite"),
+        (
+            Prediction(np.tile(SKIN.rest_position_m, (4, 1, 1)), np.zeros((3, 3))),
+            "predicted forces",
+        ),
+    ],
+)
+def test_bad_predictions_are_refused(prediction: Prediction, message: str) -> None:
+    with pytest.raises(ValueError, match=f"ball_0: .*{message}"):
+        score_press(press(), prediction, BALL, SKIN)
+
+
+def test_skin_of_another_mesh_is_refused() -> None:
+    other: SkinMesh = dome_skin(RADIUS_M, 0.003)
+    with pytest.raises(ValueError, match=r"ball_0: .* vertices"):
+        floor_scores(press(), BALL, other)
+
+
+def test_no_judged_frame_is_an_error() -> None:
+    with pytest.raises(ValueError, match="no frame was judged"):
+        summarize([])
+
+
+# The data set, the models and the command
+
+
+def test_broken_bag_is_left_out_and_named(tmp_path: Path) -> None:
+    data = write_data_set(tmp_path)
+    write_trajectory(tmp_path / "bags" / "blind", trajectory(pose=None))
+    broken = DataSetEntry("blind", tmp_path / "bags" / "blind", "ball", 4, False)
+    unknown = replace(data.entries[0], name="odd", indenter="teapot")
+    measured = read_measured(DataSet(tmp_path, (*data.entries, broken, unknown)))
+    assert len(measured.presses) == 6
+    assert "no pose" in measured.left_out["blind"]
+    assert "teapot" in measured.left_out["odd"]
+
+
+def test_unknown_model_is_named() -> None:
+    with pytest.raises(ValueError, match="no model 'gelsight'; known are ours"):
+        factory_of("gelsight", sensor="densetact2", stated="densetact2")
+
+
+def test_folder_of_sensors_holds_one_for_each_split(tmp_path: Path) -> None:
+    (tmp_path / "ball.yaml").write_text("material: {youngs_modulus_pa: 123456.0}")
+    found = sensor_for(Split("ball", (), ()), tmp_path)
+    assert found.material.youngs_modulus_pa == 123456.0
+    with pytest.raises(FileNotFoundError, match=r"no other\.yaml: calibrate"):
+        sensor_for(Split("other", (), ()), tmp_path)
+
+
+def test_command_writes_table_and_figures(
+    data_set: DataSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["evaluate", "geometry", "--data", str(data_set.directory), "--out", str(tmp_path)]
+    assert main([*arguments, "--models", "tacto", "--count", "2", "--from-depth-mm", "2.7"]) == 0
+    figures = json.loads((tmp_path / "geometry.json").read_text())
+    # The data is Tacto's own model, so that only the noise and the triangles are left.
+    drawn = figures["tacto"]["held_out"]
+    assert drawn["presses"] == 2
+    assert drawn["skin_rms_mm"] < 0.2
+    assert figures["tacto"]["failures"] == []
+    assert set(figures["tacto"]["indenter_left_out"]) == {"ball", "other"}
+    assert 0.4 < figures["floor"]["held_out"]["chamfer_mm"] < 0.5
+    assert figures["floor"]["held_out"]["skin_rms_mm"] == pytest.approx(1e3 * NOISE_M, rel=0.1)
+    assert {"commit", "machine", "date", "command", "seed"} <= set(figures["provenance"])
+    page = (tmp_path / "geometry.md").read_text()
+    assert page in capsys.readouterr().out
+    assert "| tacto |" in page
+    assert "| floor |" in page
+
+
+def test_command_names_a_press_that_is_not_there(
+    data_set: DataSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["evaluate", "runtime", "--data", str(data_set.directory), "--out", str(tmp_path)]
+    assert main([*arguments, "--presses", "nothing"]) == 1
+    assert "no press nothing; the data set holds ball_0" in capsys.readouterr().err
+
+
+def test_command_names_a_folder_that_is_no_data_set(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", "geometry", "--data", str(tmp_path), "--models", "tacto"]) == 1
+    assert "is no data set" in capsys.readouterr().err
