@@ -279,6 +279,12 @@ class TactileSensor:
         self._time_s = 0.0
 
     @property
+    def remembers(self) -> bool:
+        """Whether the gel goes on moving under an indenter that is held: it relaxes or swings."""
+        s = self.specification
+        return s.solver.method == "explicit" or s.solver.dynamic or bool(s.material.prony_shares)
+
+    @property
     def idle_image(self) -> ImageArray:
         """The image without contact, (H, W, 3) uint8."""
         return self._idle.image

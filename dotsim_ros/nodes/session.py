@@ -103,16 +103,20 @@ class SensorSession:
         return self._target is not None
 
     def catch_up(self) -> Moment:
-        """Go on to the newest pose, which `follow` did not reach; nothing where it did.
+        """Go on to the newest pose, which `follow` did not reach; where it did, let a gel that
+        remembers go on under the held indenter.
 
         Raises:
             RefusedInputError: as `follow`.
         """
-        if self._target is None:
+        target = self._target
+        if target is None and self._sensor.remembers and not self._is_broken:
+            target = self._at
+        if target is None:
             return self.moment
         if self._last_stamp_ns is not None:
             self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
-        return self._move(self._target, self._first_dt_s)
+        return self._move(target, self._first_dt_s)
 
     def _move(self, pose: Pose, step_s: float) -> Moment:
         self._target = None

@@ -174,3 +174,26 @@ def test_a_moment_is_rendered_only_when_it_is_asked_for_and_once(sensor):
     sensor.reset()
     expected = sensor.step(pressed(0.5), 0.04)
     assert np.array_equal(frame.image, expected.image)
+
+
+def test_a_gel_that_relaxes_goes_on_under_a_held_indenter():
+    specification = load_sensor("densetact2")
+    relaxing = replace(
+        specification,
+        material=replace(specification.material, prony_shares=(0.4,), prony_times_s=(0.2,)),
+        solver=replace(specification.solver, refined=False),
+    )
+    sensor = TactileSensor(relaxing, indenter=load_indenter("sphere_4mm"))
+    session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
+    at_once = session.follow(motion(0.8, 40_000_000)).gel.wrench.force_n[2]
+    held = [session.catch_up().gel.wrench.force_n[2] for _ in range(25)]
+    assert np.all(np.diff([at_once, *held]) < 0.0)
+    # Five times its time later, three fifths of the shape-changing stress are left.
+    assert held[-1] < 0.75 * at_once
+
+
+def test_a_gel_without_memory_rests_under_a_held_indenter(sensor):
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
+    first = session.follow(motion(0.5, 40_000_000))
+    assert session.catch_up() is first
