@@ -133,7 +133,7 @@ def force_deviation_n(press: Press, noise: Noise, skin: SkinMesh) -> Array:
     """
     assert press.force_n is not None
     d = noise.skin_discretisation_m
-    depth_m = np.maximum(tip_depth_m(skin, press.poses), d)
+    depth_m = np.maximum(tip_depth_m(skin, press.poses), max(d, 1.0e-6))
     relative = np.hypot(noise.force_discretisation, 1.5 * d / depth_m)
     size = np.linalg.norm(press.force_n, axis=1)
     return np.asarray(np.hypot(noise.force_n, relative * size)[:, None])

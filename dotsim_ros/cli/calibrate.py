@@ -63,6 +63,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--trajectories", nargs="+", metavar="NAME", help="use these alone (all of the data set)"
     )
+    parser.add_argument(
+        "--run",
+        type=Path,
+        metavar="DIR",
+        help="folder of the run's files (OUT_report/run); fits of other splits of the same data "
+        "that name the same one share the fits of single presses",
+    )
     parser.add_argument("--name", help="of the calibrated sensor (the file's stem)")
     parser.add_argument("--workers", type=int, default=WORKER_COUNT, help="processes (2)")
     parser.add_argument("--seed", type=int, default=0, help="of what is held out and drawn (0)")
@@ -129,7 +136,7 @@ def run(arguments: argparse.Namespace) -> int:
             losses=tuple(arguments.loss or (("points" if has_mesh else "chamfer"), "force")),
             noise=_noise(arguments),
             topics=_topics(arguments),
-            directory=directory / "run",
+            directory=arguments.run or directory / "run",
             workers=arguments.workers,
             seed=arguments.seed,
         ),
