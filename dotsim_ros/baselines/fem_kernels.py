@@ -58,7 +58,7 @@ def element_forces(
 ):
     """Forces (T, 4) of the stable neo-Hookean solid on the nodes of each element.
 
-    Smith, de Goes and Kim, "Stable Neo-Hookean Flesh Simulation", 2018, equation 18, with their
+    Smith, de Goes and Kim, "Stable Neo-Hookean Flesh Simulation", 2018, with their
     shear and dilation (section 3.4), so that at small strain it is the linear solid.
     """
     t = wp.tid()

@@ -2,7 +2,7 @@
 
 Tacto's gel does not carry a force: PyBullet finds it between rigid bodies, and Tacto sinks the
 object in by a depth in proportion to it, `depth = force / largest_force * largest_depth` (Wang et
-al. 2022, section III; 100 N and 5 mm in its DIGIT's file). With the pose given, the same line read
+al. 2022; 100 N and 5 mm in the file of its DIGIT). With the pose given, the same line read
 the other way gives the force. Taxim's experiments with a robot take PyBullet's force as well.
 """
 

@@ -1,19 +1,19 @@
 """Taxim's geometry: the object's shape superposed on the gel's, smoothed by a pyramid of Gaussians.
 
 Si, Yuan: "Taxim: An Example-Based Simulation Model for GelSight Tactile Sensors", RA-L 7(2), 2022,
-section III-B and the published constants. The height map is the object's where it is below the
-gel's surface and the gel's elsewhere. It is smoothed by Gaussians of decreasing width; after each,
-the map is put back where the object sinks in by more than a share (published: 0.4) of the deepest
-indentation. A last narrow Gaussian smooths everything. Published kernels of 201, 101, 51, 21, 11
-and 5 pixels, OpenCV's widths of 30.5, 15.5, 8, 3.5, 2 and 1.1 pixels: each about half of the one
-before, the rule kept here.
+with the constants of the authors' published code. The height map is the object's where it is below
+the gel's surface and the gel's elsewhere. It is smoothed by Gaussians of decreasing width; after
+each, the map is put back where the object sinks in by more than a share (published: 0.4) of the
+deepest indentation. A last narrow Gaussian smooths everything. Published kernels of 201, 101, 51,
+21, 11 and 5 pixels, OpenCV's widths of 30.5, 15.5, 8, 3.5, 2 and 1.1 pixels: each about half of the
+one before, so here a ratio that is fitted.
 
 The paper's map is flat. Here it is the indentation along the skin's normals on the skin's mesh, and
 a Gaussian is repeated averaging over neighbours: the heat equation du/dt = laplace u up to
 t = width^2 / 2, in steps of which each is a weighted mean. The indentation's integral over the skin
 stays, as under the paper's Gaussians, and no value leaves the range that was there before. The
-displacement of markers along the surface (the paper's section III-C) does not change the surface,
-and takes a finite-element solution of the gel; it is left out.
+markers' motion along the surface, which the paper superposes from unit forces on a finite-element
+gel, does not change the surface and is left out.
 """
 
 from __future__ import annotations
