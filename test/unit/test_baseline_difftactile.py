@@ -156,11 +156,12 @@ def test_a_straight_press_is_answered_straight(gel: DynamicGel, skin: SkinMesh) 
 
 
 def test_mirrored_presses_are_answered_alike(gel: DynamicGel) -> None:
-    _, left = gel.run(press_to(0.002, side_m=-0.003).poses, BALL, CONSTANTS)
-    _, right = gel.run(press_to(0.002, side_m=0.003).poses, BALL, CONSTANTS)
-    assert left[0, 0] < 0.0 < right[0, 0]
-    assert right[0, 0] == pytest.approx(-left[0, 0], rel=0.1)
-    assert right[0, 2] == pytest.approx(left[0, 2], rel=0.05)
+    _, left = gel.run(press_to(0.001, 0.002, side_m=-0.003).poses, BALL, CONSTANTS)
+    _, right = gel.run(press_to(0.001, 0.002, side_m=0.003).poses, BALL, CONSTANTS)
+    assert left[1, 0] < 0.0 < right[1, 0]
+    # The mesh is no mirror image of itself: a degree of the force's direction.
+    difference = left[1] * [-1.0, 1.0, 1.0] - right[1]
+    assert np.linalg.norm(difference) < 0.02 * np.linalg.norm(right[1])
 
 
 def test_a_slide_is_held_back_by_friction(gel: DynamicGel) -> None:
