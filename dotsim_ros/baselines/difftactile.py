@@ -109,7 +109,7 @@ class GelConstants:
 START = GelConstants(0.46, 1.0e4, 1.0, 3.0, 0.4, 0.7)
 GRID: dict[str, tuple[float, ...]] = {
     "poisson_ratio": (0.38, 0.43, 0.46, 0.48, 0.49),
-    "stiffness_per_m": (1.0e3, 3.0e3, 1.0e4, 3.0e4),
+    "stiffness_per_m": (2.0e3, 3.0e3, 5.0e3, 1.0e4, 3.0e4),
     "friction": (0.0, 0.2, 0.4, 0.8),
     "drag": (1.0, 3.0, 10.0),
     "damping": (0.3, 0.7, 1.5),
