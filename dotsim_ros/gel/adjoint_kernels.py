@@ -66,7 +66,8 @@ def adjoint_kernels() -> SimpleNamespace:
         if depth > scalar(0.0) and constants[FRICTION] > scalar(0.0):
             tangential = constants[TANGENTIAL_STIFFNESS]
             moved = memory[i] + y
-            s = moved - wp.dot(n, moved) * n
+            unit = wp.normalize(n)
+            s = moved - wp.dot(unit, moved) * unit
             length = wp.length(s)
             limit = constants[FRICTION] * p / tangential
             if length <= limit:

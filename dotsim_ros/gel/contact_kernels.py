@@ -105,6 +105,8 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
             m0 = n
             if wp.length_sq(lagged_normal[i]) > scalar(0.0):
                 m0 = wp.transpose(rotation) * lagged_normal[i]
+            # The gradient of a mesh's distance, interpolated on a grid, is not of unit length.
+            m0 = wp.normalize(m0)
             projector = wp.identity(3, dtype=scalar) - wp.outer(m0, m0)
             s = projector * (start_slip[m] + y - start_position[m])
             length = wp.length(s)
@@ -162,10 +164,14 @@ def contact_kernels(scalar: Any) -> SimpleNamespace:
         tangent_slip = vec3()
         if p > scalar(0.0) and law.friction > scalar(0.0):
             k = law.tangential_stiffness
-            projector = wp.identity(3, dtype=scalar) - wp.outer(n, n)
+            # The gradient of a mesh's distance, interpolated on a grid, is not of unit length.
+            unit = wp.normalize(n)
+            projector = wp.identity(3, dtype=scalar) - wp.outer(unit, unit)
+            turn = (projector * curvature) / wp.length(n)
             moved = start_slip[m] + y - start_position[m]
             s = projector * moved
-            by_position = projector - wp.outer(n, curvature * moved) - wp.dot(n, moved) * curvature
+            by_position = projector - wp.outer(unit, wp.transpose(turn) * moved)
+            by_position -= wp.dot(unit, moved) * turn
             length = wp.length(s)
             limit = law.friction * p / k
             if length <= limit:
