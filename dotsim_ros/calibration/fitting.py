@@ -39,8 +39,9 @@ Array = NDArray[np.float64]
 OFFSET_STEPS = np.array([0.02e-3] * 3 + [5.0e-3] * 3)
 """Of the differences by an indenter's offset: metres, radians."""
 
-SMALLEST_STEP = 0.02
-"""A fit ends when its step moves no coordinate by this share of the prior's width."""
+SMALLEST_DECREASE = 0.05
+"""A fit ends when its step promises to lower the loss by less: a step of a standard deviation of
+what the data tell lowers it by a half, and the solver's tolerance moves it by some hundredths."""
 
 FIRST_DAMPING, LARGEST_DAMPING = 1.0e-3, 1.0e3
 
@@ -251,7 +252,6 @@ def fit_press(
         progress: told the solves so far.
     """
     best, spent, damping = start, 0, FIRST_DAMPING
-    width = problem.precision() ** -0.5
     cost = 1 + sum(1 for index in range(problem.size) if not _is_modulus(problem, index))
     losses = [penalised(problem, best)[2]]
     has_settled = False
@@ -259,7 +259,8 @@ def fit_press(
         information, gradient, loss = penalised(problem, best)
         step = damped_step(information, gradient, damping)
         step = _kept_in_bounds(problem, best.point, step)
-        if np.all(np.abs(step) < SMALLEST_STEP * width):
+        promised = -float(gradient @ step + 0.5 * step @ information @ step)
+        if promised < SMALLEST_DECREASE:
             has_settled = True
             break
         spent += 1
