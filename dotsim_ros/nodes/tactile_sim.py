@@ -10,6 +10,7 @@ each other down, and every picture comes later.
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from threading import Event, RLock, Thread
 from typing import Any
 
@@ -40,6 +41,9 @@ from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.transport import carry_images
 from dotsim_ros.sensor import TactileSensor
 
+REALTIME_ITERATIONS = 5
+"""A frame that stalls is late, has a longer way to go next time, and stalls again: better one that
+misses the tolerance and says so."""
 REALTIME_MOVE_M = 2.0 * LARGEST_SUBSTEP_M
 """A frame that took long must not make the next one take longer: its motion costs two substeps."""
 
@@ -110,8 +114,13 @@ class TactileSim(WorkingNode):
         super().destroy_node()
 
     def _make_sensor(self) -> TactileSensor:
+        specification = load_sensor(self._settings.sensor)
+        if self._is_realtime:
+            effort = min(REALTIME_ITERATIONS, specification.solver.iterations)
+            solver = replace(specification.solver, iterations=effort)
+            specification = replace(specification, solver=solver)
         sensor = TactileSensor(
-            load_sensor(self._settings.sensor),
+            specification,
             indenter=indenter_of(self._settings.indenter),
             device=self._settings.device,
             progress=self._tell_progress,
