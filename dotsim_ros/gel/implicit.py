@@ -40,7 +40,7 @@ from dotsim_ros.gel.patch import NearMarkers, Patch, make_patch
 from dotsim_ros.gel.refinement import Refinement, refine
 from dotsim_ros.gel.relaxation import Relaxation
 from dotsim_ros.gel.tangent import ExactTangent, LocalTangent, Region
-from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecification
@@ -316,9 +316,7 @@ class ImplicitGel:
 
     def _way_m(self, world: World, start: Pose, end: Pose) -> float:
         """Return how far the indenter moves at most where it is close to the skin."""
-        turn = 2.0 * np.arccos(min(1.0, abs(float(start.quaternion_xyzw @ end.quaternion_xyzw))))
-        radius = 0.5 * float(np.linalg.norm(np.ptp(self.contact.indenter.bounds_m(), axis=0)))
-        length = float(np.linalg.norm(end.position_m - start.position_m)) + turn * min(radius, 0.02)
+        length = way_m(start, end, self.contact.indenter)
         if world.patch is None or length > PATCH_MARGIN_M:
             return length
         # The rest of it is farther from the skin than it moves.
@@ -423,6 +421,21 @@ class ImplicitGel:
             )
         trace.add("contact", clock)
 
+    def elastic(
+        self, displacement_m: Array, inertia: Inertia | None, environment: int
+    ) -> tuple[float, Array]:
+        """Return the energy of elasticity and inertia, J, and its gradient (N, 3) at displacements
+        (N, 3)."""
+        batch = np.zeros((self.environment_count, *displacement_m.shape))
+        batch[environment] = displacement_m
+        energies, gradients = self.body.force(batch)
+        energy, gradient = float(energies[environment]), gradients[environment]
+        if inertia is not None:
+            push = inertia.stiffness @ (displacement_m - inertia.predicted_m)
+            gradient = gradient + push
+            energy += 0.5 * float(np.vdot(displacement_m - inertia.predicted_m, push))
+        return energy, gradient
+
     def _problem(
         self, world: World, pose: Pose | None, inertia: Inertia | None, environment: int
     ) -> Problem:
@@ -430,15 +443,7 @@ class ImplicitGel:
         local = self._local_tangent
 
         def elastic(displacement_m: Array) -> tuple[float, Array]:
-            batch = np.zeros((self.environment_count, *displacement_m.shape))
-            batch[environment] = displacement_m
-            energies, gradients = self.body.force(batch)
-            energy, gradient = float(energies[environment]), gradients[environment]
-            if inertia is not None:
-                push = inertia.stiffness @ (displacement_m - inertia.predicted_m)
-                gradient = gradient + push
-                energy += 0.5 * float(np.vdot(displacement_m - inertia.predicted_m, push))
-            return energy, gradient
+            return self.elastic(displacement_m, inertia, environment)
 
         def respond(marker: IntArray, position_m: Array, lag: Lag) -> ContactResponse:
             assert pose is not None

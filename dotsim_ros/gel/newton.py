@@ -26,7 +26,6 @@ from dotsim_ros.gel.tangent import ExactFactor, LocalFactor
 from dotsim_ros.geometry.specification import SolverSpecification
 
 Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 NEAR_M = 0.2e-3
 """Markers closer than this to the indenter take part in the contact of an iteration."""
@@ -247,7 +246,9 @@ class EquilibriumSearch:
         largest, slope = float(np.abs(displacement).max()), -float(np.vdot(residual, displacement))
         position, response = point.position_m, NO_RESPONSE
         if patch is not None:
-            position = patch.position(point.displacement_m + displacement, 0.0 * point.force_n)
+            position = patch.position(
+                point.displacement_m + displacement, np.zeros_like(point.force_n)
+            )
             response = self.problem.respond(patch.marker, position, lag)
         return _Step(displacement, -point.force_n, position, response, lag, largest, slope)
 

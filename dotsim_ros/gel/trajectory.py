@@ -125,7 +125,7 @@ class Recorder:
         gel = self.gel
 
         def forces(displacement_m: Array) -> Array:
-            return elastic_forces(gel, displacement_m, inertia, environment)
+            return gel.elastic(displacement_m, inertia, environment)[1]
 
         def stiffness(displacement_m: Array) -> sparse.csr_matrix:
             return elastic_stiffness(gel, displacement_m, inertia, environment)
@@ -162,22 +162,10 @@ def _present(pressure_pa: Array) -> Lag:
     return Lag(pressure_pa, np.zeros((len(pressure_pa), 3)))
 
 
-def elastic_forces(
-    gel: ImplicitGel, displacement_m: Array, inertia: Inertia | None, environment: int
-) -> Array:
-    """Return the nodal forces (N, 3) of elasticity and inertia at displacements (N, 3)."""
-    batch = np.zeros((gel.environment_count, *displacement_m.shape))
-    batch[environment] = displacement_m
-    result: Array = gel.body.force(batch)[1][environment]
-    if inertia is not None:
-        result = result + inertia.stiffness @ (displacement_m - inertia.predicted_m)
-    return result
-
-
 def elastic_stiffness(
     gel: ImplicitGel, displacement_m: Array, inertia: Inertia | None, environment: int
 ) -> sparse.csr_matrix:
-    """Return the derivative (3 N, 3 N) of `elastic_forces`."""
+    """Return the derivative (3 N, 3 N) of the forces of elasticity and inertia."""
     result = gel.body.stiffness(displacement_m, environment)
     if inertia is not None:
         result = result + sparse.kron(inertia.stiffness, sparse.eye(3))

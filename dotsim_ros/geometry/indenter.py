@@ -26,6 +26,8 @@ MAXIMUM_EXTENT_M = 0.2
 MINIMUM_EXTENT_M = 2.0e-4
 MAXIMUM_TRIANGLE_COUNT = 2_000_000
 GRID_MARGIN_M = 0.004
+LARGEST_LEVER_M = 0.02
+"""Points farther from an indenter's tip do not count where it turns."""
 
 AwayAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
@@ -456,6 +458,15 @@ def _primitive_bounds(
         case _:
             raise ValueError(f"{kind!r} is no primitive")
     return np.array([-half[0], -half[1], 0.0]), np.array([half[0], half[1], height])
+
+
+def way_m(start: Pose, end: Pose, indenter: Indenter) -> float:
+    """Return how far an indenter's points move at most between two poses, roughly."""
+    cosine = abs(float(start.quaternion_xyzw @ end.quaternion_xyzw))
+    turn = 2.0 * np.arccos(min(1.0, cosine))
+    radius = 0.5 * float(np.linalg.norm(np.ptp(indenter.bounds_m(), axis=0)))
+    shift = float(np.linalg.norm(end.position_m - start.position_m))
+    return shift + float(turn) * min(radius, LARGEST_LEVER_M)
 
 
 _PRIMITIVE_DISTANCE: dict[IndenterKind, Callable[..., FloatArray]] = {

@@ -2,25 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import FloatArray, Pose, interpolate
 
 TOUCH_M = 0.05e-3
 """Closer to the skin than this the free way ends."""
 FREE_STEP_COUNT = 32
 """A way that grazes the skin is looked at no more often."""
-LARGEST_LEVER_M = 0.02
-
-
-def way_m(start: Pose, end: Pose, indenter: Indenter) -> float:
-    """Return how far an indenter's points move at most between two poses, roughly."""
-    cosine = abs(float(start.quaternion_xyzw @ end.quaternion_xyzw))
-    turn = 2.0 * np.arccos(min(1.0, cosine))
-    radius = 0.5 * float(np.linalg.norm(np.ptp(indenter.bounds_m(), axis=0)))
-    shift = float(np.linalg.norm(end.position_m - start.position_m))
-    return shift + float(turn) * min(radius, LARGEST_LEVER_M)
 
 
 def clearance_m(pose: Pose, indenter: Indenter, skin_position_m: FloatArray) -> float:
