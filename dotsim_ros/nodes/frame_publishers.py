@@ -14,7 +14,6 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
-from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.nodes.framing import Framing, encoded_pixels
 from dotsim_ros.nodes.tactile_parameters import TactileSimParameters
 
@@ -119,7 +118,7 @@ class FramePublishers:
             self._points.publish(
                 msg_adapters.encode_cloud(
                     skin_m,
-                    normal=vertex_normals(skin_m, self._sensor.skin.triangles),
+                    normal=moment.skin_normal(),
                     displacement_m=skin_m - rest_m,
                     **base,
                 )

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.nodes.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.motion import NANOSECONDS_PER_SECOND, Motion
 from dotsim_ros.nodes.pursuit import pursue
@@ -41,6 +42,12 @@ class Moment:
         if self._frame is None:
             self._frame = self._sensor.see(self.gel, self.pose)
         return self._frame
+
+    def skin_normal(self) -> FloatArray:
+        """Return (V, 3) unit normals of the skin, out of the gel, base frame."""
+        if self._frame is not None:
+            return self._frame.skin_normal
+        return vertex_normals(self.gel.skin_position_m, self._sensor.skin.triangles)
 
     @property
     def timings_s(self) -> dict[str, float]:

@@ -111,7 +111,8 @@ class TactileSimParameters:
     )
     idle_image: str = option(
         "",
-        "Image of the real sensor at rest, to be carried by the gel; empty: the sensor's own.",
+        "Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
+        "beside it may describe it. Empty: the sensor's own.",
         read_only=True,
     )
     compression: str = option("jpeg", "Format of image_raw/compressed.", choices=("jpeg", "png"))

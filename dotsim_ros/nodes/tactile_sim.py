@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from pathlib import Path
 from threading import Event, RLock, Thread
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
@@ -115,6 +114,11 @@ class TactileSim(WorkingNode):
 
     def _make_sensor(self) -> TactileSensor:
         specification = load_sensor(self._settings.sensor)
+        if self._settings.idle_image:
+            camera = replace(
+                specification.camera, idle_image=str(Path(self._settings.idle_image).absolute())
+            )
+            specification = replace(specification, camera=camera)
         if self._is_realtime:
             effort = min(REALTIME_ITERATIONS, specification.solver.iterations)
             solver = replace(specification.solver, iterations=effort)
@@ -125,8 +129,6 @@ class TactileSim(WorkingNode):
             device=self._settings.device,
             progress=self._tell_progress,
         )
-        if self._settings.idle_image:
-            sensor.set_idle_image(read_rgb(self._settings.idle_image))
         return sensor
 
     def _tell_progress(self, share: float) -> None:
@@ -275,18 +277,6 @@ def indenter_of(text: str) -> Indenter:
     except yaml.YAMLError as error:
         raise ValueError(f"indenter {text!r} is no definition in braces: {error}") from error
     return load_indenter(definition)
-
-
-def read_rgb(path: str) -> NDArray[np.uint8]:
-    """Return an image file as (H, W, 3) uint8 RGB.
-
-    Raises:
-        ValueError: no file, or no image that OpenCV reads.
-    """
-    pixels = cv2.imread(path, cv2.IMREAD_COLOR)
-    if pixels is None:
-        raise ValueError(f"{path}: no image that can be read; expected a PNG or JPEG file")
-    return np.ascontiguousarray(pixels[..., ::-1], dtype=np.uint8)
 
 
 def main() -> int:

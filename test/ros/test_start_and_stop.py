@@ -26,7 +26,7 @@ def test_sigint_ends_it_with_status_0(count: int) -> None:
         ({"sensor": "no_such_sensor"}, "no_such_sensor"),
         ({"indenter": "/no/such/mesh.stl"}, "no mesh file"),
         ({"base_frame": "indenter"}, "must differ"),
-        ({"idle_image": "/no/such/image.png"}, "no image that can be read"),
+        ({"idle_image": "/no/such/image.png"}, "no idle image /no/such/image.png"),
     ],
 )
 def test_a_start_that_cannot_work_is_refused_with_the_reason(
