@@ -1,0 +1,120 @@
+"""Which frames a model of images is fitted on, and which it is judged on.
+
+Three levels as the paper draws them: easy (the first and the third indenter, 80 % to fit on and
+20 % to judge on), medium (all indenters, likewise) and hard (the first and the third indenter are
+judged, all others fitted on). Each is drawn twice:
+
+- by frame: single frames are drawn. The frames before and after a judged one are then mostly among
+  those fitted on and show nearly the same image, so the judged ones leak.
+- by trajectory: whole trajectories are drawn, and no frame of a judged one is fitted on.
+
+Hard separates indenters, and with them trajectories: its two draws are the same set.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+LEVELS = ("easy", "medium", "hard")
+WAYS = ("by_frame", "by_trajectory")
+UNSEEN_RANKS = (0, 2)
+"""Places, among the sorted names of the indenters, of the two that easy takes and hard leaves."""
+TEST_SHARE = 0.2
+
+FrameKey = tuple[str, int]
+"""Name of a trajectory, and the number of a frame in it."""
+
+
+class Recorded(Protocol):
+    """A trajectory, as far as drawing needs it."""
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+
+    @property
+    def indenter(self) -> str:
+        """Its indenter's name."""
+
+    @property
+    def frame_count(self) -> int:
+        """How many frames it has."""
+
+
+@dataclass(frozen=True)
+class OpticalSplit:
+    """Frames to fit on and to judge on, each sorted.
+
+    Attributes:
+        level: one of `LEVELS`.
+        way: one of `WAYS`.
+        train, test: (name of the trajectory, number of the frame).
+    """
+
+    level: str
+    way: str
+    train: tuple[FrameKey, ...]
+    test: tuple[FrameKey, ...]
+
+
+def optical_splits(
+    trajectories: Iterable[Recorded], *, seed: int = 0
+) -> dict[str, dict[str, OpticalSplit]]:
+    """Return the splits by level and way; the order of the trajectories does not matter.
+
+    Args:
+        trajectories: those that hold images.
+        seed: of the draws.
+
+    Raises:
+        ValueError: a name twice, or fewer than three indenters.
+    """
+    ordered = sorted(trajectories, key=lambda trajectory: trajectory.name)
+    names = [trajectory.name for trajectory in ordered]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ValueError(f"names of trajectories must differ, got {', '.join(twice)} twice")
+    indenters = sorted({trajectory.indenter for trajectory in ordered})
+    if len(indenters) <= max(UNSEEN_RANKS):
+        raise ValueError(
+            "the splits leave two indenters out, so three are needed at least; got "
+            f"{', '.join(indenters) or 'none'}"
+        )
+    unseen = {indenters[rank] for rank in UNSEEN_RANKS}
+    apart = [trajectory for trajectory in ordered if trajectory.indenter in unseen]
+    others = [trajectory for trajectory in ordered if trajectory.indenter not in unseen]
+    drawn = {"easy": apart, "medium": ordered}
+    splits = {
+        level: {way: _draw(level, way, members, seed) for way in WAYS}
+        for level, members in drawn.items()
+    }
+    splits["hard"] = {
+        way: OpticalSplit("hard", way, _frames(others), _frames(apart)) for way in WAYS
+    }
+    return splits
+
+
+def _frames(trajectories: Iterable[Recorded]) -> tuple[FrameKey, ...]:
+    return tuple((t.name, frame) for t in trajectories for frame in range(t.frame_count))
+
+
+def _draw(level: str, way: str, members: Sequence[Recorded], seed: int) -> OpticalSplit:
+    frames = _frames(members)
+    # Each draw has a stream of its own, so that one level's data does not shift another's.
+    random = np.random.default_rng([seed, LEVELS.index(level), WAYS.index(way)])
+    if way == "by_frame":
+        test = {frames[index] for index in _drawn(random, len(frames))}
+    else:
+        chosen = {members[index].name for index in _drawn(random, len(members))}
+        test = {frame for frame in frames if frame[0] in chosen}
+    train = tuple(frame for frame in frames if frame not in test)
+    return OpticalSplit(level, way, train, tuple(sorted(test)))
+
+
+def _drawn(random: np.random.Generator, count: int) -> list[int]:
+    size = int(np.ceil(TEST_SHARE * count - 1e-9))
+    return [int(index) for index in random.choice(count, size=size, replace=False)]
