@@ -230,8 +230,23 @@ def load_sensor(source: str | Path) -> SensorSpecification:
         document = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:
         raise ValueError(f"{path} is not valid YAML: {error}") from error
+    return sensor_from(document, str(path), name=path.stem)
+
+
+def sensor_from(document: Any, source: str, *, name: str = "") -> SensorSpecification:
+    """Return the sensor of a mapping of sections as a sensor's YAML file holds them.
+
+    Args:
+        document: the mapping.
+        source: where it comes from, for messages.
+        name: of a sensor whose mapping gives none.
+
+    Raises:
+        ValueError: it is no mapping, or an entry is unknown, of the wrong type or out of range;
+            the message names it.
+    """
     if not isinstance(document, dict):
-        raise ValueError(f"{path} holds no mapping; see params/sensors/densetact2.yaml")
+        raise ValueError(f"{source} holds no mapping; see params/sensors/densetact2.yaml")
     kinds: dict[str, type[Any]] = {
         "gel": GelSpecification,
         "material": MaterialSpecification,
@@ -241,9 +256,9 @@ def load_sensor(source: str | Path) -> SensorSpecification:
     }
     unknown = sorted(set(document) - set(kinds) - {"name"})
     if unknown:
-        raise ValueError(f"{path}: unknown sections {unknown}; known are {sorted(kinds)}")
+        raise ValueError(f"{source}: unknown sections {unknown}; known are {sorted(kinds)}")
     sections = {
-        name: _section(kind, name, document.get(name) or {}, str(path))
-        for name, kind in kinds.items()
+        section: _section(kind, section, document.get(section) or {}, source)
+        for section, kind in kinds.items()
     }
-    return SensorSpecification(name=str(document.get("name", path.stem)), **sections)
+    return SensorSpecification(name=str(document.get("name", name)), **sections)
