@@ -52,6 +52,8 @@ class FrameScore:
         contact_m: likewise over the contact region; NaN where nothing is in contact.
         vertex_m: root mean square, over the area, of how far each measured vertex is from where it
             is predicted to be (with what slides along the surface).
+        inside_m: root mean square, over the contact region, of how deep the measured skin lies in
+            the indenter: no surface that stays outside of the indenter has a smaller contact_m.
         normal: (3,) mean outward unit normal, at rest, of the skin in contact.
         measured_n, predicted_n: (3,) forces; None where there is none.
     """
@@ -63,6 +65,7 @@ class FrameScore:
     skin_m: float
     contact_m: float
     vertex_m: float
+    inside_m: float
     normal: FloatArray
     measured_n: FloatArray | None
     predicted_n: FloatArray | None
@@ -135,10 +138,15 @@ def judged_frames(
     return np.flatnonzero(tip_depth_m(skin, press.poses) >= from_depth_m)
 
 
+def indenter_distance_m(measured_m: FloatArray, pose: Pose, indenter: Indenter) -> FloatArray:
+    """Return how far (V,) measured vertices (V, 3) lie from the indenter, negative in it."""
+    local = (measured_m - pose.position_m) @ pose.rotation()
+    return np.asarray(indenter.signed_distance(local), dtype=np.float64)
+
+
 def contact_region(measured_m: FloatArray, pose: Pose, indenter: Indenter) -> BoolArray:
     """Return which measured vertices (V, 3) lie within 0.5 mm of the indenter, or in it."""
-    local = (measured_m - pose.position_m) @ pose.rotation()
-    return np.asarray(indenter.signed_distance(local) < CONTACT_REACH_M)
+    return np.asarray(indenter_distance_m(measured_m, pose, indenter) < CONTACT_REACH_M)
 
 
 def _measured_skin(press: Press, skin: SkinMesh) -> FloatArray:
@@ -206,7 +214,9 @@ def score_press(
     scores = []
     for frame in judged_frames(press, skin, from_depth_m=from_depth_m).tolist():
         predicted = prediction.skin_position_m[frame]
-        region = contact_region(measured[frame], press.poses[frame], indenter)
+        distance = indenter_distance_m(measured[frame], press.poses[frame], indenter)
+        region = distance < CONTACT_REACH_M
+        inside = np.maximum(0.0, -distance[region])
         skin_m, contact_m = surface_errors(measured[frame], predicted, region, skin)
         scores.append(
             FrameScore(
@@ -220,6 +230,7 @@ def score_press(
                 skin_m=skin_m,
                 contact_m=contact_m,
                 vertex_m=weighted_rms(np.linalg.norm(predicted - measured[frame], axis=1), area),
+                inside_m=weighted_rms(inside, area[region]) if region.any() else np.nan,
                 normal=_mean_normal(rest_normal, area * region, press.poses[frame]),
                 measured_n=None if press.force_n is None else press.force_n[frame],
                 predicted_n=None if prediction.force_n is None else prediction.force_n[frame],

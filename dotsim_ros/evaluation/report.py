@@ -193,9 +193,11 @@ def _figures(scores: Sequence[FrameScore], noise: Noise | None) -> dict[str, Any
 def _noise_figures(scores: Sequence[FrameScore], noise: Noise) -> dict[str, float | None]:
     """Return what the noise of the measurement alone makes of the figures without samples."""
     forces = [score.measured_n for score in scores if score.measured_n is not None]
+    inside = [score.inside_m for score in scores if np.isfinite(score.inside_m)]
+    embedded_m = float(np.sqrt(np.mean(np.square(inside)))) if inside else 0.0
     floor: dict[str, float | None] = {
         "skin_rms_mm": 1e3 * noise.skin_rms_m,
-        "contact_rms_mm": 1e3 * noise.skin_rms_m,
+        "contact_rms_mm": 1e3 * max(noise.skin_rms_m, embedded_m),
         "vertex_rms_mm": 1e3 * noise.vertex_rms_m,
     }
     if forces:
@@ -246,7 +248,9 @@ def definitions(from_depth_m: float) -> dict[str, str]:
         ),
         "floor": (
             "of the samples: the measured surface against itself, drawn anew; of the others: what "
-            "was measured before anything touched, against the skin at rest and no force"
+            "was measured before anything touched, against the skin at rest and no force; of the "
+            "contact region how deep the measured skin lies in the indenter, where that is more: "
+            "no surface outside of the indenter is nearer to it"
         ),
     }
 

@@ -256,6 +256,22 @@ def test_floor_is_that_of_the_samples() -> None:
     assert floor.skin_rms_mm == 0.0
 
 
+def test_no_surface_outside_of_the_indenter_is_nearer_than_the_measured_skin_lies_in_it() -> None:
+    rigid = perfect(press()).skin_position_m
+    deeper = press(skin_position_m=np.stack([dented(max(0.0, d - 1e-4)) for d in DEPTHS_M]))
+    scores = score_press(deeper, Prediction(rigid), BALL, SKIN)
+    assert len(scores) == 2
+    for score in scores:
+        # 0.1 mm deep at the tip, less at the rim, none where the skin is free.
+        assert 2e-5 < score.inside_m < 1e-4
+        # The triangles of the predicted skin cut a little into the ball between their corners.
+        assert score.contact_m > 0.8 * score.inside_m
+    assert all(
+        score.inside_m < 1e-6
+        for score in score_press(press(skin_position_m=rigid), Prediction(rigid), BALL, SKIN)
+    )
+
+
 def test_a_skin_that_stays_at_rest_is_wrong_in_the_contact() -> None:
     rest = Prediction(np.tile(SKIN.rest_position_m, (4, 1, 1)))
     still, right = (
