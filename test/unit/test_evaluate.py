@@ -256,20 +256,20 @@ def test_floor_is_that_of_the_samples() -> None:
     assert floor.skin_rms_mm == 0.0
 
 
-def test_no_surface_outside_of_the_indenter_is_nearer_than_the_measured_skin_lies_in_it() -> None:
+def test_depth_of_the_measured_skin_in_the_indenter_is_told() -> None:
     rigid = perfect(press()).skin_position_m
-    deeper = press(skin_position_m=np.stack([dented(max(0.0, d - 1e-4)) for d in DEPTHS_M]))
-    scores = score_press(deeper, Prediction(rigid), BALL, SKIN)
-    assert len(scores) == 2
+    shallow = np.stack([dented(max(0.0, depth - 3e-4)) for depth in DEPTHS_M])
+    scores = score_press(press(skin_position_m=shallow), Prediction(rigid), BALL, SKIN)
     for score in scores:
-        # 0.1 mm deep at the tip, less at the rim, none where the skin is free.
-        assert 2e-5 < score.inside_m < 1e-4
-        # The triangles of the predicted skin cut a little into the ball between their corners.
-        assert score.contact_m > 0.8 * score.inside_m
-    assert all(
-        score.inside_m < 1e-6
-        for score in score_press(press(skin_position_m=rigid), Prediction(rigid), BALL, SKIN)
-    )
+        centre = np.array([0.0, 0.0, RADIUS_M - DEPTHS_M[score.frame] + 0.004])
+        distance = np.linalg.norm(shallow[score.frame] - centre, axis=1) - 0.004
+        region = distance < 0.5e-3
+        depth = np.maximum(0.0, -distance[region])
+        area = SKIN.rest_area_m2[region]
+        assert depth.max() == pytest.approx(3e-4, rel=0.05)
+        assert score.inside_m == pytest.approx(np.sqrt(np.sum(area * depth**2) / area.sum()))
+    clear = score_press(press(skin_position_m=rigid), Prediction(rigid), BALL, SKIN)
+    assert all(score.inside_m < 1e-6 for score in clear)
 
 
 def test_a_skin_that_stays_at_rest_is_wrong_in_the_contact() -> None:
