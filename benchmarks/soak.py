@@ -29,6 +29,7 @@ from dotsim_ros.nodes.processes import NodeProcess
 
 RATE_HZ = 25.0
 START_TIMEOUT_S = 300.0
+DISCOVERY_TIMEOUT_S = 30.0
 LAST_FRAME_TIMEOUT_S = 10.0
 # The publisher keeps five images for a slow reader.
 MOST_IN_FLIGHT = 4
@@ -75,8 +76,14 @@ def soak(minutes: float) -> dict[str, Any]:
         )
         executor = SingleThreadedExecutor()
         executor.add_node(node)
+        given_up_s = time.monotonic() + DISCOVERY_TIMEOUT_S
         while publisher.get_subscription_count() == 0:
             executor.spin_once(timeout_sec=0.1)
+            if time.monotonic() > given_up_s:
+                raise OSError(
+                    "nobody reads the poses: the node is ready but not found; check ROS_DOMAIN_ID "
+                    "and the network settings of both"
+                )
         time.sleep(1.0)
 
         press = press_hold_release(Site(), depth_m=0.002, hold_s=0.2)
