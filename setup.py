@@ -27,6 +27,11 @@ TEST = [
     # pytest 9 breaks the launch_testing plugin of ROS 2 Jazzy
     "pytest<9",
 ]
+LEARNING = [
+    "onnxscript>=0.5",
+    "torch>=2.9",
+    "torchvision>=0.24",
+]
 DEVELOPMENT = [
     "colcon-common-extensions",
     "mypy",
@@ -76,11 +81,12 @@ setup(
         "pillow>=9.4",
         "PyYAML>=6.0",
         "rosbags>=0.10.7",
+        "safetensors>=0.4",
         "scipy>=1.11",
         "trimesh>=4.0",
         "warp-lang>=1.10",
     ],
-    extras_require={"ros": ROS, "test": TEST, "dev": DEVELOPMENT},
+    extras_require={"ros": ROS, "learning": LEARNING, "test": TEST, "dev": DEVELOPMENT},
     entry_points={
         "console_scripts": [
             "calibrate = dotsim_ros.nodes.calibrate:main",

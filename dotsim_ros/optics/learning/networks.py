@@ -1,0 +1,215 @@
+"""Networks from what the camera sees of the gel to an image: one interface, four kinds.
+
+Every network maps `frame` (N, 7, h, w) and `rest` (N or 1, 10, h, w), laid out as in
+`dotsim_ros.optics.network_input`, to what is to be added (N, 3, h, w), in units of 255 grey levels,
+to its base: the carried image, the idle frame, or nothing.
+
+- `paper`: DeepLabV3 with a ResNet-50 (Chen et al., "Rethinking Atrous Convolution for Semantic
+  Image Segmentation", 2017) from normals and depth, added to the idle frame, as
+  DOT-Sim publishes it, but from random weights: the backbone's pretrained ones are not used.
+- `paper_direct`: the same network giving the image itself, its ablation.
+- `unet`: the same input and base by a U-Net (Ronneberger et al., 2015), which DOT-Sim's text names.
+- `ours`: `LocalModel`, below, added to the carried image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+GEOMETRY = slice(0, 4)
+CARRIED = slice(4, 7)
+PLACE = slice(7, 9)
+FADE = slice(9, 10)
+
+ENTRY_STRIDE = 4
+COEFFICIENTS = 9
+"""Of the local model: a gain and an offset for each colour, a shift in x and y, a sharpening."""
+
+
+class DeepLab(nn.Module):
+    """DeepLabV3-ResNet50 of torchvision with four channels in and three out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        from torchvision.models.segmentation import deeplabv3_resnet50
+
+        self.body = deeplabv3_resnet50(weights=None, weights_backbone=None, num_classes=3)
+        self.body.backbone["conv1"] = nn.Conv2d(4, 64, 7, stride=2, padding=3, bias=False)
+
+    def forward(self, frame: Tensor, rest: Tensor) -> Tensor:
+        """Return what is to be added to the base; `rest` plays no part."""
+        return self.body(frame[:, GEOMETRY])["out"]
+
+
+def _double_convolution(inputs: int, outputs: int) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Conv2d(inputs, outputs, 3, padding=1, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+        nn.Conv2d(outputs, outputs, 3, padding=1, bias=False),
+        nn.BatchNorm2d(outputs),
+        nn.ReLU(inplace=True),
+    )
+
+
+class UNet(nn.Module):
+    """A U-Net of four levels on normals and depth.
+
+    Args:
+        width: channels at full resolution; each level below has twice as many.
+    """
+
+    def __init__(self, width: int = 32) -> None:
+        super().__init__()
+        widths = [width, 2 * width, 4 * width, 8 * width]
+        self.down = nn.ModuleList(
+            _double_convolution(a, b) for a, b in zip([4, *widths], widths, strict=False)
+        )
+        self.up = nn.ModuleList(
+            _double_convolution(a + b, a)
+            for a, b in zip(widths[-2::-1], widths[:0:-1], strict=True)
+        )
+        self.out = nn.Conv2d(width, 3, 1)
+
+    def forward(self, frame: Tensor, rest: Tensor) -> Tensor:
+        """Return what is to be added to the base; `rest` plays no part."""
+        x = frame[:, GEOMETRY]
+        levels: list[Tensor] = []
+        for block in self.down:
+            x = block(functional.max_pool2d(x, 2) if levels else x)
+            levels.append(x)
+        for block, level in zip(self.up, levels[-2::-1], strict=True):
+            x = functional.interpolate(x, size=level.shape[2:], mode="bilinear")
+            x = block(torch.cat([level, x], dim=1))
+        return self.out(x)
+
+
+class Block(nn.Module):
+    """Two convolutions beside an identity."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(width, width, 3, padding=1)
+        self.second = nn.Conv2d(width, width, 3, padding=1)
+        nn.init.zeros_(self.second.weight)
+        nn.init.zeros_(self.second.bias)  # type: ignore[arg-type]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return features of the same shape."""
+        return x + self.second(functional.relu(self.first(functional.relu(x))))
+
+
+class LocalModel(nn.Module):
+    """A local linear model of the image, whose coefficients a small network reads off the geometry.
+
+    What shading does to a coat is to multiply its colours by a gain that varies slowly, what light
+    scattered or reflected does is to add to them, what an error of the simulated motion does is to
+    shift the pattern, and where the shift is uncertain the best guess is a blurred pattern. So
+
+        added = gain * c + offset + x_shift * dc/dx + y_shift * dc/dy + sharpening * laplacian(c)
+
+    with c the carried image, and nine coefficients that a network gives at half the resolution from
+    normals, depth, their change against rest, the place, and the carried and the idle image. The
+    pattern itself never needs to be learned, so few frames suffice. Everything is multiplied by a
+    measure of whether anything has moved, exactly zero at rest, and by the fade of the lit disc.
+
+    Args:
+        width: channels at an eighth of the resolution; half as many at a quarter.
+    """
+
+    def __init__(self, width: int = 64) -> None:
+        super().__init__()
+        half = width // 2
+        # geometry, its change, place, fade, carried image and its change
+        channels = 4 + 4 + 3 + 3 + 3
+        self.entry = nn.Conv2d(channels * (ENTRY_STRIDE // 2) ** 2, half, 1)
+        self.fine = Block(half)
+        self.down = nn.Conv2d(half, width, 2, stride=2)
+        self.middle = nn.Sequential(Block(width), Block(width))
+        self.deeper = nn.Conv2d(width, width, 2, stride=2)
+        self.deep = nn.Sequential(Block(width), Block(width))
+        self.up_deep = nn.Conv2d(width, width, 1)
+        self.up = nn.Conv2d(width, half, 1)
+        self.last = Block(half)
+        self.head = nn.Conv2d(half, COEFFICIENTS * (ENTRY_STRIDE // 2) ** 2, 1)
+        nn.init.zeros_(self.head.weight)
+        nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
+
+    def coefficients(self, frame: Tensor, rest: Tensor) -> Tensor:
+        """Return (N, 9, h / 2, w / 2) the local model's coefficients."""
+        rest = rest.expand(frame.shape[0], -1, -1, -1)
+        change = frame - rest[:, :7]
+        given = torch.cat(
+            [
+                2.0 * frame[:, GEOMETRY] - 1.0,
+                CHANGE_SCALE * change[:, GEOMETRY],
+                rest[:, PLACE.start : FADE.stop],
+                frame[:, CARRIED],
+                change[:, CARRIED],
+            ],
+            dim=1,
+        )
+        given = functional.avg_pool2d(given, 2)
+        x = self.fine(self.entry(functional.pixel_unshuffle(given, ENTRY_STRIDE // 2)))
+        middle = self.middle(self.down(x))
+        deep = self.deep(self.deeper(middle))
+        middle = middle + functional.interpolate(
+            self.up_deep(deep), size=middle.shape[2:], mode="bilinear"
+        )
+        x = x + functional.interpolate(self.up(middle), size=x.shape[2:], mode="bilinear")
+        return functional.pixel_shuffle(self.head(functional.relu(self.last(x))), ENTRY_STRIDE // 2)
+
+    def forward(self, frame: Tensor, rest: Tensor) -> Tensor:
+        """Return what is to be added to the carried image; exactly 0 at rest."""
+        coefficient = functional.interpolate(
+            self.coefficients(frame, rest), scale_factor=2, mode="bilinear"
+        )
+        image = frame[:, CARRIED]
+        padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
+        left, right = padded[:, :, 1:-1, :-2], padded[:, :, 1:-1, 2:]
+        above, below = padded[:, :, :-2, 1:-1], padded[:, :, 2:, 1:-1]
+        laplacian = left + right + above + below - 4.0 * image
+        added = (
+            coefficient[:, 0:3] * image
+            + 0.3 * coefficient[:, 3:6]
+            + coefficient[:, 6:7] * (right - left)
+            + coefficient[:, 7:8] * (below - above)
+            + coefficient[:, 8:9] * laplacian
+        )
+        return added * moved(frame, rest) * rest[:, FADE]
+
+
+CHANGE_SCALE = 4.0
+MOVED_SHARE = 2e-6
+"""Mean square change of the depth, as a share of the depth, at which half of what is learned acts:
+0.1 mm of tip depth on a dome."""
+
+
+def moved(frame: Tensor, rest: Tensor) -> Tensor:
+    """Return (N, 1, 1, 1) from 0 where nothing has moved, exactly, to 1 in a press."""
+    change = frame[:, 3:4] - rest[:, 3:4]
+    square = torch.mean(change * change, dim=(1, 2, 3), keepdim=True)
+    return square / (square + MOVED_SHARE)
+
+
+KINDS: dict[str, Callable[[], nn.Module]] = {
+    "ours": LocalModel,
+    "paper": DeepLab,
+    "paper_direct": DeepLab,
+    "unet": UNet,
+}
+
+
+def make_network(kind: str) -> nn.Module:
+    """Return an untrained network.
+
+    Raises:
+        ValueError: no such kind.
+    """
+    if kind not in KINDS:
+        raise ValueError(f"network {kind!r} is none of {', '.join(sorted(KINDS))}")
+    return KINDS[kind]()

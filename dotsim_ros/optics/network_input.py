@@ -1,0 +1,130 @@
+"""What a network of images is given: geometry and carried image of a frame, beside those at rest.
+
+Two arrays, channels first, all values of order one:
+
+- `frame` (7, h, w): unit normal mapped from [-1, 1] to [0, 1] (3), distance along the ray over the
+  largest at rest (1), carried image over 255 (3);
+- `rest` (10, h, w): the same of the gel untouched, with the idle frame in place of the carried
+  image (7), the pixel's place x and y from the principal point over half the height (2), and a
+  weight that fades from 1 inside the lit disc to 0 at its rim (1).
+
+Where no skin is seen the geometry is 0 in both. At rest `frame` equals the first seven channels of
+`rest` to the last bit, whatever the resolution, so a network can tell that nothing has moved.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.idle import BoolArray, ByteImage
+
+Float32Array = NDArray[np.float32]
+
+FRAME_CHANNELS = 7
+REST_CHANNELS = 10
+FADE_PX = 3.0
+"""Width of the rim, in the network's pixels, over which its output fades to nothing."""
+
+
+class SeenAtRest(Protocol):
+    """What the camera sees of the gel untouched; see `dotsim_ros.optics.frames.Rest`."""
+
+    @property
+    def idle(self) -> ByteImage:
+        """(H, W, 3) the idle frame."""
+
+    @property
+    def depth_m(self) -> Float32Array:
+        """(H, W) distance along the ray; NaN where no skin is seen."""
+
+    @property
+    def normal(self) -> Float32Array:
+        """(H, W, 3) unit normal in the optical frame."""
+
+    @property
+    def lit(self) -> BoolArray:
+        """(H, W) the lit disc."""
+
+
+Pixels = TypeVar("Pixels", np.uint8, np.float32)
+
+
+def resized(array: NDArray[Pixels], size: tuple[int, int]) -> NDArray[Pixels]:
+    """Return an image (H, W[, C]) at another size (width, height): means of what a pixel covers
+    where it shrinks, linear interpolation where it grows."""
+    if (array.shape[1], array.shape[0]) == size:
+        return array
+    shrinks = size[0] < array.shape[1]
+    interpolation = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(array, size, interpolation=interpolation), dtype=array.dtype)
+
+
+class NetworkInput:
+    """Brings what a camera sees to the size and the units of a network.
+
+    Args:
+        rest: of the gel untouched.
+        camera: of the same size as `rest`.
+        size: width and height of the network's images.
+
+    Attributes:
+        rest: (10, h, w) the input that stays.
+        size: width and height of the network's images.
+
+    Raises:
+        ValueError: `rest` is not of the camera's size, or the network's images have another aspect
+            ratio.
+    """
+
+    def __init__(self, rest: SeenAtRest, camera: FisheyeCamera, size: tuple[int, int]) -> None:
+        if rest.depth_m.shape != (camera.height, camera.width):
+            raise ValueError(
+                f"the gel at rest is seen at {rest.depth_m.shape[1]}x{rest.depth_m.shape[0]}, "
+                f"expected {camera.width}x{camera.height} as the camera"
+            )
+        self.size = size
+        self._depth_scale = np.float32(1.0 / np.nanmax(rest.depth_m))
+        small = camera.scaled(*size)
+        x, y = np.meshgrid(
+            np.arange(size[0], dtype=np.float32), np.arange(size[1], dtype=np.float32)
+        )
+        centre_x, centre_y = small.principal_point_px
+        half = 0.5 * size[1]
+        lit = resized(rest.lit.astype(np.uint8), size)
+        distance = cv2.distanceTransform(lit, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        fade = np.clip(distance / FADE_PX, 0.0, 1.0)
+        self.rest = np.concatenate(
+            [
+                self.frame(rest.depth_m, rest.normal, rest.idle),
+                np.stack([(x - centre_x) / half, (y - centre_y) / half, fade]),
+            ]
+        ).astype(np.float32)
+
+    def frame(
+        self, depth_m: Float32Array, normal: Float32Array, carried: ByteImage
+    ) -> Float32Array:
+        """Return the input (7, h, w) of one frame.
+
+        Args:
+            depth_m: (H, W) distance along the ray; NaN where no skin is seen.
+            normal: (H, W, 3) unit normal in the optical frame.
+            carried: (H, W, 3) uint8.
+        """
+        width, height = self.size
+        frame = np.empty((FRAME_CHANNELS, height, width), dtype=np.float32)
+        small = resized(normal, self.size)
+        for channel in range(3):
+            np.multiply(small[..., channel], 0.5, out=frame[channel])
+        frame[:3] += 0.5
+        np.multiply(resized(depth_m, self.size), self._depth_scale, out=frame[3])
+        # cv2 does it in place, on two dimensions.
+        cv2.patchNaNs(frame[:4].reshape(4 * height, width), 0.0)
+        image = resized(carried, self.size)
+        for channel in range(3):
+            np.multiply(image[..., channel], np.float32(1.0 / 255.0), out=frame[4 + channel])
+        return frame
