@@ -1,0 +1,160 @@
+"""Taxim's image: a table over the skin's slope, each entry a polynomial of the pixel's position.
+
+Si, Yuan: "Taxim: An Example-Based Simulation Model for GelSight Tactile Sensors", RA-L 7(2), 2022
+(arXiv 2109.04027). The gradient of the height map, as magnitude and direction, names an entry of a
+table of 125 by 125; an entry holds, for each colour, the six coefficients of a polynomial of second
+degree of the pixel's position, which gives the change of the colour against the image without
+contact. It is fitted by least squares on presses with known shape; entries that no pixel fell into
+take those of their neighbours.
+
+The paper's gel is flat. Here the normal is turned first by the rotation that takes the normal of
+the same pixel at rest to a flat gel's, so that the gradient is zero at rest. The magnitude is told
+as the angle of the slope. The paper's shadows, from a second table measured with single pins, are
+left out, as no such presses exist.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dotsim_ros.baselines.optics.pixels import (
+    PixelGrid,
+    PixelSamples,
+    draw_pixels,
+    pixel_grid,
+)
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.frames import OpticalPress, Rest
+
+ByteImage = NDArray[np.uint8]
+Float32Array = NDArray[np.float32]
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+PUBLISHED_BINS = 125
+CANDIDATE_BINS = (8, 16, 32, 64, PUBLISHED_BINS)
+"""Numbers of bins each way, of which the best on held-back presses is taken."""
+SAMPLES = 4_000_000
+TERMS = 6
+LEAST_PIXELS = 30
+"""Pixels below which an entry takes its neighbours' polynomial: five for each coefficient."""
+RIDGE = 1e-3
+"""Share of a pixel's weight that pulls the coefficients to zero, so that each entry has one."""
+HELD_BACK = 4
+"""Every fourth press is held back to choose the number of bins."""
+
+
+def polynomial_terms(position: Float32Array) -> FloatArray:
+    """Return (N, 6) terms of second degree of positions (N, 2)."""
+    x, y = position[:, 0].astype(np.float64), position[:, 1].astype(np.float64)
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+
+
+def slope_bins(relative: Float32Array, bins: int) -> IntArray:
+    """Return (N,) the entry of the table for normals (N, 3) relative to rest.
+
+    Args:
+        relative: as `pixels.relative_normal`; at rest (0, 0, -1).
+        bins: number of bins of the slope's angle, 0 to a right angle, and of its direction.
+    """
+    across = np.hypot(relative[:, 0], relative[:, 1])
+    angle = np.arctan2(across, np.maximum(-relative[:, 2], 0.0))
+    direction = np.arctan2(relative[:, 1], relative[:, 0])
+    row = np.minimum(angle / (0.5 * np.pi) * bins, bins - 1).astype(np.int64)
+    column = np.minimum((direction / (2.0 * np.pi) + 0.5) * bins, bins - 1).astype(np.int64)
+    return row * bins + column
+
+
+def fit_table(samples: PixelSamples, bins: int) -> Float32Array:
+    """Return the table (bins^2, 6, 3) of least squares."""
+    entry = slope_bins(samples.relative, bins)
+    terms = polynomial_terms(samples.position)
+    size = bins * bins
+    matrix = np.empty((size, TERMS, TERMS))
+    right = np.empty((size, TERMS, 3))
+    for i in range(TERMS):
+        for j in range(i, TERMS):
+            matrix[:, i, j] = np.bincount(entry, terms[:, i] * terms[:, j], size)
+            matrix[:, j, i] = matrix[:, i, j]
+        for colour in range(3):
+            right[:, i, colour] = np.bincount(entry, terms[:, i] * samples.change[:, colour], size)
+    table: FloatArray = np.linalg.solve(matrix + RIDGE * np.eye(TERMS), right).astype(np.float64)
+    filled = matrix[:, 0, 0] >= LEAST_PIXELS
+    return _fill(table, filled, bins).astype(np.float32)
+
+
+def _fill(table: FloatArray, filled: NDArray[np.bool_], bins: int) -> FloatArray:
+    if not filled.any():
+        return np.zeros_like(table)
+    # Directions close into a circle: three turns side by side, of which the middle one is kept.
+    empty = np.tile(~filled.reshape(bins, bins), (1, 3))
+    row, column = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
+    middle = slice(bins, 2 * bins)
+    return table[(row[:, middle] * bins + column[:, middle] % bins).reshape(-1)]
+
+
+@dataclass(frozen=True)
+class TaximImage:
+    """The fitted table.
+
+    Attributes:
+        bins: number of bins each way.
+        table: (bins^2, 6, 3) coefficients of the change of each colour, full scale 1.
+        name: how tables call it.
+    """
+
+    bins: int
+    table: Float32Array
+    name: str = "taxim"
+
+    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+        """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`."""
+        grid = pixel_grid(rest)
+        terms = polynomial_terms(grid.position).astype(np.float32)
+        return np.stack([self._frame(normal, grid, terms, rest) for normal in press.normal])
+
+    def _frame(
+        self, normal: Float32Array, grid: PixelGrid, terms: Float32Array, rest: Rest
+    ) -> ByteImage:
+        entry = slope_bins(grid.normals(normal)[1], self.bins)
+        change = np.einsum("nt,ntc->nc", terms, self.table[entry])
+        return grid.changed(rest.idle, change)
+
+
+def fit(
+    train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera, *, seed: int = 0
+) -> TaximImage:
+    """Return the table with the number of bins that does best on presses held back from it.
+
+    Every fourth press is held back for the choice; the table is then fitted on all.
+
+    Args:
+        train: frames to fit on.
+        rest: of the gel untouched.
+        camera: plays no part.
+        seed: of the pixels drawn, where there are more than four millions.
+
+    Raises:
+        ValueError: no frame.
+    """
+    bins = PUBLISHED_BINS
+    if len(train) >= HELD_BACK:
+        back = train[HELD_BACK - 1 :: HELD_BACK]
+        front = [press for press in train if all(press is not other for other in back)]
+        fitted = draw_pixels(front, rest, count=SAMPLES // 2, seed=seed)
+        judged = draw_pixels(back, rest, count=SAMPLES // 4, seed=seed)
+        bins = min(CANDIDATE_BINS, key=lambda count: _error(fitted, judged, count))
+    samples = draw_pixels(train, rest, count=SAMPLES, seed=seed)
+    return TaximImage(bins, fit_table(samples, bins))
+
+
+def _error(fitted: PixelSamples, judged: PixelSamples, bins: int) -> float:
+    table = fit_table(fitted, bins)
+    terms = polynomial_terms(judged.position).astype(np.float32)
+    change = np.einsum("nt,ntc->nc", terms, table[slope_bins(judged.relative, bins)])
+    return float(np.mean((change - judged.change) ** 2))
