@@ -1,13 +1,17 @@
-"""Compare simulators with measured presses: geometry and force, or cost and error.
+"""Compare simulators with measured presses: geometry and force, images, or cost and error.
 
 `geometry` fits every model on 19 presses drawn by the seed and judges it on the other 9, then
 leaves each indenter out in turn; it writes geometry.md and geometry.json. `runtime` lets the
 implicit and the explicit gel follow a few presses at several resolutions; it writes runtime.md and
-runtime.json. docs/evaluation.md says what the figures mean.
+runtime.json. `optics` fits every model of the image on the frames of six splits and judges it on
+their others; it writes optics.md, optics.json and sheets of images. A row that was made before is
+not made again, so a run that was broken off goes on. docs/evaluation.md says what the figures mean.
 
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
   dotsim_ros evaluate geometry --data DIR --models ours tacto --splits held_out --out out
+  dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
+  dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
 """
 
@@ -16,10 +20,22 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 MODELS = ("ours", "explicit", "tacto", "taxim", "difftactile")
+IMAGE_MODELS = (
+    "idle",
+    "tacto",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "carried",
+    "ours",
+)
+LEVELS = ("easy", "medium", "hard")
 RUNTIME_PRESS_COUNT = 3
 
 
@@ -27,8 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     subjects = parser.add_subparsers(dest="subject", required=True, metavar="SUBJECT")
     geometry = subjects.add_parser("geometry", help="surfaces and forces of every model")
+    optics = subjects.add_parser("optics", help="images of every model")
     runtime = subjects.add_parser("runtime", help="frames a second against the error")
-    for subject in (geometry, runtime):
+    for subject in (geometry, optics, runtime):
         subject.add_argument("--data", type=Path, required=True, help="folder of a data set")
         subject.add_argument(
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
@@ -57,11 +74,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     geometry.add_argument(
         "--from-depth-mm", type=float, default=2.0, help="frames at least so deep are judged (2)"
     )
+    _add_optics_arguments(optics)
     runtime.add_argument(
         "--presses",
         nargs="+",
         metavar="NAME",
         help=f"which (the first {RUNTIME_PRESS_COUNT} held out, each of another indenter)",
+    )
+
+
+def _add_optics_arguments(optics: argparse.ArgumentParser) -> None:
+    optics.add_argument(
+        "--models", nargs="+", choices=IMAGE_MODELS, default=list(IMAGE_MODELS), help="which (all)"
+    )
+    optics.add_argument(
+        "--splits", nargs="+", choices=LEVELS, default=list(LEVELS), help="which (all)"
+    )
+    optics.add_argument(
+        "--budget-minutes", type=float, help="end the training of one network after so long"
+    )
+    optics.add_argument(
+        "--network-width", type=int, help="of the networks' images, pixels (the network's own)"
+    )
+    optics.add_argument(
+        "--images",
+        type=Path,
+        default=Path("docs/images"),
+        help="folder of the sheets (docs/images)",
+    )
+    optics.add_argument(
+        "--cache", type=Path, help="folder of the rows made before (the user's cache)"
     )
 
 
@@ -125,6 +167,44 @@ def _geometry(arguments: argparse.Namespace) -> int:
     return _write(arguments, figures, origin, lambda f: geometry_page(f, arguments.models))
 
 
+def _optics(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.optical_split import WAYS
+    from dotsim_ros.evaluation.optics import ceilings, splits_of
+    from dotsim_ros.evaluation.optics_models import FitSettings
+    from dotsim_ros.evaluation.optics_report import evaluate_optics, optics_page
+    from dotsim_ros.evaluation.optics_rows import RowMaker
+    from dotsim_ros.evaluation.optics_sheet import write_sheets
+    from dotsim_ros.evaluation.optics_source import clipped_presses
+    from dotsim_ros.gel.refinement import cache_directory
+    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.optics.frames import read_optical_data
+    from dotsim_ros.optics.idle_check import read_idle_images
+
+    data_set = read_data_set(arguments.data)
+    sensor = load_sensor(arguments.sensor)
+    data = read_optical_data(arguments.data, sensor, progress=_say)
+    maker = RowMaker(
+        data,
+        cache(lambda: clipped_presses(data_set, sensor, data)),
+        arguments.cache or cache_directory() / "optics",
+        FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width),
+        _say,
+    )
+    drawn = splits_of(data, seed=arguments.seed)
+    splits = [drawn[level][way] for level in arguments.splits for way in WAYS]
+    figures, rows = evaluate_optics(maker, splits, arguments.models)
+    figures["ceiling"] = ceilings(data, read_idle_images(data_set.idle_images()))
+    sheets = write_sheets(arguments.images, maker, rows, seen_from=arguments.out)
+    origin = {
+        "sensor": str(arguments.sensor),
+        "seed": str(arguments.seed),
+        "budget_minutes": str(arguments.budget_minutes),
+        "network_width": str(arguments.network_width),
+    }
+    return _write(arguments, figures, origin, lambda f: optics_page(f, sheets))
+
+
 def _runtime(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.report import read_measured, splits_of
     from dotsim_ros.evaluation.runtime import runtime_page, runtime_rows
@@ -153,4 +233,4 @@ def _runtime(arguments: argparse.Namespace) -> int:
     return _write(arguments, {"presses": names, "rows": rows}, origin, runtime_page)
 
 
-_SUBJECTS = {"geometry": _geometry, "runtime": _runtime}
+_SUBJECTS = {"geometry": _geometry, "optics": _optics, "runtime": _runtime}

@@ -250,7 +250,7 @@ def scores_from_json(rows: Iterable[Mapping[str, Any]]) -> list[FrameScores]:
     ]
 
 
-def ceilings(data: OpticalData, idle_images: Sequence[ByteImage]) -> dict[str, float]:
+def ceilings(data: OpticalData, idle_images: ByteImage) -> dict[str, float]:
     """Return what no model can pass, from measured images that show the same.
 
     `camera_noise_db`: a noiseless image against one with the camera's noise, told from the
@@ -260,7 +260,7 @@ def ceilings(data: OpticalData, idle_images: Sequence[ByteImage]) -> dict[str, f
 
     Args:
         data: the measured frames.
-        idle_images: single ones, (H, W, 3) each.
+        idle_images: (N, H, W, 3) single ones.
     """
     figures = {}
     pairs = [

@@ -1,0 +1,99 @@
+"""The models of the image that the optics table compares, by name."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
+from dotsim_ros.evaluation.optics import Carried, Factory, Idle, ImageModel
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.frames import OpticalPress, Rest
+
+NETWORKS = ("paper", "paper_direct", "ours")
+"""Kinds of networks of `dotsim_ros.optics.learning`."""
+NAMES = ("idle", "tacto", "taxim", "difftactile", "paper", "paper_direct", "carried", "ours")
+CLIPPED = ("tacto",)
+"""Models that get the clipped skin instead of the gel's."""
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How models are fitted.
+
+    Attributes:
+        seed: of all draws.
+        budget_minutes: after which the training of one network ends; None for none.
+        network_width: of the networks' images, pixels; None for the network's own choice.
+    """
+
+    seed: int = 0
+    budget_minutes: float | None = None
+    network_width: int | None = None
+
+
+def factory_of(
+    name: str, settings: FitSettings, *, state: Path, progress: Callable[[str], None]
+) -> Factory:
+    """Return what makes a model.
+
+    Args:
+        name: one of `NAMES`.
+        settings: how it is fitted.
+        state: folder in which a network's training leaves its state, to go on from it.
+        progress: told what is being done.
+
+    Raises:
+        ValueError: no such model, or one that needs torch where that is not installed.
+    """
+    match name:
+        case "idle":
+            return lambda _train, _rest, _camera: Idle()
+        case "carried":
+            return lambda _train, _rest, _camera: Carried()
+        case "tacto":
+            return lambda t, r, c: tacto.fit(t, r, c, seed=settings.seed)
+        case "taxim":
+            return lambda t, r, c: taxim.fit(t, r, c, seed=settings.seed)
+        case "difftactile":
+            _need_torch(name)
+            return lambda t, r, c: per_pixel.fit(t, r, c, seed=settings.seed)
+    if name not in NETWORKS:
+        raise ValueError(f"no model {name!r}; known are {', '.join(NAMES)}")
+    _need_torch(name)
+    return _network(name, settings, state, progress)
+
+
+def _need_torch(name: str) -> None:
+    if importlib.util.find_spec("torch") is None:
+        raise ValueError(
+            f"model {name!r} is fitted with torch, which is not installed; install "
+            "dotsim_ros[learning], or leave it out of --models"
+        )
+
+
+def _network(
+    name: str, settings: FitSettings, state: Path, progress: Callable[[str], None]
+) -> Factory:
+    def make(train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera) -> ImageModel:
+        # Loaded on use: the other models need none of it.
+        from dotsim_ros.optics.learning import fit_network
+
+        return fit_network(
+            name,
+            train,
+            rest,
+            camera,
+            seed=settings.seed,
+            budget_minutes=settings.budget_minutes,
+            size=settings.network_width,
+            directory=state,
+            progress=lambda p: progress(
+                f"{name}: epoch {p.epoch} of {p.epochs}, {p.psnr_db:.2f} dB in training, "
+                f"{p.left_s / 60.0:.1f} min left"
+            ),
+        )
+
+    return make

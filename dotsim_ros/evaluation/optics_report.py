@@ -1,0 +1,200 @@
+"""The optics table of a data set: every model of the image on every split, and its page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from dotsim_ros.evaluation.image_metrics import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
+from dotsim_ros.evaluation.optical_split import WAYS, FrameKey, OpticalSplit
+from dotsim_ros.evaluation.optics import DEEP_M, is_single_press, summarize
+from dotsim_ros.evaluation.optics_rows import Row, RowMaker
+from dotsim_ros.evaluation.table import Column, markdown_table
+from dotsim_ros.optics.frames import OpticalPress
+
+SHOWN_FRAMES = 4
+OPTICS_COLUMNS = (
+    Column("psnr_db", "PSNR dB ↑", 2),
+    Column("mean_l2", "mean L2 x 10⁻² ↓", 2, 100.0),
+    Column("significant_l2", "sig. L2 x 10⁻² ↓", 2, 100.0),
+    Column("ssim", "SSIM ↑", 4),
+    Column("disc_psnr_db", "disc PSNR ↑", 2),
+    Column("disc_ssim", "disc SSIM ↑", 4),
+    Column("full_depth_psnr_db", "full depth PSNR ↑", 2),
+    Column("full_depth_disc_psnr_db", "full depth, disc ↑", 2),
+    Column("deep_psnr_db", "from 2 mm PSNR ↑", 2),
+)
+TITLES = {
+    "by_frame": "by frame (neighbouring frames leak)",
+    "by_trajectory": "by whole trajectories",
+}
+
+
+def shown_frames(
+    split: OpticalSplit, presses: Mapping[str, OpticalPress], *, seed: int
+) -> list[FrameKey]:
+    """Return the judged frames that a sheet shows: full depths of single presses, drawn by a seed,
+    each of another indenter as long as there are any."""
+    full = [
+        (name, frame)
+        for name, frame in split.test
+        if frame == len(presses[name].measured) - 1 and is_single_press(presses[name])
+    ]
+    random = np.random.default_rng(seed)
+    drawn = [full[index] for index in random.permutation(len(full))]
+    turn: dict[str, int] = {}
+    order: list[tuple[int, int, FrameKey]] = []
+    for key in drawn:
+        indenter = presses[key[0]].indenter
+        turn[indenter] = turn.get(indenter, -1) + 1
+        order.append((turn[indenter], len(order), key))
+    return sorted(key for _, _, key in sorted(order)[:SHOWN_FRAMES])
+
+
+def evaluate_optics(
+    maker: RowMaker,
+    splits: Sequence[OpticalSplit],
+    models: Sequence[str],
+) -> tuple[dict[str, Any], dict[str, dict[str, Row]]]:
+    """Return the figures as the JSON file holds them, and the rows of the splits by trajectory.
+
+    A model that fails is named with the reason, and the others are still judged.
+
+    Args:
+        maker: makes the rows.
+        splits: which.
+        models: names, in the order of the rows.
+    """
+    figures: dict[str, Any] = {}
+    shown_rows: dict[str, dict[str, Row]] = {}
+    failures = []
+    for split in splits:
+        shown = shown_frames(split, maker.presses, seed=maker.settings.seed)
+        rows = {}
+        for model in models:
+            try:
+                row = maker.make(model, split, shown)
+            # Solvers and trainings that fail raise these; the page says so rather than end.
+            except (ValueError, RuntimeError, FloatingPointError) as error:
+                failures.append(
+                    {"split": split.level, "way": split.way, "model": model, "reason": str(error)}
+                )
+                maker.progress(f"{split.level}, {split.way}, {model} failed: {error}")
+                continue
+            rows[model] = row
+            figures.setdefault(split.level, {}).setdefault(split.way, {})[model] = {
+                **summarize(row.scores),
+                "fit_s": row.fit_s,
+                "predict_s": row.predict_s,
+                "commit": row.commit,
+                "date": row.date,
+            }
+        if split.way == "by_trajectory":
+            shown_rows[split.level] = rows
+    figures["splits"] = {
+        f"{split.level}.{split.way}": {
+            "train_frames": len(split.train),
+            "test_frames": len(split.test),
+            "train_trajectories": sorted({name for name, _ in split.train}),
+            "test_trajectories": sorted({name for name, _ in split.test}),
+        }
+        for split in splits
+    }
+    figures["failures"] = failures
+    figures["definitions"] = definitions()
+    return figures, shown_rows
+
+
+def definitions() -> dict[str, str]:
+    """Return what each figure means, in words."""
+    return {
+        "psnr_db": (
+            "mean over the judged frames of each frame's PSNR, 10 log10 of 1 over the mean squared "
+            "error of all pixels and colours, full scale 1; not the PSNR of the mean error, which "
+            "is lower"
+        ),
+        "mean_l2": "length of a pixel's error in red, green and blue, full scale 1, mean",
+        "significant_l2": (
+            f"the same over the worst {100 * SIGNIFICANT_SHARE:g} % of each frame's pixels"
+        ),
+        "ssim": (
+            f"structural similarity, Gaussian windows of {SSIM_SIGMA_PX:g} px, mean of the colours"
+        ),
+        "disc": "inside the lit disc of the idle image only; the unlit border never changes",
+        "full_depth": (
+            "last frames of single presses, which are the trajectories that only go deeper"
+        ),
+        "deep": f"frames whose tip lies {1e3 * DEEP_M:g} mm or more below the skin at rest",
+        "by_frame": (
+            "frames are drawn one by one, so neighbours of nearly every judged frame were fitted on"
+        ),
+        "by_trajectory": "whole trajectories are drawn; hard is the same both ways",
+        "ceiling": (
+            "camera_noise_db: an image without noise against one with the camera's, told from the "
+            "differences of the idle images; two_renderings_db: the idle image against the frames "
+            "before anything touched, which on a rendered stand-in are another rendering of the "
+            "same scene"
+        ),
+    }
+
+
+def flat_figures(figures: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of one row with the nested ones at the top, as columns name them."""
+    flat = {key: value for key, value in figures.items() if not isinstance(value, dict)}
+    for group in ("disc", "full_depth", "deep"):
+        for key, value in (figures.get(group) or {}).items():
+            if isinstance(value, dict):
+                flat |= {f"{group}_{key}_{inner}": number for inner, number in value.items()}
+            else:
+                flat[f"{group}_{key}"] = value
+    return flat
+
+
+def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
+    """Return the tables as a Markdown page.
+
+    Args:
+        figures: of `evaluate_optics`, with ceiling and provenance.
+        sheets: path of the picture of a level, seen from the page.
+    """
+    origin = figures["provenance"]
+    parts = [f"# Images of {origin['data']}\n"]
+    for level in dict.fromkeys(name.split(".")[0] for name in figures["splits"]):
+        for way in WAYS:
+            rows = figures.get(level, {}).get(way)
+            if not rows:
+                continue
+            sizes = figures["splits"][f"{level}.{way}"]
+            parts.append(
+                f"## {level.capitalize()}, {TITLES[way]}\n\nFitted on {sizes['train_frames']} "
+                f"frames of {len(sizes['train_trajectories'])} trajectories, judged on "
+                f"{sizes['test_frames']} of {len(sizes['test_trajectories'])}.\n"
+            )
+            table = [([name], flat_figures(row)) for name, row in rows.items()]
+            table += [([name], {"psnr_db": db}) for name, db in _ceiling_rows(figures)]
+            parts.append(markdown_table(["method"], table, OPTICS_COLUMNS))
+        if level in sheets:
+            parts.append(f"![measured and simulated images, {level}]({sheets[level]})\n")
+    if figures["failures"]:
+        parts.append("## Left out\n")
+        parts.append(
+            "\n".join(
+                f"- {f['split']}, {f['way']}, {f['model']}: {f['reason']}"
+                for f in figures["failures"]
+            )
+            + "\n"
+        )
+    parts.append("## What the figures mean\n")
+    parts.append("\n".join(f"- {k}: {v}" for k, v in figures["definitions"].items()) + "\n")
+    parts.append("\n".join(f"- {key}: {value}" for key, value in origin.items()) + "\n")
+    return "\n".join(parts)
+
+
+def _ceiling_rows(figures: Mapping[str, Any]) -> list[tuple[str, float]]:
+    titles = {
+        "two_renderings_db": "ceiling: two renderings",
+        "camera_noise_db": "ceiling: camera noise",
+    }
+    return [(titles[key], db) for key, db in figures["ceiling"].items()]
