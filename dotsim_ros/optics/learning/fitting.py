@@ -17,7 +17,7 @@ from dotsim_ros.optics.learning.examples import frames_of, make_examples
 from dotsim_ros.optics.learning.networks import make_network
 from dotsim_ros.optics.learning.training import RECIPES, Progress, Recipe, Trained, Training
 from dotsim_ros.optics.network_card import BASES
-from dotsim_ros.optics.network_input import NetworkInput, resized
+from dotsim_ros.optics.network_input import Float32Array, NetworkInput, resized
 
 PREDICTED_TOGETHER = 4
 """Frames in one pass of a network that is not trained."""
@@ -35,12 +35,15 @@ class FittedNetwork:
         trained: the network, and how its training went.
         camera: of the images.
         size: width and height of the network's images.
+        correction: (h, w, 3) grey levels that untouched frames show beyond the idle frame; None
+            where the network does not use them.
     """
 
     kind: str
     trained: Trained
     camera: FisheyeCamera
     size: tuple[int, int]
+    correction: Float32Array | None
 
     @property
     def name(self) -> str:
@@ -49,7 +52,7 @@ class FittedNetwork:
 
     def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
         """Return the images (F, H, W, 3) of a press; its measured images are not read."""
-        given = NetworkInput(rest, self.camera, self.size)
+        given = NetworkInput(rest, self.camera, self.size, correction=self.correction)
         added = added_images(self.trained.network, frames_of(press, given), given)
         full = (self.camera.width, self.camera.height)
         images = []
@@ -66,9 +69,7 @@ class FittedNetwork:
         return np.stack(images)
 
 
-def added_images(
-    network: nn.Module, frames: torch.Tensor, given: NetworkInput
-) -> np.ndarray[tuple[int, ...], np.dtype[np.float32]]:
+def added_images(network: nn.Module, frames: torch.Tensor, given: NetworkInput) -> Float32Array:
     """Return what a network adds (F, h, w, 3), in grey levels."""
     rest = torch.from_numpy(given.rest)[None]
     with torch.inference_mode():
@@ -144,14 +145,19 @@ def fit_network(
         torch.manual_seed(seed)
         network = make_network(kind)
     pixels = network_size(kind, camera, size, device)
+    examples = make_examples(train, rest, camera, pixels)
+    correction = None
+    if BASES[kind] == "carried":
+        correction = examples.correction()
+        examples = examples.corrected()
     training = Training(
         kind,
         network,
-        make_examples(train, rest, camera, pixels),
+        examples,
         recipe or RECIPES[kind],
         seed=seed,
         budget_s=None if budget_minutes is None else 60.0 * budget_minutes,
         device=device,
         directory=directory,
     )
-    return FittedNetwork(kind, training.run(progress), camera, pixels)
+    return FittedNetwork(kind, training.run(progress), camera, pixels, correction)

@@ -1,6 +1,6 @@
 """Networks from what the camera sees of the gel to an image: one interface, four kinds.
 
-Every network maps `frame` (N, 7, h, w) and `rest` (N or 1, 10, h, w), laid out as in
+Every network maps `frame` (N, 7, h, w) and `rest` (N or 1, 13, h, w), laid out as in
 `dotsim_ros.optics.network_input`, to what is to be added (N, 3, h, w), in units of 255 grey levels,
 to its base: the carried image, the idle frame, or nothing.
 
@@ -20,14 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-GEOMETRY = slice(0, 4)
-CARRIED = slice(4, 7)
-PLACE = slice(7, 9)
-FADE = slice(9, 10)
-
-ENTRY_STRIDE = 4
-COEFFICIENTS = 9
-"""Of the local model: a gain and an offset for each colour, a shift in x and y, a sharpening."""
+from dotsim_ros.optics.network_input import CARRIED, CORRECTION, DEPTH, FADE, FRAME, GEOMETRY, PLACE
 
 
 class DeepLab(nn.Module):
@@ -111,87 +104,103 @@ class LocalModel(nn.Module):
     shift the pattern, and where the shift is uncertain the best guess is a blurred pattern. So
 
         added = gain * c + offset + x_shift * dc/dx + y_shift * dc/dy + sharpening * laplacian(c)
+                + trust * correction
 
-    with c the carried image, and nine coefficients that a network gives at half the resolution from
-    normals, depth, their change against rest, the place, and the carried and the idle image. The
-    pattern itself never needs to be learned, so few frames suffice. Everything is multiplied by a
-    measure of whether anything has moved, exactly zero at rest, and by the fade of the lit disc.
+    with c the carried image, `correction` what untouched frames show beyond the idle frame, and ten
+    coefficients that a network gives at half the resolution from normals, depth, their change
+    against rest, the place, and the carried image and its change. The pattern itself never needs to
+    be learned, so few frames suffice. Everything is multiplied by a measure of whether anything has
+    moved, exactly zero at rest, and by the fade of the lit disc.
 
     Args:
-        width: channels at an eighth of the resolution; half as many at a quarter.
+        width: channels at a quarter of the resolution.
+        deep_width: channels at an eighth and a sixteenth.
     """
 
-    def __init__(self, width: int = 64) -> None:
+    def __init__(self, width: int = 24, deep_width: int = 48) -> None:
         super().__init__()
-        half = width // 2
-        # geometry, its change, place, fade, carried image and its change
-        channels = 4 + 4 + 3 + 3 + 3
-        self.entry = nn.Conv2d(channels * (ENTRY_STRIDE // 2) ** 2, half, 1)
-        self.fine = Block(half)
-        self.down = nn.Conv2d(half, width, 2, stride=2)
-        self.middle = nn.Sequential(Block(width), Block(width))
-        self.deeper = nn.Conv2d(width, width, 2, stride=2)
-        self.deep = nn.Sequential(Block(width), Block(width))
-        self.up_deep = nn.Conv2d(width, width, 1)
-        self.up = nn.Conv2d(width, half, 1)
-        self.last = Block(half)
-        self.head = nn.Conv2d(half, COEFFICIENTS * (ENTRY_STRIDE // 2) ** 2, 1)
+        self.entry = nn.Conv2d(_GIVEN, width, 2, stride=2)
+        self.fine = Block(width)
+        self.down = nn.Conv2d(width, deep_width, 2, stride=2)
+        self.middle = nn.Sequential(Block(deep_width), Block(deep_width))
+        self.deeper = nn.Conv2d(deep_width, deep_width, 2, stride=2)
+        self.deep = nn.Sequential(Block(deep_width), Block(deep_width))
+        self.up_deep = nn.Conv2d(deep_width, deep_width, 1)
+        self.up = nn.Conv2d(deep_width, width, 1)
+        self.last = Block(width)
+        self.head = nn.Conv2d(width, 4 * sum(_COEFFICIENTS), 1)
         nn.init.zeros_(self.head.weight)
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
 
     def coefficients(self, frame: Tensor, rest: Tensor) -> Tensor:
-        """Return (N, 9, h / 2, w / 2) the local model's coefficients."""
-        rest = rest.expand(frame.shape[0], -1, -1, -1)
-        change = frame - rest[:, :7]
+        """Return (N, 10, h / 2, w / 2) the local model's coefficients.
+
+        Args:
+            frame: (N, 7, h / 2, w / 2).
+            rest: (N, 10, h / 2, w / 2).
+        """
+        change = frame - rest[:, FRAME]
         given = torch.cat(
             [
                 2.0 * frame[:, GEOMETRY] - 1.0,
                 CHANGE_SCALE * change[:, GEOMETRY],
-                rest[:, PLACE.start : FADE.stop],
+                rest[:, PLACE],
+                rest[:, FADE],
                 frame[:, CARRIED],
                 change[:, CARRIED],
             ],
             dim=1,
         )
-        given = functional.avg_pool2d(given, 2)
-        x = self.fine(self.entry(functional.pixel_unshuffle(given, ENTRY_STRIDE // 2)))
+        x = self.fine(self.entry(given))
         middle = self.middle(self.down(x))
         deep = self.deep(self.deeper(middle))
-        middle = middle + functional.interpolate(
-            self.up_deep(deep), size=middle.shape[2:], mode="bilinear"
-        )
-        x = x + functional.interpolate(self.up(middle), size=x.shape[2:], mode="bilinear")
-        return functional.pixel_shuffle(self.head(functional.relu(self.last(x))), ENTRY_STRIDE // 2)
+        middle = middle + _enlarged(self.up_deep(deep), middle)
+        x = x + _enlarged(self.up(middle), x)
+        return functional.pixel_shuffle(self.head(functional.relu(self.last(x))), 2)
 
     def forward(self, frame: Tensor, rest: Tensor) -> Tensor:
         """Return what is to be added to the carried image; exactly 0 at rest."""
-        coefficient = functional.interpolate(
-            self.coefficients(frame, rest), scale_factor=2, mode="bilinear"
-        )
+        rest = rest.expand(frame.shape[0], -1, -1, -1)
+        small_frame = functional.avg_pool2d(frame, 2)
+        small_rest = functional.avg_pool2d(rest[:, : FADE.stop], 2)
+        acts = moved(small_frame, small_rest)
+        coefficients = _enlarged(self.coefficients(small_frame, small_rest) * acts, frame)
+        gain, offset, x_shift, y_shift, sharpening, trust = coefficients.split(_COEFFICIENTS, dim=1)
         image = frame[:, CARRIED]
         padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
         left, right = padded[:, :, 1:-1, :-2], padded[:, :, 1:-1, 2:]
         above, below = padded[:, :, :-2, 1:-1], padded[:, :, 2:, 1:-1]
-        laplacian = left + right + above + below - 4.0 * image
         added = (
-            coefficient[:, 0:3] * image
-            + 0.3 * coefficient[:, 3:6]
-            + coefficient[:, 6:7] * (right - left)
-            + coefficient[:, 7:8] * (below - above)
-            + coefficient[:, 8:9] * laplacian
+            gain * image
+            + OFFSET_SCALE * offset
+            + x_shift * (right - left)
+            + y_shift * (below - above)
+            + sharpening * (left + right + above + below - 4.0 * image)
+            + CORRECTION_SCALE * trust * rest[:, CORRECTION]
         )
-        return added * moved(frame, rest) * rest[:, FADE]
+        return added * rest[:, FADE]
 
 
+_COEFFICIENTS = (3, 3, 1, 1, 1, 1)
+"""Channels of gain, offset, shift in x and y, sharpening, trust."""
+_GIVEN = 4 + 4 + 2 + 1 + 3 + 3
+"""Channels that the coefficients are read off."""
 CHANGE_SCALE = 4.0
+OFFSET_SCALE = 0.3
+CORRECTION_SCALE = 4.0
+"""Bring coefficients and inputs to one order of magnitude, as equal weight decay asks."""
 MOVED_SHARE = 2e-6
-"""Mean square change of the depth, as a share of the depth, at which half of what is learned acts:
-0.1 mm of tip depth on a dome."""
+"""Mean square change of the depth, over the largest depth, at which half of what is learned
+acts: 0.1 mm of tip depth on a dome."""
+
+
+def _enlarged(small: Tensor, like: Tensor) -> Tensor:
+    return functional.interpolate(small, size=like.shape[2:], mode="bilinear")
 
 
 def moved(frame: Tensor, rest: Tensor) -> Tensor:
     """Return (N, 1, 1, 1) from 0 where nothing has moved, exactly, to 1 in a press."""
-    change = frame[:, 3:4] - rest[:, 3:4]
+    change = frame[:, DEPTH] - rest[:, DEPTH]
     square = torch.mean(change * change, dim=(1, 2, 3), keepdim=True)
     return square / (square + MOVED_SHARE)
 

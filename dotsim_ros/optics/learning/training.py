@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from dotsim_ros.optics.learning.examples import Examples
 from dotsim_ros.optics.network_card import BASES
-from dotsim_ros.optics.network_input import FRAME_CHANNELS
+from dotsim_ros.optics.network_input import CARRIED
 
 CHECKPOINT = "training.pt"
 CHECKPOINT_INTERVAL_S = 20.0
@@ -107,11 +107,11 @@ def base_image(kind: str, frame: Tensor, rest: Tensor) -> Tensor:
     """Return what the network's output is added to, broadcast to (N, 3, h, w)."""
     match BASES[kind]:
         case "carried":
-            return frame[:, 4:FRAME_CHANNELS]
+            return frame[:, CARRIED]
         case "idle":
-            return rest[:, 4:FRAME_CHANNELS]
+            return rest[:, CARRIED]
         case _:
-            return torch.zeros_like(rest[:, 4:FRAME_CHANNELS])
+            return torch.zeros_like(rest[:, CARRIED])
 
 
 def psnr_db(mean_square: float) -> float:
