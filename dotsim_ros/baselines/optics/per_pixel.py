@@ -124,6 +124,8 @@ def fit(
         weight = torch.randn((fan_in, fan_out), generator=generator) * (2.0 / fan_in) ** 0.5
         weights.append(weight.requires_grad_())
         biases.append(torch.zeros(fan_out, requires_grad=True))
+    # At first the image is the idle one; most pixels never leave it.
+    torch.nn.init.zeros_(weights[-1])
     optimizer = torch.optim.Adam([*weights, *biases], lr=settings.learning_rate)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, settings.steps)
     for _ in range(settings.steps):
