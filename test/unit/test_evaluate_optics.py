@@ -1,0 +1,325 @@
+"""The optics table: frames, rows that are kept, figures, page, sheets and the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dotsim_ros.cli.evaluate import IMAGE_MODELS
+from dotsim_ros.cli.evaluate import LEVELS as COMMAND_LEVELS
+from dotsim_ros.cli.main import main
+from dotsim_ros.evaluation import optics_rows
+from dotsim_ros.evaluation.image_metrics import LARGEST_PSNR_DB
+from dotsim_ros.evaluation.optical_split import LEVELS, OpticalSplit
+from dotsim_ros.evaluation.optics import (
+    Carried,
+    Idle,
+    ceilings,
+    is_single_press,
+    restricted,
+    score_frames,
+    scores_as_json,
+    scores_from_json,
+    splits_of,
+    summarize,
+    with_frames,
+)
+from dotsim_ros.evaluation.optics_models import NAMES, FitSettings, factory_of
+from dotsim_ros.evaluation.optics_report import evaluate_optics, optics_page, shown_frames
+from dotsim_ros.evaluation.optics_rows import RowMaker
+from dotsim_ros.evaluation.optics_sheet import write_sheets
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.frames import OpticalData, OpticalPress, Rest
+
+SIZE = (24, 32)
+DEPTHS_M = np.array([-0.0001, 0.001, 0.0021, 0.0032])
+CAMERA = FisheyeCamera(
+    width=SIZE[1], height=SIZE[0], focal_px=12.0, principal_point_px=np.array([15.5, 11.5])
+)
+
+
+def rest_of() -> Rest:
+    """Return a gel at rest with a pattern of noise, lit in the middle."""
+    random = np.random.default_rng(0)
+    lit = np.zeros(SIZE, dtype=np.bool_)
+    lit[2:-2, 4:-4] = True
+    idle = random.integers(80, 140, size=(*SIZE, 3)).astype(np.uint8) * lit[..., None]
+    normal = np.zeros((*SIZE, 3), dtype=np.float32)
+    normal[..., 2] = -1.0
+    return Rest(idle, np.full(SIZE, 0.01, dtype=np.float32), normal, lit)
+
+
+REST = rest_of()
+
+
+def press(name: str, indenter: str) -> OpticalPress:
+    """Return a press that makes the gel brighter, of which the carried image knows half."""
+    frames = len(DEPTHS_M)
+    measured = np.stack([REST.idle + np.uint8(10 * k) * REST.lit[..., None] for k in range(frames)])
+    carried = np.stack([REST.idle + np.uint8(5 * k) * REST.lit[..., None] for k in range(frames)])
+    return OpticalPress(
+        name=name,
+        indenter=indenter,
+        tip_depth_m=DEPTHS_M,
+        measured=measured,
+        depth_m=np.stack([REST.depth_m] * frames),
+        normal=np.stack([REST.normal] * frames),
+        carried=carried,
+    )
+
+
+DATA = OpticalData(
+    CAMERA,
+    REST,
+    tuple(press(f"{n}_shape_{k}", f"{n}_shape") for n in range(1, 5) for k in range(3)),
+)
+PRESSES = {p.name: p for p in DATA.presses}
+
+
+def no_clipping() -> dict[str, OpticalPress]:
+    """Stand in for the clipped skins where no model needs them."""
+    raise AssertionError("nothing here needs a clipped skin")
+
+
+def maker(folder: Path, **settings: Any) -> RowMaker:
+    """Return what makes rows of the data."""
+    return RowMaker(DATA, no_clipping, folder, FitSettings(**settings))
+
+
+# Frames
+
+
+def test_a_press_keeps_the_frames_named() -> None:
+    part = with_frames(PRESSES["1_shape_0"], [3, 1])
+    assert part.tip_depth_m == pytest.approx(DEPTHS_M[[3, 1]])
+    assert np.array_equal(part.measured, PRESSES["1_shape_0"].measured[[3, 1]])
+    assert len(part.normal) == len(part.depth_m) == len(part.carried) == 2
+
+
+def test_only_the_frames_to_fit_on_are_given() -> None:
+    split = splits_of(DATA)["medium"]["by_frame"]
+    given = restricted(PRESSES, split.train)
+    assert sum(len(p.measured) for p in given) == len(split.train)
+
+
+def test_a_cycle_is_no_single_press() -> None:
+    single = PRESSES["1_shape_0"]
+    assert is_single_press(single)
+    assert not is_single_press(with_frames(single, [0, 1, 2, 1, 0]))
+
+
+# Scores
+
+
+def test_the_idle_image_scores_what_was_added() -> None:
+    scores, _ = score_frames(Idle(), PRESSES, [("1_shape_0", k) for k in range(4)], REST)
+    assert [s.full_depth for s in scores] == [False, False, False, True]
+    assert scores[0].frame_score.psnr_db == LARGEST_PSNR_DB
+    for k in (1, 2, 3):
+        assert scores[k].disc_score.psnr_db == pytest.approx(20 * np.log10(255.0 / (10 * k)))
+        assert scores[k].disc_score.mean_l2 == pytest.approx(np.sqrt(3.0) * 10 * k / 255.0)
+    lit_share = REST.lit.mean()
+    ratio = scores[3].disc_score.mean_l2 / scores[3].frame_score.mean_l2
+    assert ratio == pytest.approx(1.0 / lit_share)
+
+
+def test_summaries_by_depth() -> None:
+    keys = [(name, k) for name in ("1_shape_0", "2_shape_0") for k in range(4)]
+    figures = summarize(score_frames(Carried(), PRESSES, keys, REST)[0])
+    assert (figures["frames"], figures["trajectories"]) == (8, 2)
+    assert figures["full_depth"]["frames"] == 2
+    assert figures["deep"]["frames"] == 4
+    assert figures["full_depth"]["disc"]["psnr_db"] == pytest.approx(20 * np.log10(255.0 / 15))
+    assert set(figures["indenters"]) == {"1_shape", "2_shape"}
+    assert figures["psnr_db"] > figures["deep"]["psnr_db"] > figures["full_depth"]["psnr_db"]
+
+
+def test_a_depth_without_a_frame_has_no_figure() -> None:
+    figures = summarize(score_frames(Idle(), PRESSES, [("1_shape_0", 0)], REST)[0])
+    assert figures["deep"] is None
+    assert figures["full_depth"] is None
+    with pytest.raises(ValueError, match="no frame was judged"):
+        summarize([])
+
+
+def test_scores_survive_json() -> None:
+    scores, _ = score_frames(Idle(), PRESSES, [("1_shape_0", 2)], REST)
+    assert scores_from_json(json.loads(json.dumps(scores_as_json(scores)))) == scores
+
+
+def test_images_of_another_size_are_refused() -> None:
+    @dataclass(frozen=True)
+    class Small:
+        name: str = "small"
+
+        def predict(self, judged: OpticalPress, rest: Rest) -> NDArray[np.uint8]:
+            return judged.measured[:, ::2]
+
+    with pytest.raises(ValueError, match=r"small gives images of shape \(1, 12, 32, 3\)"):
+        score_frames(Small(), PRESSES, [("1_shape_0", 2)], REST)
+
+
+def test_ceilings_are_told_from_the_data() -> None:
+    random = np.random.default_rng(3)
+    grey = np.full((5, 100, 100, 3), 120.0)
+    idle = np.rint(grey + 2.0 * random.standard_normal(grey.shape)).astype(np.uint8)
+    figures = ceilings(DATA, idle)
+    variance = 2.0**2 + 1.0 / 12.0
+    assert figures["camera_noise_db"] == pytest.approx(10 * np.log10(255.0**2 / variance), abs=0.1)
+    assert figures["two_renderings_db"] == LARGEST_PSNR_DB
+
+
+# Rows
+
+
+def test_a_row_is_made_once(tmp_path: Path) -> None:
+    split = splits_of(DATA)["easy"]["by_trajectory"]
+    shown = shown_frames(split, PRESSES, seed=0)
+    lines: list[str] = []
+    first = maker(tmp_path).make("carried", split, shown)
+    again = replace(maker(tmp_path), progress=lines.append).make("carried", split, shown)
+    assert lines == [f"easy, by_trajectory, carried: made before, on {first.date}"]
+    assert again.scores == first.scores
+    assert list(again.images) == list(first.images) == shown
+    for key, image in first.images.items():
+        assert np.array_equal(image, PRESSES[key[0]].carried[key[1]])
+        assert np.array_equal(again.images[key], image)
+
+
+def test_a_broken_row_is_made_anew(tmp_path: Path) -> None:
+    split = splits_of(DATA)["easy"]["by_frame"]
+    first = maker(tmp_path).make("idle", split, [])
+    (path,) = tmp_path.glob("*.json")
+    path.write_text(path.read_text()[:50])
+    assert maker(tmp_path).make("idle", split, []).scores == first.scores
+
+
+def test_other_data_makes_another_row(tmp_path: Path) -> None:
+    split = splits_of(DATA)["easy"]["by_frame"]
+    maker(tmp_path).make("idle", split, [])
+    other = replace(DATA, presses=tuple(replace(p, carried=p.measured) for p in DATA.presses))
+    RowMaker(other, no_clipping, tmp_path).make("idle", split, [])
+    assert len(list(tmp_path.glob("*.json"))) == 2
+
+
+def test_hard_is_made_once_for_both_ways(tmp_path: Path) -> None:
+    hard = splits_of(DATA)["hard"]
+    maker(tmp_path).make("idle", hard["by_frame"], [])
+    maker(tmp_path).make("idle", hard["by_trajectory"], [])
+    assert len(list(tmp_path.glob("*.json"))) == 1
+
+
+def test_a_budget_matters_to_networks_alone(tmp_path: Path) -> None:
+    split = splits_of(DATA)["easy"]["by_frame"]
+    maker(tmp_path, budget_minutes=1.0).make("idle", split, [])
+    maker(tmp_path, budget_minutes=2.0).make("idle", split, [])
+    assert len(list(tmp_path.glob("*.json"))) == 1
+
+
+def test_taxim_is_fitted_on_the_frames_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[int] = []
+
+    def watched(name: str, settings: FitSettings, **options: Any) -> Any:
+        make = factory_of(name, settings, **options)
+
+        def made(train: Any, rest: Rest, camera: FisheyeCamera) -> Any:
+            seen.append(sum(len(p.measured) for p in train))
+            return make(train, rest, camera)
+
+        return made
+
+    monkeypatch.setattr(optics_rows, "factory_of", watched)
+    split = splits_of(DATA)["medium"]["by_trajectory"]
+    row = maker(tmp_path).make("taxim", split, [])
+    assert seen == [len(split.train)]
+    assert len(row.scores) == len(split.test)
+
+
+# Models
+
+
+def test_the_command_offers_what_there_is() -> None:
+    assert IMAGE_MODELS == NAMES
+    assert COMMAND_LEVELS == LEVELS
+
+
+def test_an_unknown_model_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no model 'phong'; known are idle, tacto"):
+        factory_of("phong", FitSettings(), state=tmp_path, progress=print)
+
+
+# The page
+
+
+def test_page_and_figures(tmp_path: Path) -> None:
+    drawn = splits_of(DATA)
+    splits = [drawn[level][way] for level in ("easy", "hard") for way in drawn[level]]
+    rows_of = maker(tmp_path / "rows")
+    figures, rows = evaluate_optics(rows_of, splits, ["idle", "carried"])
+    figures["ceiling"] = {"camera_noise_db": 47.0}
+    figures["provenance"] = {"data": "made_up", "commit": "abc"}
+    for level in ("easy", "hard"):
+        for way in ("by_frame", "by_trajectory"):
+            idle, carried = (figures[level][way][name] for name in ("idle", "carried"))
+            assert set(idle) >= {"psnr_db", "mean_l2", "significant_l2", "ssim"}
+            assert carried["psnr_db"] > idle["psnr_db"]
+            assert carried["mean_l2"] < idle["mean_l2"]
+    assert figures["failures"] == []
+    sheets = write_sheets(tmp_path / "images", rows_of, rows, seen_from=tmp_path / "results")
+    assert sheets == {
+        "easy": "../images/optics_easy.png",
+        "hard": "../images/optics_hard.png",
+    }
+    assert (tmp_path / "images" / "optics_hard.png").stat().st_size > 1000
+    page = optics_page(figures, sheets)
+    assert "## Hard, by whole trajectories" in page
+    assert "| carried |" in page
+    assert "| ceiling: camera noise | 47.00 |" in page
+    assert "../images/optics_easy.png" in page
+    json.dumps(figures)
+
+
+def test_a_model_that_fails_is_named(tmp_path: Path) -> None:
+    @dataclass(frozen=True)
+    class Failing(RowMaker):
+        cache: Path = field(default=tmp_path)
+
+        def make(self, model: str, split: OpticalSplit, shown: Any) -> Any:
+            if model == "taxim":
+                raise ValueError("no table")
+            return super().make(model, split, shown)
+
+    split = splits_of(DATA)["easy"]["by_frame"]
+    figures, _ = evaluate_optics(Failing(DATA, no_clipping), [split], ["taxim", "idle"])
+    assert list(figures["easy"]["by_frame"]) == ["idle"]
+    assert figures["failures"] == [
+        {"split": "easy", "way": "by_frame", "model": "taxim", "reason": "no table"}
+    ]
+    figures["ceiling"], figures["provenance"] = {}, {"data": "made_up"}
+    assert "- easy, by_frame, taxim: no table" in optics_page(figures, {})
+
+
+def test_shown_frames_are_full_depths_of_several_indenters() -> None:
+    split = splits_of(DATA)["hard"]["by_trajectory"]
+    shown = shown_frames(split, PRESSES, seed=0)
+    assert len(shown) == 4
+    assert {frame for _, frame in shown} == {3}
+    assert sorted(PRESSES[name].indenter for name, _ in shown) == ["1_shape"] * 2 + ["3_shape"] * 2
+
+
+# The command
+
+
+def test_a_data_set_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code = main(["evaluate", "optics", "--data", str(tmp_path), "--out", str(tmp_path / "out")])
+    assert code == 1
+    assert "is no data set: it holds no dataset.yaml" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
