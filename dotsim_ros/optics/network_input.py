@@ -4,10 +4,9 @@ Two arrays, channels first, all values of order one:
 
 - `frame` (7, h, w): unit normal mapped from [-1, 1] to [0, 1] (3), distance along the ray over the
   largest at rest (1), carried image over 255 (3);
-- `rest` (13, h, w): the same of the gel untouched, with the idle frame in place of the carried
-  image (7), the pixel's place x and y from the principal point over half the height (2), a weight
-  that fades from 1 inside the lit disc to 0 at its rim (1), and what untouched frames show beyond
-  the idle frame, over 255 (3).
+- `rest` (10, h, w): the same of the gel untouched, with the idle frame in place of the carried
+  image (7), the pixel's place x and y from the principal point over half the height (2), and a
+  weight that fades from 1 inside the lit disc to 0 at its rim (1).
 
 Where no skin is seen the geometry is 0 in both. At rest `frame` equals the first seven channels of
 `rest` to the last bit, whatever the resolution, so a network can tell that nothing has moved.
@@ -32,7 +31,6 @@ DEPTH = slice(3, 4)
 CARRIED = slice(4, 7)
 PLACE = slice(7, 9)
 FADE = slice(9, 10)
-CORRECTION = slice(10, 13)
 """Channels; those of `frame` are the first of `rest`."""
 FADE_PX = 3.0
 """Width of the rim, in the network's pixels, over which its output fades to nothing."""
@@ -78,11 +76,9 @@ class NetworkInput:
         rest: of the gel untouched.
         camera: of the same size as `rest`.
         size: width and height of the network's images.
-        correction: (h, w, 3) grey levels that untouched frames show beyond the idle frame; None for
-            none.
 
     Attributes:
-        rest: (13, h, w) the input that stays.
+        rest: (10, h, w) the input that stays.
         size: width and height of the network's images.
 
     Raises:
@@ -95,8 +91,6 @@ class NetworkInput:
         rest: SeenAtRest,
         camera: FisheyeCamera,
         size: tuple[int, int],
-        *,
-        correction: Float32Array | None = None,
     ) -> None:
         if rest.depth_m.shape != (camera.height, camera.width):
             raise ValueError(
@@ -114,13 +108,10 @@ class NetworkInput:
         lit = resized(rest.lit.astype(np.uint8), size)
         distance = cv2.distanceTransform(lit, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         fade = np.clip(distance / FADE_PX, 0.0, 1.0)
-        if correction is None:
-            correction = np.zeros((size[1], size[0], 3), dtype=np.float32)
         self.rest = np.concatenate(
             [
                 self.frame(rest.depth_m, rest.normal, rest.idle),
                 np.stack([(x - centre_x) / half, (y - centre_y) / half, fade]),
-                correction.transpose(2, 0, 1) / 255.0,
             ]
         ).astype(np.float32)
 

@@ -12,10 +12,7 @@ from torch import Tensor
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.frames import OpticalPress, Rest
 from dotsim_ros.optics.network_input import (
-    CARRIED,
-    CORRECTION,
     DEPTH,
-    Float32Array,
     NetworkInput,
     resized,
 )
@@ -30,7 +27,7 @@ class Examples:
 
     Attributes:
         frame: (F, 7, h, w) as `NetworkInput.frame`.
-        rest: (1, 13, h, w) as `NetworkInput.rest`.
+        rest: (1, 10, h, w) as `NetworkInput.rest`.
         measured: (F, 3, h, w) measured images over 255.
     """
 
@@ -47,21 +44,9 @@ class Examples:
         """(F,) whether anything has moved."""
         return (self.frame[:, DEPTH] != self.rest[:, DEPTH]).flatten(1).any(dim=1)
 
-    def correction(self) -> Float32Array:
-        """Return what untouched frames show beyond the idle frame, (h, w, 3) grey levels.
-
-        It is their mean, drawn towards zero as if one more of them had shown the idle frame: that
-        is the best guess where all of them, the idle frame included, differ by the same noise.
-        """
-        untouched = self.measured[~self.touched]
-        beyond = (untouched - self.rest[:, CARRIED]).sum(dim=0) / (len(untouched) + 1.0)
-        return np.ascontiguousarray(255.0 * beyond.permute(1, 2, 0).numpy())
-
-    def corrected(self) -> Examples:
-        """Return the frames in which something has moved, with the correction in `rest`."""
-        correction = torch.from_numpy(self.correction()).permute(2, 0, 1)[None] / 255.0
-        rest = torch.cat([self.rest[:, : CORRECTION.start], correction], dim=1)
-        return Examples(self.frame[self.touched], rest, self.measured[self.touched])
+    def only_touched(self) -> Examples:
+        """Return the frames in which something has moved."""
+        return Examples(self.frame[self.touched], self.rest, self.measured[self.touched])
 
 
 def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera) -> None:

@@ -35,15 +35,12 @@ class FittedNetwork:
         trained: the network, and how its training went.
         camera: of the images.
         size: width and height of the network's images.
-        correction: (h, w, 3) grey levels that untouched frames show beyond the idle frame; None
-            where the network does not use them.
     """
 
     kind: str
     trained: Trained
     camera: FisheyeCamera
     size: tuple[int, int]
-    correction: Float32Array | None
 
     @property
     def name(self) -> str:
@@ -52,7 +49,7 @@ class FittedNetwork:
 
     def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
         """Return the images (F, H, W, 3) of a press; its measured images are not read."""
-        given = NetworkInput(rest, self.camera, self.size, correction=self.correction)
+        given = NetworkInput(rest, self.camera, self.size)
         added = added_images(self.trained.network, frames_of(press, given), given)
         full = (self.camera.width, self.camera.height)
         images = []
@@ -146,10 +143,9 @@ def fit_network(
         network = make_network(kind)
     pixels = network_size(kind, camera, size, device)
     examples = make_examples(train, rest, camera, pixels)
-    correction = None
     if BASES[kind] == "carried":
-        correction = examples.correction()
-        examples = examples.corrected()
+        # Its output is zero at rest whatever its weights are.
+        examples = examples.only_touched()
     training = Training(
         kind,
         network,
@@ -160,4 +156,4 @@ def fit_network(
         device=device,
         directory=directory,
     )
-    return FittedNetwork(kind, training.run(progress), camera, pixels, correction)
+    return FittedNetwork(kind, training.run(progress), camera, pixels)

@@ -1,6 +1,6 @@
 """Networks from what the camera sees of the gel to an image: one interface, four kinds.
 
-Every network maps `frame` (N, 7, h, w) and `rest` (N or 1, 13, h, w), laid out as in
+Every network maps `frame` (N, 7, h, w) and `rest` (N or 1, 10, h, w), laid out as in
 `dotsim_ros.optics.network_input`, to what is to be added (N, 3, h, w), in units of 255 grey levels,
 to its base: the carried image, the idle frame, or nothing.
 
@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dotsim_ros.optics.network_input import CARRIED, CORRECTION, DEPTH, FADE, FRAME, GEOMETRY, PLACE
+from dotsim_ros.optics.network_input import CARRIED, DEPTH, FADE, FRAME, GEOMETRY, PLACE
 
 
 class DeepLab(nn.Module):
@@ -104,13 +104,11 @@ class LocalModel(nn.Module):
     shift the pattern, and where the shift is uncertain the best guess is a blurred pattern. So
 
         added = gain * c + offset + x_shift * dc/dx + y_shift * dc/dy + sharpening * laplacian(c)
-                + trust * correction
 
-    with c the carried image, `correction` what untouched frames show beyond the idle frame, and ten
-    coefficients that a network gives at half the resolution from normals, depth, their change
-    against rest, the place, and the carried image and its change. The pattern itself never needs to
-    be learned, so few frames suffice. Everything is multiplied by a measure of whether anything has
-    moved, exactly zero at rest, and by the fade of the lit disc.
+    with c the carried image, and nine coefficients that a network gives at half the resolution from
+    normals, depth, their change against rest, the place, and the carried image and its change. The
+    pattern itself never needs to be learned, so few frames suffice. Everything is multiplied by a
+    measure of whether anything has moved, exactly zero at rest, and by the fade of the lit disc.
 
     Args:
         width: channels at a quarter of the resolution.
@@ -133,7 +131,7 @@ class LocalModel(nn.Module):
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
 
     def coefficients(self, frame: Tensor, rest: Tensor) -> Tensor:
-        """Return (N, 10, h / 2, w / 2) the local model's coefficients.
+        """Return (N, 9, h / 2, w / 2) the local model's coefficients.
 
         Args:
             frame: (N, 7, h / 2, w / 2).
@@ -162,10 +160,10 @@ class LocalModel(nn.Module):
         """Return what is to be added to the carried image; exactly 0 at rest."""
         rest = rest.expand(frame.shape[0], -1, -1, -1)
         small_frame = functional.avg_pool2d(frame, 2)
-        small_rest = functional.avg_pool2d(rest[:, : FADE.stop], 2)
+        small_rest = functional.avg_pool2d(rest, 2)
         acts = moved(small_frame, small_rest)
         coefficients = _enlarged(self.coefficients(small_frame, small_rest) * acts, frame)
-        gain, offset, x_shift, y_shift, sharpening, trust = coefficients.split(_COEFFICIENTS, dim=1)
+        gain, offset, x_shift, y_shift, sharpening = coefficients.split(_COEFFICIENTS, dim=1)
         image = frame[:, CARRIED]
         padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
         left, right = padded[:, :, 1:-1, :-2], padded[:, :, 1:-1, 2:]
@@ -176,18 +174,16 @@ class LocalModel(nn.Module):
             + x_shift * (right - left)
             + y_shift * (below - above)
             + sharpening * (left + right + above + below - 4.0 * image)
-            + CORRECTION_SCALE * trust * rest[:, CORRECTION]
         )
         return added * rest[:, FADE]
 
 
-_COEFFICIENTS = (3, 3, 1, 1, 1, 1)
-"""Channels of gain, offset, shift in x and y, sharpening, trust."""
+_COEFFICIENTS = (3, 3, 1, 1, 1)
+"""Channels of gain, offset, shift in x and y, sharpening."""
 _GIVEN = 4 + 4 + 2 + 1 + 3 + 3
 """Channels that the coefficients are read off."""
 CHANGE_SCALE = 4.0
 OFFSET_SCALE = 0.3
-CORRECTION_SCALE = 4.0
 """Bring coefficients and inputs to one order of magnitude, as equal weight decay asks."""
 MOVED_SHARE = 2e-6
 """Mean square change of the depth, over the largest depth, at which half of what is learned

@@ -1,0 +1,135 @@
+"""Trained networks as files that run without torch: a graph in ONNX beside weights in safetensors.
+
+The graph refers to the weights in the safetensors file as external data, so they are stored once.
+What the exporter has folded together (batch normalisation into convolutions) stays in the graph.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import struct
+import warnings
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from dotsim_ros.optics.network_card import (
+    CARD,
+    GRAPH,
+    WEIGHTS,
+    NetworkCard,
+    weights_hash,
+    write_weights,
+)
+from dotsim_ros.optics.network_input import FADE, FRAME
+from dotsim_ros.view.files import whole_file
+
+INPUTS = ("frame", "rest")
+OUTPUT = "added"
+OPSET = 20
+
+
+def graph_of(network: nn.Module, size: tuple[int, int]) -> onnx.ModelProto:
+    """Return a network in evaluation mode as an ONNX model for one frame.
+
+    Args:
+        network: maps frame (1, 7, h, w) and rest (1, 10, h, w) to an image (1, 3, h, w).
+        size: width and height of its images.
+    """
+    width, height = size
+    frame = torch.zeros(1, FRAME.stop, height, width)
+    rest = torch.zeros(1, FADE.stop, height, width)
+    with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
+        warnings.simplefilter("ignore")
+        program = torch.onnx.export(
+            network,
+            (frame, rest),
+            input_names=list(INPUTS),
+            output_names=[OUTPUT],
+            opset_version=OPSET,
+            dynamo=True,
+            verbose=False,
+        )
+    if program is None:
+        raise RuntimeError("torch.onnx.export returned no program")
+    return program.model_proto
+
+
+def _places(path: Path) -> dict[str, tuple[int, int]]:
+    """Return offset and length in bytes of each array in a safetensors file.
+
+    The file begins with the length of its header (8 bytes, little-endian); the header gives the
+    places relative to its own end.
+    """
+    with path.open("rb") as stream:
+        (length,) = struct.unpack("<Q", stream.read(8))
+        header = json.loads(stream.read(length))
+    header.pop("__metadata__", None)
+    return {
+        name: (8 + length + entry["data_offsets"][0], np.subtract(*entry["data_offsets"][::-1]))
+        for name, entry in header.items()
+    }
+
+
+def _refer(model: onnx.ModelProto, weights: Mapping[str, NDArray[Any]], path: Path) -> None:
+    """Let the graph read those of its weights that the file holds from there."""
+    places = _places(path)
+    for tensor in model.graph.initializer:
+        array = onnx.numpy_helper.to_array(tensor)
+        known = weights.get(tensor.name)
+        if known is None or known.dtype != array.dtype or not np.array_equal(known, array):
+            continue
+        offset, length = places[tensor.name]
+        tensor.ClearField("raw_data")
+        tensor.ClearField("float_data")
+        tensor.data_location = onnx.TensorProto.EXTERNAL
+        for key, value in (("location", WEIGHTS), ("offset", offset), ("length", length)):
+            tensor.external_data.add(key=key, value=str(value))
+
+
+def write_network(
+    directory: Path,
+    network: nn.Module,
+    card: NetworkCard,
+) -> NetworkCard:
+    """Write a network's three files.
+
+    Args:
+        directory: made where it does not exist.
+        network: on the CPU, in evaluation mode.
+        card: what it is; the hashes are filled in here.
+
+    Returns:
+        The card with the hashes.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    weights = {name: value.numpy() for name, value in network.state_dict().items()}
+    model = graph_of(network, (card.width, card.height))
+    # The header holds the hash of the graph, and the graph where the header ends: a hash of the
+    # same length stands in for it.
+    card = replace(card, weights_sha256=weights_hash(weights), graph_sha256="0" * 64)
+    path = directory / WEIGHTS
+    draft = directory / f".draft-{WEIGHTS}"
+    try:
+        write_weights(draft, weights, card)
+        _refer(model, weights, draft)
+    finally:
+        draft.unlink(missing_ok=True)
+    graph = model.SerializeToString(deterministic=True)
+    card = replace(card, graph_sha256=hashlib.sha256(graph).hexdigest())
+    with whole_file(directory / GRAPH) as part:
+        part.write_bytes(graph)
+    write_weights(path, weights, card)
+    with whole_file(directory / CARD) as part:
+        part.write_text(card.text() + "\n", encoding="utf-8")
+    return card
