@@ -5,13 +5,15 @@ leaves each indenter out in turn; it writes geometry.md and geometry.json. `runt
 implicit and the explicit gel follow a few presses at several resolutions; it writes runtime.md and
 runtime.json. `optics` fits every model of the image on the frames of six splits and judges it on
 their others; it writes optics.md, optics.json and sheets of images. A row that was made before is
-not made again, so a run that was broken off goes on. docs/evaluation.md says what the figures mean.
+not made again, so a run that was broken off goes on. `gelsight` does the same on real presses of a
+ball on a flat sensor. docs/evaluation.md says what the figures mean.
 
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
   dotsim_ros evaluate geometry --data DIR --models ours tacto --splits held_out --out out
   dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
+  dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
 """
 
@@ -36,6 +38,7 @@ IMAGE_MODELS = (
     "ours",
 )
 LEVELS = ("easy", "medium", "hard")
+BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 RUNTIME_PRESS_COUNT = 3
 
 
@@ -45,13 +48,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     geometry = subjects.add_parser("geometry", help="surfaces and forces of every model")
     optics = subjects.add_parser("optics", help="images of every model")
     runtime = subjects.add_parser("runtime", help="frames a second against the error")
-    for subject in (geometry, optics, runtime):
+    gelsight = subjects.add_parser("gelsight", help="images of a real flat sensor")
+    for subject in (geometry, optics, gelsight, runtime):
         subject.add_argument("--data", type=Path, required=True, help="folder of a data set")
         subject.add_argument(
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
         )
         subject.add_argument("--json", type=Path, help="write the figures here as well")
         subject.add_argument("--seed", type=int, default=0, help="of the draws (0)")
+    for subject in (geometry, optics, runtime):
         subject.add_argument(
             "--sensor",
             default="densetact2",
@@ -75,6 +80,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--from-depth-mm", type=float, default=2.0, help="frames at least so deep are judged (2)"
     )
     _add_optics_arguments(optics)
+    gelsight.add_argument(
+        "--models", nargs="+", choices=BALL_MODELS, default=list(BALL_MODELS), help="which (all)"
+    )
+    gelsight.add_argument("--count", type=int, default=8, help="presses held out (8)")
+    for subject in (optics, gelsight):
+        _add_network_arguments(subject)
     runtime.add_argument(
         "--presses",
         nargs="+",
@@ -91,19 +102,24 @@ def _add_optics_arguments(optics: argparse.ArgumentParser) -> None:
         "--splits", nargs="+", choices=LEVELS, default=list(LEVELS), help="which (all)"
     )
     optics.add_argument(
-        "--budget-minutes", type=float, help="end the training of one network after so long"
-    )
-    optics.add_argument(
-        "--network-width", type=int, help="of the networks' images, pixels (the network's own)"
-    )
-    optics.add_argument(
         "--images",
         type=Path,
         default=Path("docs/images"),
         help="folder of the sheets (docs/images)",
     )
-    optics.add_argument(
-        "--cache", type=Path, help="folder of the rows made before (the user's cache)"
+
+
+def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
+    subject.add_argument(
+        "--budget-minutes", type=float, help="end the training of one network after so long"
+    )
+    subject.add_argument(
+        "--network-width", type=int, help="of the networks' images, pixels (the network's own)"
+    )
+    subject.add_argument(
+        "--cache",
+        type=Path,
+        help="folder of the rows made before, and of trainings (the user's cache)",
     )
 
 
@@ -205,6 +221,28 @@ def _optics(arguments: argparse.Namespace) -> int:
     return _write(arguments, figures, origin, lambda f: optics_page(f, sheets))
 
 
+def _gelsight(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.gelsight import evaluate_gelsight, gelsight_page
+    from dotsim_ros.evaluation.optics_models import FitSettings
+    from dotsim_ros.gel.refinement import cache_directory
+
+    settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
+    figures = evaluate_gelsight(
+        arguments.data,
+        models=arguments.models,
+        settings=settings,
+        state=(arguments.cache or cache_directory() / "optics") / f"gelsight-{arguments.seed}",
+        held_out=arguments.count,
+        progress=_say,
+    )
+    origin = {
+        "seed": str(arguments.seed),
+        "budget_minutes": str(arguments.budget_minutes),
+        "network_width": str(arguments.network_width),
+    }
+    return _write(arguments, figures, origin, gelsight_page)
+
+
 def _runtime(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.report import read_measured, splits_of
     from dotsim_ros.evaluation.runtime import runtime_page, runtime_rows
@@ -233,4 +271,9 @@ def _runtime(arguments: argparse.Namespace) -> int:
     return _write(arguments, {"presses": names, "rows": rows}, origin, runtime_page)
 
 
-_SUBJECTS = {"geometry": _geometry, "optics": _optics, "runtime": _runtime}
+_SUBJECTS = {
+    "geometry": _geometry,
+    "optics": _optics,
+    "gelsight": _gelsight,
+    "runtime": _runtime,
+}

@@ -23,7 +23,7 @@ BoolArray = NDArray[np.bool_]
 
 SHOWN_MODELS = ("ours", "carried", "paper", "tacto", "difftactile", "taxim")
 ERROR_GAIN = 3.0
-COLUMN_INCHES = 2.1
+COLUMN_INCHES, ROW_INCHES, TITLE_INCHES = 2.1, 2.0, 0.4
 DOTS_PER_INCH = 100
 MARGIN_PX = 4
 
@@ -54,7 +54,7 @@ def write_optics_sheet(
         width = 1 + len(predicted)
         height = 2 * len(measured)
         figure = Figure(
-            figsize=(COLUMN_INCHES * width, COLUMN_INCHES * height + 0.5),
+            figsize=(COLUMN_INCHES * width, ROW_INCHES * height + TITLE_INCHES),
             dpi=DOTS_PER_INCH,
             layout="constrained",
         )

@@ -43,8 +43,8 @@ SAMPLES = 4_000_000
 TERMS = 6
 LEAST_PIXELS = 30
 """Pixels below which an entry takes its neighbours' polynomial: five for each coefficient."""
-RIDGE = 1e-3
-"""Share of a pixel's weight that pulls the coefficients to zero, so that each entry has one."""
+CANDIDATE_RIDGES = (1e-3, 10.0, 300.0)
+"""Pulls of the coefficients to zero, in pixels, of which the best on held-back presses is taken."""
 HELD_BACK = 4
 """Every fourth press is held back to choose the number of bins."""
 
@@ -70,8 +70,26 @@ def slope_bins(relative: Float32Array, bins: int) -> IntArray:
     return row * bins + column
 
 
-def fit_table(samples: PixelSamples, bins: int) -> Float32Array:
-    """Return the table (bins^2, 6, 3) of least squares."""
+@dataclass(frozen=True)
+class TableSums:
+    """What least squares needs of the pixels of each entry.
+
+    Attributes:
+        matrix: (bins^2, 6, 6) sums of products of two terms.
+        right: (bins^2, 6, 3) sums of products of a term and a colour's change.
+    """
+
+    matrix: FloatArray
+    right: FloatArray
+
+    def table(self, ridge: float) -> Float32Array:
+        """Return the coefficients (bins^2, 6, 3) of least squares with a pull to zero."""
+        table: FloatArray = np.linalg.solve(self.matrix + ridge * np.eye(TERMS), self.right)
+        return _fill(table, self.matrix[:, 0, 0] >= LEAST_PIXELS).astype(np.float32)
+
+
+def table_sums(samples: PixelSamples, bins: int) -> TableSums:
+    """Return the sums over samples for a table of so many bins each way."""
     entry = slope_bins(samples.relative, bins)
     terms = polynomial_terms(samples.position)
     size = bins * bins
@@ -83,14 +101,13 @@ def fit_table(samples: PixelSamples, bins: int) -> Float32Array:
             matrix[:, j, i] = matrix[:, i, j]
         for colour in range(3):
             right[:, i, colour] = np.bincount(entry, terms[:, i] * samples.change[:, colour], size)
-    table: FloatArray = np.linalg.solve(matrix + RIDGE * np.eye(TERMS), right).astype(np.float64)
-    filled = matrix[:, 0, 0] >= LEAST_PIXELS
-    return _fill(table, filled, bins).astype(np.float32)
+    return TableSums(matrix, right)
 
 
-def _fill(table: FloatArray, filled: NDArray[np.bool_], bins: int) -> FloatArray:
+def _fill(table: FloatArray, filled: NDArray[np.bool_]) -> FloatArray:
     if not filled.any():
         return np.zeros_like(table)
+    bins = round(np.sqrt(len(table)))
     # Directions close into a circle: three turns side by side, of which the middle one is kept.
     empty = np.tile(~filled.reshape(bins, bins), (1, 3))
     row, column = ndimage.distance_transform_edt(empty, return_distances=False, return_indices=True)
@@ -129,7 +146,7 @@ class TaximImage:
 def fit(
     train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera, *, seed: int = 0
 ) -> TaximImage:
-    """Return the table with the number of bins that does best on presses held back from it.
+    """Return the table with the bins and the pull that do best on presses held back from it.
 
     Every fourth press is held back for the choice; the table is then fitted on all.
 
@@ -142,19 +159,23 @@ def fit(
     Raises:
         ValueError: no frame.
     """
-    bins = PUBLISHED_BINS
+    bins, ridge = PUBLISHED_BINS, CANDIDATE_RIDGES[0]
     if len(train) >= HELD_BACK:
         back = train[HELD_BACK - 1 :: HELD_BACK]
         front = [press for press in train if all(press is not other for other in back)]
         fitted = draw_pixels(front, rest, count=SAMPLES // 2, seed=seed)
         judged = draw_pixels(back, rest, count=SAMPLES // 4, seed=seed)
-        bins = min(CANDIDATE_BINS, key=lambda count: _error(fitted, judged, count))
+        errors = {}
+        for count in CANDIDATE_BINS:
+            sums = table_sums(fitted, count)
+            for pull in CANDIDATE_RIDGES:
+                errors[count, pull] = _error(sums.table(pull), judged, count)
+        bins, ridge = min(errors, key=lambda candidate: errors[candidate])
     samples = draw_pixels(train, rest, count=SAMPLES, seed=seed)
-    return TaximImage(bins, fit_table(samples, bins))
+    return TaximImage(bins, table_sums(samples, bins).table(ridge))
 
 
-def _error(fitted: PixelSamples, judged: PixelSamples, bins: int) -> float:
-    table = fit_table(fitted, bins)
+def _error(table: Float32Array, judged: PixelSamples, bins: int) -> float:
     terms = polynomial_terms(judged.position).astype(np.float32)
     change = np.einsum("nt,ntc->nc", terms, table[slope_bins(judged.relative, bins)])
     return float(np.mean((change - judged.change) ** 2))
