@@ -28,6 +28,7 @@ TEST = [
     "pytest<9",
 ]
 LEARNING = [
+    "onnx>=1.17",
     "onnxscript>=0.5",
     "torch>=2.9",
     "torchvision>=0.24",
@@ -77,6 +78,7 @@ setup(
         "imageio-ffmpeg>=0.4.9",
         "matplotlib>=3.6",
         "numpy>=1.26",
+        "onnxruntime>=1.20",
         "opencv-python-headless>=4.6",
         "pillow>=9.4",
         "PyYAML>=6.0",

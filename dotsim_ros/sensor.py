@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,9 @@ from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.resources import parameter_path
+
+if TYPE_CHECKING:
+    from dotsim_ros.optics.residual_network import ResidualNetwork
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -241,10 +244,34 @@ def make_gel(
     )
 
 
-def idle_image_path(name: str) -> Path:
-    """Return the file of an idle image, given absolute or below `params/`."""
+def given_path(name: str) -> Path:
+    """Return the path of a file or folder that a sensor names, absolute or below `params/`."""
     path = Path(name)
     return path if path.is_absolute() else parameter_path(name)
+
+
+def idle_image_path(name: str) -> Path:
+    """Return the file of an idle image, given absolute or below `params/`."""
+    return given_path(name)
+
+
+def residual_network(
+    specification: SensorSpecification, camera: FisheyeCamera
+) -> ResidualNetwork | None:
+    """Return the network that completes the sensor's image; None where it names none.
+
+    Raises:
+        FileNotFoundError: the folder holds no network.
+        ValueError: the network is corrupt or for another sensor, camera or version.
+    """
+    if not specification.camera.residual:
+        return None
+    # Loaded on use: it takes the time and memory of ONNX Runtime.
+    from dotsim_ros.optics.residual_network import ResidualNetwork
+
+    return ResidualNetwork(
+        given_path(specification.camera.residual), sensor=specification.name, camera=camera
+    )
 
 
 class TactileSensor:
@@ -273,6 +300,7 @@ class TactileSensor:
         self.camera = FisheyeCamera.from_specification(specification.camera)
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
+        self._network = residual_network(specification, self.camera)
         self._set_idle(
             read_idle_frame(idle_image_path(specification.camera.idle_image), self.camera)
         )
@@ -290,12 +318,17 @@ class TactileSensor:
         return self._idle.image
 
     def _set_idle(self, idle: IdleFrame) -> None:
+        residual = None
+        if self._network is not None:
+            untouched = self._renderer.render(self.skin.rest_position_m)
+            residual = self._network.at_rest(untouched, idle.image)
         self._image = ImageRenderer(
             self.camera,
             self.skin,
             idle.image,
             lighting=idle.lighting,
             vignetting=idle.vignetting,
+            residual=residual,
             device=self.device,
         )
         self._idle = idle

@@ -144,6 +144,8 @@ class CameraSpecification:
         principal_point_px: (cx, cy).
         distortion: k1 to k4 of the equidistant model.
         idle_image: file of the image without contact, below `params/` or absolute.
+        residual: folder of the network that completes the image, below `params/` or absolute;
+            empty for none.
     """
 
     width: int = 640
@@ -154,6 +156,7 @@ class CameraSpecification:
     principal_point_px: tuple[float, float] = (319.5, 239.5)
     distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     idle_image: str = "images/densetact2_idle.png"
+    residual: str = ""
 
     def __post_init__(self) -> None:
         _positive(

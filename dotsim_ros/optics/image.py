@@ -217,5 +217,6 @@ class ImageRenderer:
         carried = self.carry(view)
         if self.residual is None:
             return carried
-        added = carried + self.residual(view, carried)
-        return np.clip(np.rint(added), 0.0, 255.0).astype(np.uint8)
+        # Rounded and clipped to whole grey levels.
+        added = cv2.add(carried, self.residual(view, carried), dtype=cv2.CV_8U)
+        return np.asarray(added, dtype=np.uint8)

@@ -14,14 +14,14 @@ Where no skin is seen the geometry is 0 in both. At rest `frame` equals the firs
 
 from __future__ import annotations
 
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import BoolArray, ByteImage
+from dotsim_ros.optics.idle import ByteImage, lit_region
 
 Float32Array = NDArray[np.float32]
 
@@ -34,26 +34,6 @@ FADE = slice(9, 10)
 """Channels; those of `frame` are the first of `rest`."""
 FADE_PX = 3.0
 """Width of the rim, in the network's pixels, over which its output fades to nothing."""
-
-
-class SeenAtRest(Protocol):
-    """What the camera sees of the gel untouched; see `dotsim_ros.optics.frames.Rest`."""
-
-    @property
-    def idle(self) -> ByteImage:
-        """(H, W, 3) the idle frame."""
-
-    @property
-    def depth_m(self) -> Float32Array:
-        """(H, W) distance along the ray; NaN where no skin is seen."""
-
-    @property
-    def normal(self) -> Float32Array:
-        """(H, W, 3) unit normal in the optical frame."""
-
-    @property
-    def lit(self) -> BoolArray:
-        """(H, W) the lit disc."""
 
 
 Pixels = TypeVar("Pixels", np.uint8, np.float32)
@@ -73,44 +53,50 @@ class NetworkInput:
     """Brings what a camera sees to the size and the units of a network.
 
     Args:
-        rest: of the gel untouched.
-        camera: of the same size as `rest`.
+        camera: that sees it.
         size: width and height of the network's images.
+        depth_m: (H, W) distance along the ray of the gel untouched; NaN where no skin is seen.
+        normal: (H, W, 3) its unit normal in the optical frame.
+        idle: (H, W, 3) uint8, the idle frame.
 
     Attributes:
         rest: (10, h, w) the input that stays.
         size: width and height of the network's images.
 
     Raises:
-        ValueError: `rest` is not of the camera's size, or the network's images have another aspect
-            ratio.
+        ValueError: an array is not of the camera's size, or the network's images have another
+            aspect ratio.
     """
 
     def __init__(
         self,
-        rest: SeenAtRest,
         camera: FisheyeCamera,
         size: tuple[int, int],
+        *,
+        depth_m: Float32Array,
+        normal: Float32Array,
+        idle: ByteImage,
     ) -> None:
-        if rest.depth_m.shape != (camera.height, camera.width):
-            raise ValueError(
-                f"the gel at rest is seen at {rest.depth_m.shape[1]}x{rest.depth_m.shape[0]}, "
-                f"expected {camera.width}x{camera.height} as the camera"
-            )
+        for name, array in (("depth_m", depth_m), ("normal", normal), ("idle", idle)):
+            if array.shape[:2] != (camera.height, camera.width):
+                raise ValueError(
+                    f"{name} at rest is {array.shape[1]}x{array.shape[0]}, expected "
+                    f"{camera.width}x{camera.height} as the camera"
+                )
         self.size = size
-        self._depth_scale = np.float32(1.0 / np.nanmax(rest.depth_m))
+        self._depth_scale = np.float32(1.0 / np.nanmax(depth_m))
         small = camera.scaled(*size)
         x, y = np.meshgrid(
             np.arange(size[0], dtype=np.float32), np.arange(size[1], dtype=np.float32)
         )
         centre_x, centre_y = small.principal_point_px
         half = 0.5 * size[1]
-        lit = resized(rest.lit.astype(np.uint8), size)
+        lit = resized(lit_region(idle).astype(np.uint8), size)
         distance = cv2.distanceTransform(lit, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         fade = np.clip(distance / FADE_PX, 0.0, 1.0)
         self.rest = np.concatenate(
             [
-                self.frame(rest.depth_m, rest.normal, rest.idle),
+                self.frame(depth_m, normal, idle),
                 np.stack([(x - centre_x) / half, (y - centre_y) / half, fade]),
             ]
         ).astype(np.float32)

@@ -17,7 +17,7 @@ from dotsim_ros.optics.network_card import (
     check_card,
     read_network,
 )
-from dotsim_ros.optics.network_input import NetworkInput, SeenAtRest, resized
+from dotsim_ros.optics.network_input import NetworkInput, resized
 from dotsim_ros.optics.renderer import View
 
 Float32Array = NDArray[np.float32]
@@ -64,14 +64,24 @@ class ResidualNetwork:
         )
         self._inputs = {entry.name for entry in self._session.get_inputs()}
 
-    def at_rest(self, rest: SeenAtRest) -> LearnedResidual:
+    def at_rest(self, view: View, idle: ByteImage) -> LearnedResidual:
         """Return the residual for one idle frame.
 
+        Args:
+            view: of the gel untouched.
+            idle: (H, W, 3) the idle frame, of the camera's size.
+
         Raises:
-            ValueError: `rest` is not of the camera's size.
+            ValueError: view or idle frame are not of the camera's size.
         """
-        given = NetworkInput(rest, self._camera, (self.card.width, self.card.height))
-        return LearnedResidual(self, given, rest.idle)
+        given = NetworkInput(
+            self._camera,
+            (self.card.width, self.card.height),
+            depth_m=view.depth_m,
+            normal=view.normal,
+            idle=idle,
+        )
+        return LearnedResidual(self, given, idle)
 
     def added(self, frame: Float32Array, rest: Float32Array) -> Float32Array:
         """Return what the network adds (3, h, w), over 255, to one frame (7, h, w)."""

@@ -75,6 +75,11 @@ def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCa
         )
 
 
+def network_input(rest: Rest, camera: FisheyeCamera, size: tuple[int, int]) -> NetworkInput:
+    """Return what brings a sensor's frames to a network's size and units."""
+    return NetworkInput(camera, size, depth_m=rest.depth_m, normal=rest.normal, idle=rest.idle)
+
+
 def frames_of(press: OpticalPress, given: NetworkInput) -> Tensor:
     """Return the network's input (F, 7, h, w) for a press."""
     frames = [
@@ -98,7 +103,7 @@ def make_examples(
         ValueError: as `check_presses`, or the size has another aspect ratio than the camera's.
     """
     check_presses(presses, rest, camera)
-    given = NetworkInput(rest, camera, size)
+    given = network_input(rest, camera, size)
     measured = [
         resized(image, size).transpose(2, 0, 1) for press in presses for image in press.measured
     ]

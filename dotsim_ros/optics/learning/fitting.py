@@ -13,7 +13,7 @@ from torch import nn
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.frames import OpticalPress, Rest
 from dotsim_ros.optics.idle import ByteImage
-from dotsim_ros.optics.learning.examples import frames_of, make_examples
+from dotsim_ros.optics.learning.examples import frames_of, make_examples, network_input
 from dotsim_ros.optics.learning.networks import make_network
 from dotsim_ros.optics.learning.training import RECIPES, Progress, Recipe, Trained, Training
 from dotsim_ros.optics.network_card import BASES
@@ -49,7 +49,7 @@ class FittedNetwork:
 
     def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
         """Return the images (F, H, W, 3) of a press; its measured images are not read."""
-        given = NetworkInput(rest, self.camera, self.size)
+        given = network_input(rest, self.camera, self.size)
         added = added_images(self.trained.network, frames_of(press, given), given)
         full = (self.camera.width, self.camera.height)
         images = []
