@@ -6,7 +6,8 @@ implicit and the explicit gel follow a few presses at several resolutions; it wr
 runtime.json. `optics` fits every model of the image on the frames of six splits and judges it on
 their others; it writes optics.md, optics.json and sheets of images. A row that was made before is
 not made again, so a run that was broken off goes on. `gelsight` does the same on real presses of a
-ball on a flat sensor. docs/evaluation.md says what the figures mean.
+ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. docs/evaluation.md
+says what the figures mean.
 
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
@@ -14,6 +15,7 @@ examples:
   dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
   dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
+  dotsim_ros evaluate real_pair --data ../shared/real/densetact --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
 """
 
@@ -49,14 +51,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     optics = subjects.add_parser("optics", help="images of every model")
     runtime = subjects.add_parser("runtime", help="frames a second against the error")
     gelsight = subjects.add_parser("gelsight", help="images of a real flat sensor")
-    for subject in (geometry, optics, gelsight, runtime):
+    real_pair = subjects.add_parser("real_pair", help="one real image, explained by a press")
+    for subject in (geometry, optics, gelsight, real_pair, runtime):
         subject.add_argument("--data", type=Path, required=True, help="folder of a data set")
         subject.add_argument(
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
         )
         subject.add_argument("--json", type=Path, help="write the figures here as well")
         subject.add_argument("--seed", type=int, default=0, help="of the draws (0)")
-    for subject in (geometry, optics, runtime):
+    for subject in (geometry, optics, real_pair, runtime):
         subject.add_argument(
             "--sensor",
             default="densetact2",
@@ -243,6 +246,31 @@ def _gelsight(arguments: argparse.Namespace) -> int:
     return _write(arguments, figures, origin, gelsight_page)
 
 
+def _real_pair(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.real_pair import (
+        evaluate_real_pair,
+        read_real_pair,
+        real_pair_page,
+    )
+    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.optics.idle import read_description
+    from dotsim_ros.resources import parameter_path
+
+    description = parameter_path("images/densetact_real_idle.yaml")
+    disc, lighting, vignetting = read_description(description)
+    if disc is None:
+        raise ValueError(f"{description} does not say where the lit disc lies")
+    figures = evaluate_real_pair(
+        read_real_pair(arguments.data),
+        load_sensor(arguments.sensor),
+        disc,
+        lighting,
+        vignetting,
+        progress=_say,
+    )
+    return _write(arguments, figures, {"sensor": str(arguments.sensor)}, real_pair_page)
+
+
 def _runtime(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.report import read_measured, splits_of
     from dotsim_ros.evaluation.runtime import runtime_page, runtime_rows
@@ -275,5 +303,6 @@ _SUBJECTS = {
     "geometry": _geometry,
     "optics": _optics,
     "gelsight": _gelsight,
+    "real_pair": _real_pair,
     "runtime": _runtime,
 }

@@ -84,7 +84,9 @@ class TableSums:
 
     def table(self, ridge: float) -> Float32Array:
         """Return the coefficients (bins^2, 6, 3) of least squares with a pull to zero."""
-        table: FloatArray = np.linalg.solve(self.matrix + ridge * np.eye(TERMS), self.right)
+        table: FloatArray = np.linalg.solve(self.matrix + ridge * np.eye(TERMS), self.right).astype(
+            np.float64
+        )
         return _fill(table, self.matrix[:, 0, 0] >= LEAST_PIXELS).astype(np.float32)
 
 
