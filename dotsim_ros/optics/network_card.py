@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
@@ -20,9 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.view.files import whole_file
 
 FORMAT = 1
 """Raised whenever a network's input or output changes its meaning."""
@@ -182,7 +182,6 @@ def check_card(card: NetworkCard, *, sensor: str, camera: FisheyeCamera, source:
 
 def write_weights(path: Path, weights: Mapping[str, NDArray[Any]], card: NetworkCard) -> None:
     """Write weights and card as a safetensors file, whole or not at all."""
-    part = path.with_suffix(".part")
     arrays = {name: np.ascontiguousarray(array) for name, array in weights.items()}
-    save_file(arrays, part, metadata={CARD_KEY: card.text()})
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_bytes(save(arrays, metadata={CARD_KEY: card.text()}))
