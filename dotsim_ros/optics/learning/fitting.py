@@ -86,7 +86,8 @@ def network_size(
         device: where it is trained.
 
     Raises:
-        ValueError: the width is no multiple of 16 from 64 up to the measured one.
+        ValueError: the width is no multiple of 16 from 64 up to the measured one, or its height
+            no multiple of 4.
     """
     width = size
     if width is None:
@@ -96,7 +97,13 @@ def network_size(
             f"size is {width}, expected the width of the network's images in pixels: a multiple "
             f"of 16 from 64 to {camera.width}, the width measured"
         )
-    return width, round(camera.height * width / camera.width)
+    height = round(camera.height * width / camera.width)
+    if height % 4:
+        raise ValueError(
+            f"size {width} gives images of {width}x{height}, expected a height that is a multiple "
+            "of 4; choose another width"
+        )
+    return width, height
 
 
 def fit_network(
@@ -146,6 +153,10 @@ def fit_network(
     if BASES[kind] == "carried":
         # Its output is zero at rest whatever its weights are.
         examples = examples.only_touched()
+        if not len(examples.frame):
+            raise ValueError(
+                f"the gel has moved in none of {len(train)} presses; record presses that touch it"
+            )
     training = Training(
         kind,
         network,

@@ -22,6 +22,7 @@ from dotsim_ros.optics.network_input import CARRIED
 
 CHECKPOINT = "training.pt"
 CHECKPOINT_INTERVAL_S = 20.0
+"""Time between two checkpoints: the published network's takes half a gigabyte."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +115,15 @@ def base_image(kind: str, frame: Tensor, rest: Tensor) -> Tensor:
             return torch.zeros_like(rest[:, CARRIED])
 
 
+def batches(order: Tensor, size: int) -> list[Tensor]:
+    """Return the numbers (F,) in parts of a size; one left over joins the part before, since batch
+    normalisation of a single frame's mean colour is not defined."""
+    parts = list(order.split(size))
+    if len(parts) > 1 and len(parts[-1]) == 1:
+        parts[-2:] = [torch.cat(parts[-2:])]
+    return parts
+
+
 def psnr_db(mean_square: float) -> float:
     """Return the peak signal-to-noise ratio of an error whose unit is the peak."""
     return -10.0 * math.log10(max(mean_square, 1e-12))
@@ -139,6 +149,7 @@ class Training:
         budget_s: time after which the training ends; None for none.
         device: where.
         directory: of the checkpoint; None for none.
+        checkpoint_interval_s: least time between two checkpoints; they are made after an epoch.
 
     Raises:
         ValueError: the folder holds the checkpoint of another training, or a corrupt one.
@@ -155,7 +166,9 @@ class Training:
         budget_s: float | None = None,
         device: torch.device | None = None,
         directory: Path | None = None,
+        checkpoint_interval_s: float = CHECKPOINT_INTERVAL_S,
     ) -> None:
+        self._checkpoint_interval_s = checkpoint_interval_s
         device = device or torch.device("cpu")
         self.kind, self.recipe, self.budget_s = kind, recipe, budget_s
         self._checkpoint = None if directory is None else directory / CHECKPOINT
@@ -168,7 +181,7 @@ class Training:
             self.network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay
         )
         self._order = torch.Generator().manual_seed(seed)
-        self._steps_an_epoch = math.ceil(len(examples.frame) / recipe.batch)
+        self._steps_an_epoch = len(batches(torch.arange(len(examples.frame)), recipe.batch))
         self._psnr_db: list[float] = []
         self._spent_s, self._step, self._cut_short = 0.0, 0, False
         if self._checkpoint is not None and self._checkpoint.is_file():
@@ -237,7 +250,7 @@ class Training:
             spent_before_s = self._spent_s
             order = torch.randperm(count, generator=self._order)
             seen = 0
-            for index in order.split(self.recipe.batch):
+            for index in batches(order, self.recipe.batch):
                 total += self._train_on(index)
                 seen += len(index)
                 self._spent_s = spent_before_s + time.monotonic() - begun_s
@@ -251,7 +264,7 @@ class Training:
                 )
             self._psnr_db.append(psnr_db(total / seen))
             ended = self._cut_short or self.epoch == self.recipe.epochs
-            if ended or time.monotonic() - saved_s > CHECKPOINT_INTERVAL_S:
+            if ended or time.monotonic() - saved_s >= self._checkpoint_interval_s:
                 self._save()
                 saved_s = time.monotonic()
             if progress is not None:
