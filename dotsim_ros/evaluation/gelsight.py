@@ -67,7 +67,7 @@ SENSOR = SensorSpecification(
 """The pad's thickness is not recorded; silicone as its maker states that of a DenseTact."""
 CAMERA_DISTANCE_M = 1.0
 FIRST_DEPTH_M = 0.4e-3
-LAST_DEPTH_M = 2.6e-3
+LAST_DEPTH_M = 2.4e-3
 DEPTH_STEP_M = 0.1e-3
 STEP_S = 0.05
 TOUCHING_M = 40.0e-6

@@ -1,0 +1,173 @@
+"""Real presses of a ball on a flat gel: reading, shapes, and the camera that is nearly parallel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dotsim_ros.cli.evaluate import BALL_MODELS
+from dotsim_ros.evaluation.gelsight import (
+    BALL_RADIUS_M,
+    MODELS,
+    PIXELS_PER_METRE,
+    SENSOR,
+    BallPress,
+    FlatScene,
+    PressProfiles,
+    cap_presses,
+    flat_camera,
+    flat_scene,
+    gel_presses,
+    near_contact,
+    press_profiles,
+    read_ball_presses,
+)
+from dotsim_ros.geometry.specification import GelSpecification, SolverSpecification
+from dotsim_ros.optics.renderer import SkinRenderer
+
+SIZE = (80, 60)
+COARSE = replace(
+    SENSOR,
+    gel=GelSpecification(shape="flat_pad", pad_size_m=(0.012, 0.012, 0.004), skin_spacing_m=0.4e-3),
+    solver=SolverSpecification(grid_spacing_m=2.0e-3, refined=False),
+)
+
+
+def image(level: int = 120) -> NDArray[np.uint8]:
+    """Return an image of one grey."""
+    return np.full((*SIZE, 3), level, dtype=np.uint8)
+
+
+def ball_press(centre: tuple[float, float] = (30.0, 45.0), radius: float = 30.0) -> BallPress:
+    """Return a press with a circle of contact."""
+    return BallPress("0001.png", np.array(centre), radius, image(130))
+
+
+def scene() -> FlatScene:
+    """Return a camera over a pad that fills it."""
+    return flat_scene(image(), COARSE)
+
+
+@pytest.fixture(scope="module")
+def profiles() -> PressProfiles:
+    """What a ball does to a coarse pad."""
+    return press_profiles(COARSE, BALL_RADIUS_M)
+
+
+def write_recording(folder: Path, table: str, count: int = 2) -> None:
+    """Write images and the table of circles."""
+    for name in ["idle.png", *(f"{k:04d}.png" for k in range(1, count + 1))]:
+        cv2.imwrite(str(folder / name), image())
+    (folder / "contact_circles.csv").write_text(table)
+
+
+HEADER = "img_names,center_x,center_y,radius\n"
+
+
+def test_recording_is_read_by_name(tmp_path: Path) -> None:
+    write_recording(tmp_path, HEADER + "0002.png,10,20,30\n0001.png,11,21,31\n")
+    idle, presses = read_ball_presses(tmp_path)
+    assert idle.shape == (*SIZE, 3)
+    assert [press.name for press in presses] == ["0001.png", "0002.png"]
+    assert presses[0].centre_px.tolist() == [11.0, 21.0]
+    assert presses[0].radius_px == 31.0
+
+
+def test_bad_recordings_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"no image .*idle\.png"):
+        read_ball_presses(tmp_path)
+    write_recording(tmp_path, HEADER + "0001.png,10,wide,30\n")
+    with pytest.raises(ValueError, match=r"line 2: .* is no circle"):
+        read_ball_presses(tmp_path)
+    write_recording(tmp_path, HEADER + "0009.png,10,20,30\n")
+    with pytest.raises(FileNotFoundError, match=r"no image .*0009\.png"):
+        read_ball_presses(tmp_path)
+    write_recording(tmp_path, HEADER + "0001.png,10,20,30\n")
+    cv2.imwrite(str(tmp_path / "0001.png"), image()[:-1])
+    with pytest.raises(ValueError, match="expected that of idle"):
+        read_ball_presses(tmp_path)
+
+
+def test_a_millimetre_has_its_pixels_everywhere() -> None:
+    camera = flat_camera(240, 320, 0.004)
+    face = np.array([[x, y, 0.004] for x in (-5e-3, 0.0, 5e-3) for y in (-7e-3, 0.0, 7e-3)])
+    pixels = camera.project(face)
+    expected = face[:, :2] * PIXELS_PER_METRE + camera.principal_point_px
+    assert pixels == pytest.approx(expected, abs=0.02)
+
+
+def test_a_cap_is_the_ball() -> None:
+    flat = scene()
+    press = ball_press()
+    given = gel_presses([press], flat, still())
+    (capped,) = cap_presses([press], given, flat)
+    row, column = 45, 30
+    contact = 30.0 / PIXELS_PER_METRE
+    deepest = BALL_RADIUS_M - np.sqrt(BALL_RADIUS_M**2 - contact**2)
+    sunk = flat.rest.depth_m - capped.depth_m[0]
+    assert sunk[row, column] == pytest.approx(deepest, abs=2e-7)
+    assert sunk[5, 55] == 0.0
+    assert capped.normal[0, row, column] == pytest.approx([0.0, 0.0, -1.0], abs=1e-6)
+    across = 20.0 / PIXELS_PER_METRE / BALL_RADIUS_M
+    expected = [across, 0.0, -np.sqrt(1.0 - across**2)]
+    assert capped.normal[0, row, column + 20] == pytest.approx(expected, abs=1e-6)
+    assert np.linalg.norm(capped.normal[0], axis=-1) == pytest.approx(np.ones(SIZE), abs=1e-5)
+
+
+def still() -> PressProfiles:
+    """Return profiles of a pad that nothing moves."""
+    return PressProfiles(np.array([0.0, 1.0]), np.array([0.0, 1.0]), *np.zeros((2, 2, 2)))
+
+
+def test_a_pad_that_does_not_move_shows_the_idle_image() -> None:
+    flat = scene()
+    (press,) = gel_presses([ball_press()], flat, still())
+    assert np.array_equal(press.carried[0], flat.rest.idle)
+    assert press.depth_m[0] == pytest.approx(flat.rest.depth_m)
+    assert np.array_equal(press.measured[0], image(130))
+
+
+def test_a_profile_is_laid_around_its_axis() -> None:
+    flat = scene()
+    distance = np.linspace(0.0, 3e-3, 31)
+    down = -np.clip(1e-3 - distance, 0.0, None)
+    one = PressProfiles(np.array([1e-3, 2e-3]), distance, np.zeros((2, 31)), np.stack([down] * 2))
+    axis = np.array([1e-3, -2e-3])
+    moved = one.displace(flat.skin, axis, 1.5e-3) - flat.skin.rest_position_m
+    near = np.linalg.norm(flat.skin.rest_position_m[:, :2] - axis, axis=1)
+    assert moved[:, 2] == pytest.approx(-np.clip(1e-3 - near, 0.0, None), abs=1e-9)
+    assert np.all(moved[:, :2] == 0.0)
+
+
+def test_deeper_presses_touch_more(profiles: PressProfiles) -> None:
+    assert np.all(np.diff(profiles.contact_radius_m) > 0.0)
+    assert profiles.contact_radius_m[-1] < BALL_RADIUS_M
+    middle = profiles.upward_m[:, 0]
+    assert np.all(np.diff(middle) < 0.0)
+    assert middle[-1] < -1.9e-3
+    assert np.abs(profiles.upward_m[:, -1]).max() < 0.3e-3
+
+
+def test_the_gel_shows_the_circle_that_was_marked(profiles: PressProfiles) -> None:
+    flat = scene()
+    press = ball_press(centre=(30.0, 45.0), radius=34.0)
+    position = profiles.displace(flat.skin, flat.axis_m(press), 34.0 / PIXELS_PER_METRE)
+    view = SkinRenderer(flat.camera, flat.skin).render(position)
+    row, column = np.unravel_index(np.nanargmin(view.depth_m), view.depth_m.shape)
+    assert (column, row) == (pytest.approx(30, abs=6), pytest.approx(45, abs=6))
+
+
+def test_the_region_of_contact() -> None:
+    region = near_contact(ball_press(radius=10.0))
+    assert region[45, 30]
+    assert region[45, 44]
+    assert not region[45, 46]
+
+
+def test_the_command_offers_what_there_is() -> None:
+    assert BALL_MODELS == MODELS
