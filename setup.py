@@ -84,6 +84,7 @@ setup(
         "PyYAML>=6.0",
         "rosbags>=0.10.7",
         "safetensors>=0.4",
+        "scikit-image>=0.20",
         "scipy>=1.11",
         "trimesh>=4.0",
         "warp-lang>=1.10",
