@@ -57,6 +57,7 @@ NAMES_ELSEWHERE = {
     "cv2": "opencv-python-headless",
     "imageio_ffmpeg": "imageio-ffmpeg",
     "ot": "POT",
+    "skimage": "scikit-image",
     "warp": "warp-lang",
     "yaml": "PyYAML",
 }
@@ -67,6 +68,7 @@ ROS_KEYS = {
     "PyYAML": "yaml",
     "opencv-python-headless": "opencv",
     "pillow": "pil",
+    "scikit-image": "skimage",
 }
 """What rosdep calls a distribution that it does not call by its name."""
 
