@@ -34,6 +34,8 @@ CARD_KEY = "card"
 
 BASES = {"ours": "carried", "paper": "idle", "paper_direct": "none", "unet": "idle"}
 """What each kind of network's output is added to."""
+FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1}
+"""How often wider and higher each kind's images are than the geometry that it is given."""
 
 
 @dataclass(frozen=True)

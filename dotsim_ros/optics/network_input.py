@@ -1,12 +1,14 @@
 """What a network of images is given: geometry and carried image of a frame, beside those at rest.
 
-Two arrays, channels first, all values of order one:
+Three arrays, channels first, all values of order one:
 
 - `frame` (7, h, w): unit normal mapped from [-1, 1] to [0, 1] (3), distance along the ray over the
   largest at rest (1), carried image over 255 (3);
 - `rest` (10, h, w): the same of the gel untouched, with the idle frame in place of the carried
   image (7), the pixel's place x and y from the principal point over half the height (2), and a
-  weight that fades from 1 inside the lit disc to 0 at its rim (1).
+  weight that fades from 1 inside the lit disc to 0 before its rim (1);
+- `image` (3, f h, f w): the carried image over 255 at the resolution of what is added, which may be
+  finer than the geometry's by a factor f.
 
 Where no skin is seen the geometry is 0 in both. At rest `frame` equals the first seven channels of
 `rest` to the last bit, whatever the resolution, so a network can tell that nothing has moved.
@@ -32,8 +34,9 @@ CARRIED = slice(4, 7)
 PLACE = slice(7, 9)
 FADE = slice(9, 10)
 """Channels; those of `frame` are the first of `rest`."""
-FADE_PX = 3.0
-"""Width of the rim, in the network's pixels, over which its output fades to nothing."""
+FADE_BEGIN_PX, FADE_END_PX = 3.0, 1.5
+"""Distances from the rim, in the network's pixels, between which its output fades to nothing. The
+second leaves nothing to interpolate beyond the rim where what is added is enlarged."""
 
 
 Pixels = TypeVar("Pixels", np.uint8, np.float32)
@@ -54,18 +57,18 @@ class NetworkInput:
 
     Args:
         camera: that sees it.
-        size: width and height of the network's images.
+        size: width and height of the geometry.
+        fineness: how often wider and higher the images are.
         depth_m: (H, W) distance along the ray of the gel untouched; NaN where no skin is seen.
         normal: (H, W, 3) its unit normal in the optical frame.
         idle: (H, W, 3) uint8, the idle frame.
 
     Attributes:
         rest: (10, h, w) the input that stays.
-        size: width and height of the network's images.
+        size: width and height of the geometry.
 
     Raises:
-        ValueError: an array is not of the camera's size, or the network's images have another
-            aspect ratio.
+        ValueError: an array is not of the camera's size, or the geometry has another aspect ratio.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class NetworkInput:
         camera: FisheyeCamera,
         size: tuple[int, int],
         *,
+        fineness: int,
         depth_m: Float32Array,
         normal: Float32Array,
         idle: ByteImage,
@@ -84,6 +88,7 @@ class NetworkInput:
                     f"{camera.width}x{camera.height} as the camera"
                 )
         self.size = size
+        self._image_size = (fineness * size[0], fineness * size[1])
         self._depth_scale = np.float32(1.0 / np.nanmax(depth_m))
         small = camera.scaled(*size)
         x, y = np.meshgrid(
@@ -93,7 +98,7 @@ class NetworkInput:
         half = 0.5 * size[1]
         lit = resized(lit_region(idle).astype(np.uint8), size)
         distance = cv2.distanceTransform(lit, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-        fade = np.clip(distance / FADE_PX, 0.0, 1.0)
+        fade = np.clip((distance - FADE_END_PX) / (FADE_BEGIN_PX - FADE_END_PX), 0.0, 1.0)
         self.rest = np.concatenate(
             [
                 self.frame(depth_m, normal, idle),
@@ -120,7 +125,17 @@ class NetworkInput:
         np.multiply(resized(depth_m, self.size), self._depth_scale, out=frame[3])
         # cv2 does it in place, on two dimensions.
         cv2.patchNaNs(frame[:4].reshape(4 * height, width), 0.0)
-        image = resized(carried, self.size)
-        for channel in range(3):
-            np.multiply(image[..., channel], np.float32(1.0 / 255.0), out=frame[4 + channel])
+        frame[CARRIED] = self._planes(carried, self.size)
         return frame
+
+    def image(self, carried: ByteImage) -> Float32Array:
+        """Return a carried image (H, W, 3) uint8 as input (3, f h, f w)."""
+        return self._planes(carried, self._image_size)
+
+    @staticmethod
+    def _planes(image: ByteImage, size: tuple[int, int]) -> Float32Array:
+        small = resized(image, size)
+        planes = np.empty((3, size[1], size[0]), dtype=np.float32)
+        for channel in range(3):
+            np.multiply(small[..., channel], np.float32(1.0 / 255.0), out=planes[channel])
+        return planes

@@ -13,6 +13,7 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.optics.network_card import (
     BASES,
+    FINENESS,
     GRAPH,
     check_card,
     read_network,
@@ -74,18 +75,20 @@ class ResidualNetwork:
         Raises:
             ValueError: view or idle frame are not of the camera's size.
         """
+        fineness = FINENESS[self.card.kind]
         given = NetworkInput(
             self._camera,
-            (self.card.width, self.card.height),
+            (self.card.width // fineness, self.card.height // fineness),
+            fineness=fineness,
             depth_m=view.depth_m,
             normal=view.normal,
             idle=idle,
         )
         return LearnedResidual(self, given, idle)
 
-    def added(self, frame: Float32Array, rest: Float32Array) -> Float32Array:
-        """Return what the network adds (3, h, w), over 255, to one frame (7, h, w)."""
-        arrays = {"frame": frame[None], "rest": rest[None]}
+    def added(self, frame: Float32Array, rest: Float32Array, image: Float32Array) -> Float32Array:
+        """Return what the network adds (3, f h, f w), over 255; see `network_input`."""
+        arrays = {"frame": frame[None], "rest": rest[None], "image": image[None]}
         fed = {name: array for name, array in arrays.items() if name in self._inputs}
         return np.asarray(self._session.run(None, fed)[0][0])
 
@@ -105,8 +108,8 @@ class LearnedResidual:
     def __call__(self, view: View, carried: ByteImage) -> Float32Array:
         """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
         frame = self._given.frame(view.depth_m, view.normal, carried)
-        added = cv2.merge(list(255.0 * self._network.added(frame, self._given.rest)))
-        residual = resized(added, (carried.shape[1], carried.shape[0]))
+        added = self._network.added(frame, self._given.rest, self._given.image(carried))
+        residual = resized(cv2.merge(list(255.0 * added)), (carried.shape[1], carried.shape[0]))
         match BASES[self._network.card.kind]:
             case "carried":
                 return residual

@@ -112,7 +112,7 @@ class KilledError(Exception):
 
 
 def test_a_killed_training_goes_on_where_it_stopped(data, tmp_path):
-    examples = make_examples(data.presses, data.rest, data.camera, (64, 48))
+    examples = make_examples("ours", data.presses, data.rest, data.camera, (64, 48))
 
     def training(directory):
         torch.manual_seed(5)
@@ -212,14 +212,15 @@ def test_lone_frames_join_the_batch_before():
 
 def test_the_local_model_is_linear_in_what_it_is_given_to_change(data):
     """A gain alone brightens the carried image in proportion."""
-    examples = make_examples(data.presses, data.rest, data.camera, (64, 48))
+    examples = make_examples("ours", data.presses, data.rest, data.camera, (64, 48))
     model = LocalModel().eval()
     with torch.no_grad():
         model.head.bias[:12] = 0.1
-        frame = examples.frame[3:4]
-        added = model(frame, examples.rest)[0].numpy()
-    inside = data.rest.lit & (examples.rest[0, 9].numpy() == 1.0)
-    image = frame[0, 4:7].numpy()
+        image = examples.image[3]
+        added = model(examples.frame[3:4], examples.rest, image[None])[0].numpy()
+    rows, columns = np.mgrid[0:48, 0:64]
+    inside = np.hypot(columns - 31.5, rows - 23.5) < 15.0
+    image = image.numpy()
     ratio = (added / np.maximum(image, 1e-6))[:, inside & (image.min(axis=0) > 0.1)]
     assert ratio.mean() == pytest.approx(0.1, rel=0.05)
     assert ratio.std() < 1e-3

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.frames import OpticalPress, Rest
+from dotsim_ros.optics.network_card import FINENESS
 from dotsim_ros.optics.network_input import (
     DEPTH,
     NetworkInput,
@@ -28,16 +29,23 @@ class Examples:
     Attributes:
         frame: (F, 7, h, w) as `NetworkInput.frame`.
         rest: (1, 10, h, w) as `NetworkInput.rest`.
-        measured: (F, 3, h, w) measured images over 255.
+        image: (F, 3, f h, f w) as `NetworkInput.image`.
+        measured: (F, 3, f h, f w) measured images over 255.
     """
 
     frame: Tensor
     rest: Tensor
+    image: Tensor
     measured: Tensor
 
     def to(self, device: torch.device) -> Examples:
         """Return the examples on a device."""
-        return Examples(self.frame.to(device), self.rest.to(device), self.measured.to(device))
+        return Examples(
+            self.frame.to(device),
+            self.rest.to(device),
+            self.image.to(device),
+            self.measured.to(device),
+        )
 
     @property
     def touched(self) -> Tensor:
@@ -46,7 +54,8 @@ class Examples:
 
     def only_touched(self) -> Examples:
         """Return the frames in which something has moved."""
-        return Examples(self.frame[self.touched], self.rest, self.measured[self.touched])
+        touched = self.touched
+        return Examples(self.frame[touched], self.rest, self.image[touched], self.measured[touched])
 
 
 def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera) -> None:
@@ -75,25 +84,48 @@ def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCa
         )
 
 
-def network_input(rest: Rest, camera: FisheyeCamera, size: tuple[int, int]) -> NetworkInput:
-    """Return what brings a sensor's frames to a network's size and units."""
-    return NetworkInput(camera, size, depth_m=rest.depth_m, normal=rest.normal, idle=rest.idle)
+def network_input(
+    kind: str, rest: Rest, camera: FisheyeCamera, size: tuple[int, int]
+) -> NetworkInput:
+    """Return what brings a sensor's frames to the size and the units of a network.
+
+    Args:
+        kind: of the network.
+        rest: of the gel untouched.
+        camera: of the same size.
+        size: width and height of the network's images.
+    """
+    fineness = FINENESS[kind]
+    return NetworkInput(
+        camera,
+        (size[0] // fineness, size[1] // fineness),
+        fineness=fineness,
+        depth_m=rest.depth_m,
+        normal=rest.normal,
+        idle=rest.idle,
+    )
 
 
-def frames_of(press: OpticalPress, given: NetworkInput) -> Tensor:
-    """Return the network's input (F, 7, h, w) for a press."""
+def inputs_of(press: OpticalPress, given: NetworkInput) -> tuple[Tensor, Tensor]:
+    """Return the network's input for a press: frame (F, 7, h, w) and image (F, 3, f h, f w)."""
     frames = [
         given.frame(*seen) for seen in zip(press.depth_m, press.normal, press.carried, strict=True)
     ]
-    return torch.from_numpy(np.stack(frames))
+    images = [given.image(carried) for carried in press.carried]
+    return torch.from_numpy(np.stack(frames)), torch.from_numpy(np.stack(images))
 
 
 def make_examples(
-    presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera, size: tuple[int, int]
+    kind: str,
+    presses: Sequence[OpticalPress],
+    rest: Rest,
+    camera: FisheyeCamera,
+    size: tuple[int, int],
 ) -> Examples:
     """Return presses as examples.
 
     Args:
+        kind: of the network.
         presses: what was measured.
         rest: of the gel untouched.
         camera: of the presses' size.
@@ -103,12 +135,14 @@ def make_examples(
         ValueError: as `check_presses`, or the size has another aspect ratio than the camera's.
     """
     check_presses(presses, rest, camera)
-    given = network_input(rest, camera, size)
+    given = network_input(kind, rest, camera, size)
     measured = [
         resized(image, size).transpose(2, 0, 1) for press in presses for image in press.measured
     ]
+    inputs = [inputs_of(press, given) for press in presses]
     return Examples(
-        torch.cat([frames_of(press, given) for press in presses]),
+        torch.cat([frame for frame, _ in inputs]),
         torch.from_numpy(given.rest)[None],
+        torch.cat([image for _, image in inputs]),
         torch.from_numpy(np.stack(measured).astype(np.float32) / 255.0),
     )

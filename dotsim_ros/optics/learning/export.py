@@ -25,6 +25,7 @@ from torch import nn
 
 from dotsim_ros.optics.network_card import (
     CARD,
+    FINENESS,
     GRAPH,
     WEIGHTS,
     NetworkCard,
@@ -34,26 +35,28 @@ from dotsim_ros.optics.network_card import (
 from dotsim_ros.optics.network_input import FADE, FRAME
 from dotsim_ros.view.files import whole_file
 
-INPUTS = ("frame", "rest")
+INPUTS = ("frame", "rest", "image")
 OUTPUT = "added"
 OPSET = 20
 
 
-def graph_of(network: nn.Module, size: tuple[int, int]) -> onnx.ModelProto:
+def graph_of(network: nn.Module, size: tuple[int, int], fineness: int) -> onnx.ModelProto:
     """Return a network in evaluation mode as an ONNX model for one frame.
 
     Args:
-        network: maps frame (1, 7, h, w) and rest (1, 10, h, w) to an image (1, 3, h, w).
+        network: as `networks` describes.
         size: width and height of its images.
+        fineness: how often wider and higher they are than the geometry.
     """
-    width, height = size
+    width, height = size[0] // fineness, size[1] // fineness
     frame = torch.zeros(1, FRAME.stop, height, width)
     rest = torch.zeros(1, FADE.stop, height, width)
+    image = torch.zeros(1, 3, fineness * height, fineness * width)
     with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             network,
-            (frame, rest),
+            (frame, rest, image),
             input_names=list(INPUTS),
             output_names=[OUTPUT],
             opset_version=OPSET,
@@ -114,7 +117,7 @@ def write_network(
     """
     directory.mkdir(parents=True, exist_ok=True)
     weights = {name: value.numpy() for name, value in network.state_dict().items()}
-    model = graph_of(network, (card.width, card.height))
+    model = graph_of(network, (card.width, card.height), FINENESS[card.kind])
     # The header holds the hash of the graph, and the graph where the header ends: a hash of the
     # same length stands in for it.
     card = replace(card, weights_sha256=weights_hash(weights), graph_sha256="0" * 64)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.frames import OpticalPress, Rest
 from dotsim_ros.optics.idle import ByteImage
-from dotsim_ros.optics.learning.examples import frames_of, make_examples, network_input
+from dotsim_ros.optics.learning.examples import inputs_of, make_examples, network_input
 from dotsim_ros.optics.learning.networks import make_network
 from dotsim_ros.optics.learning.training import RECIPES, Progress, Recipe, Trained, Training
 from dotsim_ros.optics.network_card import BASES
@@ -49,8 +49,8 @@ class FittedNetwork:
 
     def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
         """Return the images (F, H, W, 3) of a press; its measured images are not read."""
-        given = network_input(rest, self.camera, self.size)
-        added = added_images(self.trained.network, frames_of(press, given), given)
+        given = network_input(self.kind, rest, self.camera, self.size)
+        added = added_images(self.trained.network, given, *inputs_of(press, given))
         full = (self.camera.width, self.camera.height)
         images = []
         for residual, carried in zip(added, press.carried, strict=True):
@@ -66,11 +66,14 @@ class FittedNetwork:
         return np.stack(images)
 
 
-def added_images(network: nn.Module, frames: torch.Tensor, given: NetworkInput) -> Float32Array:
-    """Return what a network adds (F, h, w, 3), in grey levels."""
+def added_images(
+    network: nn.Module, given: NetworkInput, frames: Tensor, images: Tensor
+) -> Float32Array:
+    """Return what a network adds (F, f h, f w, 3), in grey levels."""
     rest = torch.from_numpy(given.rest)[None]
+    together = zip(frames.split(PREDICTED_TOGETHER), images.split(PREDICTED_TOGETHER), strict=True)
     with torch.inference_mode():
-        parts = [network(part, rest) for part in frames.split(PREDICTED_TOGETHER)]
+        parts = [network(frame, rest, image) for frame, image in together]
     return np.ascontiguousarray(255.0 * torch.cat(parts).permute(0, 2, 3, 1).numpy())
 
 
@@ -87,7 +90,7 @@ def network_size(
 
     Raises:
         ValueError: the width is no multiple of 16 from 64 up to the measured one, or its height
-            no multiple of 4.
+            no multiple of 8.
     """
     width = size
     if width is None:
@@ -98,10 +101,10 @@ def network_size(
             f"of 16 from 64 to {camera.width}, the width measured"
         )
     height = round(camera.height * width / camera.width)
-    if height % 4:
+    if height % 8:
         raise ValueError(
             f"size {width} gives images of {width}x{height}, expected a height that is a multiple "
-            "of 4; choose another width"
+            "of 8; choose another width"
         )
     return width, height
 
@@ -149,7 +152,7 @@ def fit_network(
         torch.manual_seed(seed)
         network = make_network(kind)
     pixels = network_size(kind, camera, size, device)
-    examples = make_examples(train, rest, camera, pixels)
+    examples = make_examples(kind, train, rest, camera, pixels)
     if BASES[kind] == "carried":
         # Its output is zero at rest whatever its weights are.
         examples = examples.only_touched()

@@ -1,8 +1,9 @@
 """Networks from what the camera sees of the gel to an image: one interface, four kinds.
 
-Every network maps `frame` (N, 7, h, w) and `rest` (N or 1, 10, h, w), laid out as in
-`dotsim_ros.optics.network_input`, to what is to be added (N, 3, h, w), in units of 255 grey levels,
-to its base: the carried image, the idle frame, or nothing.
+Every network maps `frame` (N, 7, h, w), `rest` (N or 1, 10, h, w) and `image` (N, 3, f h, f w),
+laid out as in `dotsim_ros.optics.network_input`, to what is to be added to its base: an image
+(N, 3, f h, f w) in units of 255 grey levels, to be added to the carried image, to the idle frame,
+or to nothing. The factor f is 2 for ours and 1 for the others.
 
 - `paper`: DeepLabV3 with a ResNet-50 (Chen et al., "Rethinking Atrous Convolution for Semantic
   Image Segmentation", 2017) from normals and depth, added to the idle frame, as
@@ -33,8 +34,8 @@ class DeepLab(nn.Module):
         self.body = deeplabv3_resnet50(weights=None, weights_backbone=None, num_classes=3)
         self.body.backbone["conv1"] = nn.Conv2d(4, 64, 7, stride=2, padding=3, bias=False)
 
-    def forward(self, frame: Tensor, rest: Tensor) -> Tensor:
-        """Return what is to be added to the base; `rest` plays no part."""
+    def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
+        """Return what is to be added to the base; of the frame only the geometry plays a part."""
         return self.body(frame[:, GEOMETRY])["out"]
 
 
@@ -68,8 +69,8 @@ class UNet(nn.Module):
         )
         self.out = nn.Conv2d(width, 3, 1)
 
-    def forward(self, frame: Tensor, rest: Tensor) -> Tensor:
-        """Return what is to be added to the base; `rest` plays no part."""
+    def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
+        """Return what is to be added to the base; of the frame only the geometry plays a part."""
         x = frame[:, GEOMETRY]
         levels: list[Tensor] = []
         for block in self.down:
@@ -105,17 +106,17 @@ class LocalModel(nn.Module):
 
         added = gain * c + offset + x_shift * dc/dx + y_shift * dc/dy + sharpening * laplacian(c)
 
-    with c the carried image, and nine coefficients that a network gives at half the resolution from
-    normals, depth, their change against rest, the place, and the carried image and its change. The
-    pattern itself never needs to be learned, so few frames suffice. Everything is multiplied by a
-    measure of whether anything has moved, exactly zero at rest, and by the fade of the lit disc.
+    with c the carried image, and nine coefficients that a network gives at half the resolution of c
+    from normals, depth, their change against rest, the place, and the carried image and its change.
+    The pattern itself never needs to be learned, so few frames suffice. Everything is multiplied by
+    a measure of whether anything has moved, exactly zero at rest, and by the fade of the lit disc.
 
     Args:
-        width: channels at a quarter of the resolution.
-        deep_width: channels at an eighth and a sixteenth.
+        width: channels at half the geometry's resolution.
+        deep_width: channels at a quarter and an eighth.
     """
 
-    def __init__(self, width: int = 24, deep_width: int = 48) -> None:
+    def __init__(self, width: int = 32, deep_width: int = 48) -> None:
         super().__init__()
         self.entry = nn.Conv2d(_GIVEN, width, 2, stride=2)
         self.fine = Block(width)
@@ -131,12 +132,7 @@ class LocalModel(nn.Module):
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
 
     def coefficients(self, frame: Tensor, rest: Tensor) -> Tensor:
-        """Return (N, 9, h / 2, w / 2) the local model's coefficients.
-
-        Args:
-            frame: (N, 7, h / 2, w / 2).
-            rest: (N, 10, h / 2, w / 2).
-        """
+        """Return (N, 9, h, w) the local model's coefficients."""
         change = frame - rest[:, FRAME]
         given = torch.cat(
             [
@@ -156,26 +152,22 @@ class LocalModel(nn.Module):
         x = x + _enlarged(self.up(middle), x)
         return functional.pixel_shuffle(self.head(functional.relu(self.last(x))), 2)
 
-    def forward(self, frame: Tensor, rest: Tensor) -> Tensor:
+    def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
         """Return what is to be added to the carried image; exactly 0 at rest."""
         rest = rest.expand(frame.shape[0], -1, -1, -1)
-        small_frame = functional.avg_pool2d(frame, 2)
-        small_rest = functional.avg_pool2d(rest, 2)
-        acts = moved(small_frame, small_rest)
-        coefficients = _enlarged(self.coefficients(small_frame, small_rest) * acts, frame)
+        acts = moved(frame, rest) * rest[:, FADE]
+        coefficients = _enlarged(self.coefficients(frame, rest) * acts, image)
         gain, offset, x_shift, y_shift, sharpening = coefficients.split(_COEFFICIENTS, dim=1)
-        image = frame[:, CARRIED]
         padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
         left, right = padded[:, :, 1:-1, :-2], padded[:, :, 1:-1, 2:]
         above, below = padded[:, :, :-2, 1:-1], padded[:, :, 2:, 1:-1]
-        added = (
+        return (
             gain * image
             + OFFSET_SCALE * offset
             + x_shift * (right - left)
             + y_shift * (below - above)
             + sharpening * (left + right + above + below - 4.0 * image)
         )
-        return added * rest[:, FADE]
 
 
 _COEFFICIENTS = (3, 3, 1, 1, 1)

@@ -104,11 +104,11 @@ class Trained:
     psnr_db: list[float]
 
 
-def base_image(kind: str, frame: Tensor, rest: Tensor) -> Tensor:
-    """Return what the network's output is added to, broadcast to (N, 3, h, w)."""
+def base_image(kind: str, rest: Tensor, image: Tensor) -> Tensor:
+    """Return what the network's output is added to, to be broadcast to (N, 3, f h, f w)."""
     match BASES[kind]:
         case "carried":
-            return frame[:, CARRIED]
+            return image
         case "idle":
             return rest[:, CARRIED]
         case _:
@@ -131,7 +131,7 @@ def psnr_db(mean_square: float) -> float:
 
 def _fingerprint(kind: str, recipe: Recipe, examples: Examples, seed: int) -> str:
     digest = hashlib.sha256(repr((kind, asdict(recipe), seed)).encode())
-    for tensor in (examples.frame, examples.rest, examples.measured):
+    for tensor in (examples.frame, examples.rest, examples.image, examples.measured):
         digest.update(repr(tuple(tensor.shape)).encode())
         digest.update(tensor.numpy().tobytes())
     return digest.hexdigest()
@@ -209,11 +209,10 @@ class Training:
         return self.recipe.learning_rate * 0.5 * (1.0 + math.cos(math.pi * falling))
 
     def _train_on(self, index: Tensor) -> float:
-        frame = self._examples.frame[index]
-        image = base_image(self.kind, frame, self._examples.rest) + self.network(
-            frame, self._examples.rest
-        )
-        loss = torch.mean(torch.square(image - self._examples.measured[index]))
+        frame, image = self._examples.frame[index], self._examples.image[index]
+        rest = self._examples.rest
+        predicted = base_image(self.kind, rest, image) + self.network(frame, rest, image)
+        loss = torch.mean(torch.square(predicted - self._examples.measured[index]))
         for group in self._optimiser.param_groups:
             group["lr"] = self._learning_rate()
         self._optimiser.zero_grad()
