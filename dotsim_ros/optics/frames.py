@@ -211,6 +211,38 @@ def read_filmed_data(
     )
 
 
+def with_measured_skin(
+    filmed: FilmedData, directory: str | Path, *, topics: Topics = MEASURED_TOPICS
+) -> FilmedData:
+    """Return the same images with the skin as it was measured beside them.
+
+    Args:
+        filmed: of this data set.
+        directory: of the data set.
+        topics: where skin and image lie in the bags.
+
+    Raises:
+        ValueError: a press without a measured skin, or one that was measured at other times than
+            the images.
+    """
+    data_set = read_data_set(directory)
+    skin = data_set.skin_mesh()
+    bags = {entry.name: entry.bag for entry in data_set.entries}
+    presses = []
+    for press in filmed.presses:
+        trajectory = read_trajectory(bags[press.name], topics=topics, channels=("image", "skin"))
+        measured, image = trajectory.skin, trajectory.image
+        if measured is None or image is None:
+            raise ValueError(f"{bags[press.name]} holds no skin on {topics.skin}")
+        same = len(press.measured) == len(measured.stamp_ns) == len(image.stamp_ns)
+        if not same or not np.array_equal(measured.stamp_ns, image.stamp_ns):
+            raise ValueError(
+                f"{bags[press.name]}: the skin was measured at other times than the images"
+            )
+        presses.append(dataclasses.replace(press, skin_position_m=measured.position_m))
+    return FilmedData(skin, filmed.idle, tuple(presses))
+
+
 def read_optical_data(
     directory: str | Path,
     sensor: SensorSpecification,

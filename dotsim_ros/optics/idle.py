@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -144,8 +144,7 @@ def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
 
     A YAML file of the same name beside the image may describe it, in three optional sections:
     `disc` (the fields of LitDisc; without it the image must show the camera's own view), `lighting`
-    (the arguments of led_ring, and Lighting's `ambient_fraction` and `exponent`) and `vignetting`
-    (`falloff`).
+    (the arguments of led_ring, and Lighting's other fields) and `vignetting` (`falloff`).
 
     Raises:
         FileNotFoundError: no such image.
@@ -168,6 +167,9 @@ def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
         raise ValueError(f"{path}: {error}") from error
 
 
+_WHOLE = tuple(entry.name for entry in fields(Lighting) if entry.name != "lights")
+
+
 def _numbers(section: dict[str, Any]) -> dict[str, Any]:
     return {
         name: tuple(float(entry) for entry in value) if isinstance(value, list) else float(value)
@@ -188,7 +190,7 @@ def read_description(path: Path) -> tuple[LitDisc | None, Lighting, Vignetting]:
             raise ValueError(f"unknown sections {unknown}; known are disc, lighting, vignetting")
         disc = LitDisc(**_numbers(document["disc"])) if "disc" in document else None
         ring = _numbers(document.get("lighting", {}))
-        whole = {name: ring.pop(name) for name in ("ambient_fraction", "exponent") if name in ring}
+        whole = {name: ring.pop(name) for name in _WHOLE if name in ring}
         lighting = Lighting(led_ring(**ring), **whole)
         vignetting = Vignetting(**_numbers(document.get("vignetting", {})))
     except (TypeError, ValueError, AttributeError, yaml.YAMLError) as error:

@@ -3,8 +3,10 @@
 Every pixel shows the material point that it shows in the idle frame somewhere else; the colour is
 taken from there and multiplied by the change of the light that reaches the point: the sum over the
 LEDs of the cosine of incidence over the squared distance (a Lambertian coat), relative to that at
-rest. At rest the image is the idle frame, bit for bit. What this leaves out (gloss, shadows, light
-between parts of the dome) is left to a residual that may be learned.
+rest. A glossy coat also mirrors the LEDs, in a lobe around the half-way direction (Blinn, "Models
+of light reflection for computer synthesized pictures", 1977). At rest the image is the idle frame,
+bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a residual
+that may be learned.
 """
 
 from __future__ import annotations
@@ -75,19 +77,22 @@ def leds_of(lighting: Lighting, camera: FisheyeCamera, device: wp.Device) -> wp.
     return wp.array(leds, dtype=kernels.Led, device=device)
 
 
-def direct_light(position: wp.array, outward: wp.array, leds: wp.array) -> wp.array:
-    """Return (N,) vec3 light on the inner side of points.
+def direct_light(
+    position: wp.array, outward: wp.array, leds: wp.array, lighting: Lighting
+) -> wp.array:
+    """Return (N,) vec3 light that the inner side of points sends to the camera.
 
     Args:
         position: (N,) vec3 in the optical frame, metres.
         outward: (N,) vec3 unit normals out of the gel.
-        leds: the LEDs.
+        leds: the LEDs, in the optical frame.
+        lighting: the gloss of the coat.
     """
     irradiance = wp.empty_like(position)
     wp.launch(
         kernels.irradiate,
         dim=len(position),
-        inputs=[position, outward, leds],
+        inputs=[position, outward, leds, lighting.gloss, lighting.gloss_exponent],
         outputs=[irradiance],
         device=position.device,
     )
@@ -173,6 +178,7 @@ class ImageRenderer:
             self._upload(view.vertex_position_m, wp.vec3),
             self._upload(view.vertex_normal, wp.vec3),
             self._leds,
+            self._lighting,
         )
 
     def carry(self, view: View) -> ByteImage:

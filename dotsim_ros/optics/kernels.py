@@ -153,17 +153,28 @@ def irradiate(
     position: wp.array(dtype=wp.vec3),
     outward: wp.array(dtype=wp.vec3),
     leds: wp.array(dtype=Led),
+    gloss: float,
+    gloss_exponent: float,
     irradiance: wp.array(dtype=wp.vec3),
 ):
-    """Direct light on the inner side of every vertex: cosine over squared distance, summed."""
+    """Light that the inner side of every vertex sends to the camera: the cosine of incidence, and
+    a lobe of the angle between normal and half-way direction, over squared distance, summed."""
     v = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
+    sight = wp.normalize(position[v])
     for i in range(leds.shape[0]):
         led = leds[i]
         away = position[v] - led.position
         square = wp.dot(away, away)
-        cosine = wp.max(wp.dot(outward[v], away), 0.0) / wp.sqrt(square)
-        total += led.intensity * (cosine / square)
+        distance = wp.sqrt(square)
+        share = wp.max(wp.dot(outward[v], away), 0.0) / distance
+        if gloss > 0.0:
+            halfway = away / distance + sight
+            cosine = wp.dot(outward[v], halfway) / wp.length(halfway)
+            # Most vertices mirror no LED: a lobe below a millionth is not worth its power.
+            if cosine > 0.0 and gloss_exponent * (1.0 - cosine) < 14.0:
+                share += gloss * wp.pow(cosine, gloss_exponent)
+        total += led.intensity * (share / square)
     irradiance[v] = total
 
 

@@ -61,7 +61,7 @@ def led_ring(
 
 @dataclass(frozen=True)
 class Lighting:
-    """Direct light of the LEDs on a Lambertian coat, and light that does not change.
+    """Direct light of the LEDs on a coat, Lambertian with a gloss, and light that does not change.
 
     Attributes:
         lights: the LEDs.
@@ -69,14 +69,20 @@ class Lighting:
             dome), over the mean direct light at rest. It keeps the relative change bounded where
             an LED hardly reaches the skin at rest.
         exponent: of brightness over light; 1 for a camera with a linear response.
+        gloss: light that the coat mirrors where it turns an LED straight into the camera, over what
+            it scatters of one that it faces; 0 for a dull coat.
+        gloss_exponent: of the cosine between the normal and the half-way direction; larger is a
+            smoother coat.
 
     Raises:
-        ValueError: no light, a fraction or an exponent that is not positive.
+        ValueError: no light, a fraction or an exponent that is not positive, or a negative gloss.
     """
 
     lights: tuple[PointLight, ...] = field(default_factory=led_ring)
     ambient_fraction: float = 1.0
     exponent: float = 1.0
+    gloss: float = 0.0
+    gloss_exponent: float = 80.0
 
     def __post_init__(self) -> None:
         if not self.lights:
@@ -85,8 +91,12 @@ class Lighting:
             raise ValueError(
                 f"ambient_fraction is {self.ambient_fraction}, expected a positive number"
             )
-        if not (np.isfinite(self.exponent) and self.exponent > 0.0):
-            raise ValueError(f"exponent is {self.exponent}, expected a positive number")
+        for name in ("exponent", "gloss_exponent"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value}, expected a positive number")
+        if not (np.isfinite(self.gloss) and self.gloss >= 0.0):
+            raise ValueError(f"gloss is {self.gloss}, expected 0 or more")
 
 
 @dataclass(frozen=True)

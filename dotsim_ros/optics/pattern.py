@@ -118,6 +118,7 @@ def render_idle_image(
             device=device,
         ),
         leds_of(lighting, camera, device),
+        lighting,
     ).numpy()
     light = light + lighting.ambient_fraction * light.mean(axis=0)
     # Each colour of LED is driven to the same brightness.
