@@ -10,8 +10,8 @@ and the force were not recorded, so the shape of the gel is told from the circle
 - as a cap: the ball's surface inside the circle and a flat gel around it, which is how Taxim and
   FOTS label such presses for their own calibration.
 
-The camera looks at the pad from a metre away through a lens of so long a focal length that a
-millimetre has the recording's number of pixels: for the code a fisheye, in effect orthographic.
+The camera looks straight at the pad through a lens without distortion, so that a millimetre of the
+flat gel has the recording's number of pixels everywhere. How far away it is was not recorded.
 """
 
 from __future__ import annotations
@@ -65,7 +65,10 @@ SENSOR = SensorSpecification(
     solver=SolverSpecification(grid_spacing_m=1.0e-3, refined=False),
 )
 """The pad's thickness is not recorded; silicone as its maker states that of a DenseTact."""
-CAMERA_DISTANCE_M = 1.0
+CAMERA_DISTANCE_M = 0.03
+"""From the pad's face; such sensors are about as large."""
+PINHOLE = (1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0)
+"""Coefficients of the tangent's series: an equidistant lens with them is a pinhole."""
 FIRST_DEPTH_M = 0.4e-3
 LAST_DEPTH_M = 2.4e-3
 DEPTH_STEP_M = 0.1e-3
@@ -139,12 +142,13 @@ def _read_image(path: Path) -> ByteImage:
 
 
 def flat_camera(width: int, height: int, thickness_m: float) -> FisheyeCamera:
-    """Return the camera that looks up at a pad's face from a metre below it."""
+    """Return the camera that looks up at a pad's face from below."""
     return FisheyeCamera(
         width=width,
         height=height,
         focal_px=PIXELS_PER_METRE * CAMERA_DISTANCE_M,
         principal_point_px=np.array([0.5 * (width - 1), 0.5 * (height - 1)]),
+        distortion=np.array(PINHOLE),
         pose=Pose(np.array([0.0, 0.0, thickness_m - CAMERA_DISTANCE_M])),
     )
 
@@ -290,7 +294,7 @@ def cap_presses(
     """Return the presses with the ball's cap on a flat pad instead of the gel's shape.
 
     Args:
-        presses: their circles.
+        presses: their circles; that the cap is nearer to the camera moves no pixel.
         given: the same presses, whose other arrays are kept.
         scene: camera and rest.
     """
@@ -305,12 +309,13 @@ def cap_presses(
         inside = square < contact**2
         height_m = np.sqrt(np.where(inside, BALL_RADIUS_M**2 - square, 1.0))
         sunk = np.where(inside, height_m - np.sqrt(BALL_RADIUS_M**2 - contact**2), 0.0)
+        nearer = 1.0 - sunk / CAMERA_DISTANCE_M
         ball = np.concatenate([across, -height_m[..., None]], axis=-1) / BALL_RADIUS_M
         normal = np.where(inside[..., None], ball, scene.rest.normal)
         capped.append(
             replace(
                 other,
-                depth_m=(scene.rest.depth_m - sunk).astype(np.float32)[None],
+                depth_m=(scene.rest.depth_m * nearer).astype(np.float32)[None],
                 normal=normal.astype(np.float32)[None],
             )
         )

@@ -1,4 +1,4 @@
-"""Real presses of a ball on a flat gel: reading, shapes, and the camera that is nearly parallel."""
+"""Real presses of a ball on a flat gel: reading, shapes, and the camera."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_a_millimetre_has_its_pixels_everywhere() -> None:
     face = np.array([[x, y, 0.004] for x in (-5e-3, 0.0, 5e-3) for y in (-7e-3, 0.0, 7e-3)])
     pixels = camera.project(face)
     expected = face[:, :2] * PIXELS_PER_METRE + camera.principal_point_px
-    assert pixels == pytest.approx(expected, abs=0.02)
+    assert pixels == pytest.approx(expected, abs=1e-3)
 
 
 def test_a_cap_is_the_ball() -> None:
