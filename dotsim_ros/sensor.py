@@ -298,9 +298,10 @@ class TactileSensor:
         self.specification, self.device, self.indenter = specification, device, indenter
         self.skin = skin_of(specification.gel)
         self.camera = FisheyeCamera.from_specification(specification.camera)
+        # Before the gel, whose tables take longer: a network of another sensor is refused at once.
+        self._network = residual_network(specification, self.camera)
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
-        self._network = residual_network(specification, self.camera)
         self._set_idle(
             read_idle_frame(idle_image_path(specification.camera.idle_image), self.camera)
         )

@@ -96,7 +96,8 @@ class NetworkInput:
         )
         centre_x, centre_y = small.principal_point_px
         half = 0.5 * size[1]
-        lit = resized(lit_region(idle).astype(np.uint8), size)
+        # A pixel is lit where all that it covers is.
+        lit = (resized(lit_region(idle).astype(np.float32), size) > 0.999).astype(np.uint8)
         distance = cv2.distanceTransform(lit, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         fade = np.clip((distance - FADE_END_PX) / (FADE_BEGIN_PX - FADE_END_PX), 0.0, 1.0)
         self.rest = np.concatenate(

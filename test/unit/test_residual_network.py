@@ -1,0 +1,297 @@
+"""A trained network at run time: what torch computes, without torch, for its own sensor alone."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from optical_presses import RADIUS_M, dented
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.optics.idle import lit_region, read_idle_frame
+from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.network_card import (
+    CARD_KEY,
+    FINENESS,
+    FORMAT,
+    GRAPH,
+    WEIGHTS,
+    NetworkCard,
+    camera_hash,
+    read_network,
+    weights_hash,
+    write_weights,
+)
+from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.optics.residual_network import ResidualNetwork
+from dotsim_ros.resources import parameter_path
+from dotsim_ros.sensor import TactileSensor
+
+SENSOR = load_sensor("densetact2")
+SIZE = (320, 240)
+SINGLE_PRECISION_LEVELS = 0.01
+"""Grey levels by which two single-precision computations of one network may differ."""
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return FisheyeCamera.from_specification(SENSOR.camera)
+
+
+@pytest.fixture(scope="module")
+def dome():
+    return dome_skin(RADIUS_M, 1.0e-3)
+
+
+@pytest.fixture(scope="module")
+def idle(camera):
+    return read_idle_frame(parameter_path(f"{SENSOR.camera.idle_image}"), camera).image
+
+
+@pytest.fixture(scope="module")
+def renderer(camera, dome):
+    return SkinRenderer(camera, dome)
+
+
+@pytest.fixture(scope="module")
+def pressed(renderer, dome):
+    axis = np.array([0.3, 0.2, 0.9]) / np.linalg.norm([0.3, 0.2, 0.9])
+    return renderer.render(dented(dome, axis, 0.003, 0.004))
+
+
+def random_network(kind):
+    torch = pytest.importorskip("torch", reason="making a network needs the extra 'learning'")
+    pytest.importorskip("torchvision", reason="making a network needs the extra 'learning'")
+    from dotsim_ros.optics.learning.networks import make_network
+
+    torch.manual_seed(1)
+    network = make_network(kind).eval()
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.03 * torch.randn_like(parameter)
+    return network
+
+
+def write(directory, network, kind, camera, *, size=SIZE, sensor=SENSOR.name):
+    from dotsim_ros.optics.learning.export import write_network
+
+    card = NetworkCard(FORMAT, kind, sensor, camera_hash(camera), *size, "", "")
+    write_network(directory, network, card)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, camera):
+    directory = tmp_path_factory.mktemp("network")
+    network = random_network("ours")
+    write(directory, network, "ours", camera)
+    return directory, network
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """A copy of the network's folder, to be spoiled."""
+    for file in made[0].iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    return tmp_path
+
+
+def open_network(directory, camera, sensor=SENSOR.name):
+    return ResidualNetwork(directory, sensor=sensor, camera=camera)
+
+
+@pytest.mark.parametrize("kind", ["ours", "unet"])
+def test_results_are_those_of_torch(kind, camera, made, tmp_path):
+    torch = pytest.importorskip("torch")
+    size = SIZE if kind == "ours" else (96, 72)
+    directory, network = made
+    if kind != "ours":
+        directory, network = tmp_path, random_network(kind)
+        write(directory, network, kind, camera, size=size)
+    random = np.random.default_rng(0)
+    width, height = size[0] // FINENESS[kind], size[1] // FINENESS[kind]
+    frame = random.random((7, height, width), dtype=np.float32)
+    rest = random.random((10, height, width), dtype=np.float32)
+    image = random.random((3, size[1], size[0]), dtype=np.float32)
+    added = open_network(directory, camera).added(frame, rest, image)
+    with torch.inference_mode():
+        arrays = (torch.from_numpy(array[None]) for array in (frame, rest, image))
+        expected = network(*arrays)[0].numpy()
+    assert added.shape == (3, size[1], size[0])
+    assert 255.0 * np.abs(expected).max() > 5.0
+    assert 255.0 * np.abs(added - expected).max() < SINGLE_PRECISION_LEVELS
+
+
+def test_weights_are_stored_once(made):
+    directory, network = made
+    weights = sum(value.numel() * 4 for value in network.state_dict().values())
+    assert (directory / WEIGHTS).stat().st_size < weights + 20_000
+    assert (directory / GRAPH).stat().st_size < 0.25 * weights
+
+
+def test_an_untouched_sensor_shows_the_idle_frame_bit_for_bit(
+    made, camera, dome, renderer, idle, pressed
+):
+    untouched = renderer.render(dome.rest_position_m)
+    residual = open_network(made[0], camera).at_rest(untouched, idle)
+    images = ImageRenderer(camera, dome, idle, residual=residual)
+    assert not residual(untouched, idle).any()
+    assert np.array_equal(images.render(untouched), idle)
+    carried = images.carry(pressed)
+    shown = images.render(pressed)
+    assert not np.array_equal(shown, carried)
+    added = carried + residual(pressed, carried)
+    expected = np.clip(np.rint(added), 0.0, 255.0)
+    assert np.abs(shown - expected).max() <= 1.0
+    assert np.mean(shown != expected) < 1e-4
+
+
+def test_nothing_is_added_outside_the_lit_disc(made, camera, dome, renderer, idle, pressed):
+    untouched = renderer.render(dome.rest_position_m)
+    residual = open_network(made[0], camera).at_rest(untouched, idle)
+    added = residual(pressed, ImageRenderer(camera, dome, idle).carry(pressed))
+    assert added.shape == (480, 640, 3)
+    assert added.dtype == np.float32
+    assert not added[~lit_region(idle)].any()
+    assert np.abs(added).max() > 1.0
+
+
+def test_kinds_that_replace_the_carried_image_add_up_to_their_own(
+    camera, dome, renderer, idle, pressed, tmp_path
+):
+    write(tmp_path, random_network("unet"), "unet", camera, size=(64, 48))
+    residual = open_network(tmp_path, camera).at_rest(renderer.render(dome.rest_position_m), idle)
+    carried = ImageRenderer(camera, dome, idle).carry(pressed)
+    dark = np.zeros_like(carried)
+    # Whatever was carried, the same image comes out: its geometry's.
+    assert np.allclose(carried + residual(pressed, carried), residual(pressed, dark), atol=1e-3)
+
+
+def test_the_camera_counts_but_not_its_resolution(made, camera):
+    assert camera_hash(camera.scaled(320, 240)) == camera_hash(camera)
+    open_network(made[0], camera.scaled(320, 240))
+    turned = replace(camera, pose=Pose(camera.pose.position_m, np.array([0.01, 0.0, 0.0, 1.0])))
+    with pytest.raises(ValueError, match=r"another camera of 'densetact2'.*train the network anew"):
+        open_network(made[0], turned)
+    wider = replace(camera, distortion=np.array([0.01, 0.0, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="another camera"):
+        open_network(made[0], wider)
+
+
+def test_another_sensor_is_refused(made, camera):
+    with pytest.raises(ValueError, match="for the sensor 'densetact2', not for 'sensor_b'"):
+        open_network(made[0], camera, "sensor_b")
+
+
+def test_another_version_is_refused(folder, camera):
+    weights, card = contents(folder)
+    write_weights(folder / WEIGHTS, weights, replace(card, version=FORMAT + 1))
+    with pytest.raises(ValueError, match=f"version {FORMAT + 1}, expected {FORMAT}"):
+        open_network(folder, camera)
+
+
+def contents(directory):
+    from safetensors.numpy import load_file
+
+    return load_file(directory / WEIGHTS), read_network(directory)
+
+
+def cut(path):
+    path.write_bytes(path.read_bytes()[:-100])
+
+
+def spoil(path):
+    content = bytearray(path.read_bytes())
+    content[-50] ^= 0x40
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("damage", [cut, spoil])
+@pytest.mark.parametrize("name", [WEIGHTS, GRAPH])
+def test_corrupt_files_are_refused(folder, camera, damage, name):
+    damage(folder / name)
+    with pytest.raises(ValueError, match=f"{name} is corrupt"):
+        open_network(folder, camera)
+
+
+def test_a_file_that_is_none_is_refused(folder, camera):
+    (folder / WEIGHTS).write_bytes(b"no weights")
+    with pytest.raises(ValueError, match=f"{WEIGHTS} is corrupt"):
+        open_network(folder, camera)
+
+
+def test_weights_of_another_network_are_refused(folder, camera):
+    weights, card = contents(folder)
+    first = sorted(weights)[0]
+    weights[first] = weights[first] + 1.0
+    other = replace(card, weights_sha256=weights_hash(weights), graph_sha256="0" * 64)
+    write_weights(folder / WEIGHTS, weights, other)
+    with pytest.raises(ValueError, match=f"{GRAPH} is corrupt or belongs to other weights"):
+        open_network(folder, camera)
+
+
+def test_a_file_without_a_card_is_refused(folder, camera):
+    from safetensors.numpy import save_file
+
+    weights, card = contents(folder)
+    save_file(weights, folder / WEIGHTS)
+    with pytest.raises(ValueError, match="no card that can be read"):
+        open_network(folder, camera)
+    record = json.loads(card.text()) | {"colour": "red"}
+    save_file(weights, folder / WEIGHTS, metadata={CARD_KEY: json.dumps(record)})
+    with pytest.raises(ValueError, match="its card has the entries"):
+        open_network(folder, camera)
+
+
+def test_a_missing_file_is_named(folder, camera):
+    (folder / GRAPH).unlink()
+    with pytest.raises(FileNotFoundError, match=f"no {GRAPH}; make one with dotsim_ros train"):
+        open_network(folder, camera)
+
+
+def test_a_sensor_loads_the_network_that_its_file_names(made):
+    with_network = replace(SENSOR, camera=replace(SENSOR.camera, residual=str(made[0])))
+    sensor = TactileSensor(with_network, indenter=load_indenter("sphere_4mm"))
+    assert np.array_equal(sensor.step(None, 0.04).image, sensor.idle_image)
+    tip = Pose(np.array([0.0, 0.0, RADIUS_M - 0.001]), np.array([0.0, 0.0, 0.0, 1.0]))
+    frame = sensor.step(tip, 0.04)
+    idle = read_idle_frame(parameter_path(SENSOR.camera.idle_image), sensor.camera)
+    plain = ImageRenderer(sensor.camera, sensor.skin, idle.image, lighting=idle.lighting)
+    view = SkinRenderer(sensor.camera, sensor.skin).render(frame.skin_position_m)
+    assert not np.array_equal(frame.image, plain.carry(view))
+    # Another idle image keeps the network.
+    darker = (sensor.idle_image * 0.8).astype(np.uint8)
+    sensor.set_idle_image(darker)
+    assert np.array_equal(sensor.step(None, 0.04).image, darker)
+    plain = ImageRenderer(sensor.camera, sensor.skin, darker, lighting=idle.lighting)
+    assert not np.array_equal(sensor.step(tip, 0.04).image, plain.carry(view))
+
+
+def test_a_sensor_refuses_a_network_that_is_not_its_own(made):
+    camera = replace(SENSOR.camera, residual=str(made[0]))
+    indenter = load_indenter("sphere_4mm")
+    with pytest.raises(ValueError, match="not for 'other'"):
+        TactileSensor(replace(SENSOR, name="other", camera=camera), indenter=indenter)
+    absent = replace(SENSOR, camera=replace(SENSOR.camera, residual="networks/none"))
+    with pytest.raises(FileNotFoundError, match="networks/none"):
+        TactileSensor(absent, indenter=indenter)
+
+
+def test_running_a_network_loads_no_torch(made):
+    program = (
+        "import sys; from pathlib import Path; import dotsim_ros.sensor; "
+        "assert 'onnxruntime' not in sys.modules; "
+        "from dotsim_ros.optics.residual_network import ResidualNetwork; "
+        "from dotsim_ros.geometry.specification import load_sensor; "
+        "from dotsim_ros.geometry.camera import FisheyeCamera; "
+        "camera = FisheyeCamera.from_specification(load_sensor('densetact2').camera); "
+        f"ResidualNetwork(Path({str(made[0])!r}), sensor='densetact2', camera=camera); "
+        "assert 'torch' not in sys.modules and 'onnx' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[2])
