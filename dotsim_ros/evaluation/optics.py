@@ -19,7 +19,8 @@ ByteImage = NDArray[np.uint8]
 
 DEEP_M = 2.0e-3
 """Depth of the tip from which a frame counts as deep."""
-REGIONS = ("frame", "disc")
+DEPTH_EDGES_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3)
+"""Depths of the tip between which frames are told apart."""
 
 
 class ImageModel(Protocol):
@@ -196,8 +197,8 @@ def summarize(scores: Sequence[FrameScores]) -> dict[str, Any]:
     Returns:
         `psnr_db`, `mean_l2`, `significant_l2`, `ssim` over whole frames; the same under `disc`
         inside the lit disc; both again under `full_depth` (last frames of single presses) and
-        `deep` (tip 2 mm deep at least), None where no frame is; `indenters` with the figures of
-        each; `frames` and `trajectories`, how many.
+        `deep` (tip 2 mm deep at least), None where no frame is; `depths` and `indenters` with the
+        figures of each range of depth and each indenter; `frames` and `trajectories`, how many.
 
     Raises:
         ValueError: no frame.
@@ -207,11 +208,24 @@ def summarize(scores: Sequence[FrameScores]) -> dict[str, Any]:
     figures = _figures(scores)
     figures["full_depth"] = _figures_or_none([s for s in scores if s.full_depth])
     figures["deep"] = _figures_or_none([s for s in scores if s.tip_depth_m >= DEEP_M])
+    figures["depths"] = {
+        name: _figures_or_none([s for s in scores if low <= s.tip_depth_m < high])
+        for name, low, high in depth_ranges()
+    }
     figures["indenters"] = {
         indenter: _figures([s for s in scores if s.indenter == indenter])
         for indenter in sorted({s.indenter for s in scores})
     }
     return figures
+
+
+def depth_ranges() -> list[tuple[str, float, float]]:
+    """Return name, least and greatest depth (m) of the ranges that frames are told apart by."""
+    edges = (-np.inf, *DEPTH_EDGES_M, np.inf)
+    names = ["untouched"]
+    names += [f"{1e3 * low:g} to {1e3 * high:g} mm" for low, high in pairwise(DEPTH_EDGES_M)]
+    names.append(f"from {1e3 * DEPTH_EDGES_M[-1]:g} mm")
+    return [(name, low, high) for name, (low, high) in zip(names, pairwise(edges), strict=True)]
 
 
 def _figures(scores: Sequence[FrameScores]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from dotsim_ros.evaluation.image_metrics import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
 from dotsim_ros.evaluation.optical_split import WAYS, FrameKey, OpticalSplit
-from dotsim_ros.evaluation.optics import DEEP_M, is_single_press, summarize
+from dotsim_ros.evaluation.optics import DEEP_M, depth_ranges, is_single_press, summarize
 from dotsim_ros.evaluation.optics_rows import Row, RowMaker
 from dotsim_ros.evaluation.table import Column, markdown_table
 from dotsim_ros.optics.frames import OpticalPress
@@ -175,6 +175,8 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
             table = [([name], flat_figures(row)) for name, row in rows.items()]
             table += [([name], {"psnr_db": db}) for name, db in _ceiling_rows(figures)]
             parts.append(markdown_table(["method"], table, OPTICS_COLUMNS))
+            parts.append("PSNR over the whole frame by depth of the tip, dB:\n")
+            parts.append(_depth_table(rows))
         if level in sheets:
             parts.append(f"![measured and simulated images, {level}]({sheets[level]})\n")
     if figures["failures"]:
@@ -190,6 +192,18 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
     parts.append("\n".join(f"- {k}: {v}" for k, v in figures["definitions"].items()) + "\n")
     parts.append("\n".join(f"- {key}: {value}" for key, value in origin.items()) + "\n")
     return "\n".join(parts)
+
+
+def _depth_table(rows: Mapping[str, Any]) -> str:
+    ranges = [name for name, _, _ in depth_ranges()]
+    columns = [Column(name, name, 2) for name in ranges]
+    first = next(iter(rows.values()))["depths"]
+    table: list[tuple[list[str], dict[str, Any]]] = [
+        ([model], {name: (row["depths"][name] or {}).get("psnr_db") for name in ranges})
+        for model, row in rows.items()
+    ]
+    counts = {name: str((first[name] or {}).get("frames", 0)) for name in ranges}
+    return markdown_table(["method"], [*table, (["frames"], counts)], columns)
 
 
 def _ceiling_rows(figures: Mapping[str, Any]) -> list[tuple[str, float]]:

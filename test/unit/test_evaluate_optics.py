@@ -140,6 +140,13 @@ def test_summaries_by_depth() -> None:
     assert figures["psnr_db"] > figures["deep"]["psnr_db"] > figures["full_depth"]["psnr_db"]
 
 
+def test_frames_are_told_apart_by_depth() -> None:
+    keys = [("1_shape_0", k) for k in range(4)]
+    depths = summarize(score_frames(Idle(), PRESSES, keys, REST)[0])["depths"]
+    assert list(depths) == ["untouched", "0 to 1 mm", "1 to 2 mm", "2 to 3 mm", "from 3 mm"]
+    assert [row and row["frames"] for row in depths.values()] == [1, None, 1, 1, 1]
+
+
 def test_a_depth_without_a_frame_has_no_figure() -> None:
     figures = summarize(score_frames(Idle(), PRESSES, [("1_shape_0", 0)], REST)[0])
     assert figures["deep"] is None
@@ -284,6 +291,7 @@ def test_page_and_figures(tmp_path: Path) -> None:
     assert "| carried |" in page
     assert "| ceiling: camera noise | 47.00 |" in page
     assert "../images/optics_easy.png" in page
+    assert "| method | untouched | 0 to 1 mm |" in page
     json.dumps(figures)
 
 
