@@ -6,10 +6,10 @@ OUT ?= out
 # A sourced ROS 2 Jazzy is used as it is; otherwise ROS comes from wheels, into the same $(VENV).
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_OPTIONS := --system-site-packages
-EXTRAS := test,dev
+EXTRAS := learning,test,dev
 else
 VENV_OPTIONS :=
-EXTRAS := ros,test,dev
+EXTRAS := ros,learning,test,dev
 endif
 
 INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
