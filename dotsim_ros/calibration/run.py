@@ -64,6 +64,9 @@ class Request:
         directory: of the run's files.
         workers: processes.
         seed: of the bootstrap.
+        joint_steps: Gauss-Newton steps of the joint fit, each a solve and one a parameter for each
+            press. Without any, the joint estimate comes from the fits of single presses, weighed by
+            their information: splits of one data set then share all solves.
     """
 
     data_set: DataSet
@@ -78,6 +81,7 @@ class Request:
     directory: Path
     workers: int
     seed: int
+    joint_steps: int = JOINT_STEPS
 
 
 @dataclass(frozen=True)
@@ -93,7 +97,8 @@ class Calibration:
         median, joint: the two combinations.
         values: the gel's, by the joint fit.
         specification: the sensor with them.
-        linearisations: at the joint fit's last point, by press.
+        linearisations: at the joint fit's last point, by press; at those of the single fits where
+            the joint fit took no steps.
         solve_counts: solves of each press.
         scores: of the held-out frames, empty where nothing could be judged.
         omissions: trajectories that were left out, and why.
@@ -196,7 +201,8 @@ def _calibrate(
     median = median_estimate(problem, list(fits.values()), seed=request.seed)
     points = {name: _joined(problem, median.point, fits[name].best) for name in fits}
     joint_observations = [o for o in observations if o.press.name in fits]
-    for number in range(JOINT_STEPS):
+    at = {name: fit.best for name, fit in fits.items()}
+    for number in range(request.joint_steps):
         at = stages.linearised(
             f"joint_{number}", problem, joint_observations, points, solves, omissions
         )
@@ -275,7 +281,8 @@ class _Stages:
             start = starts.get(observation.press.name)
             if start is None:
                 continue
-            budget = SOLVE_BUDGET - solves[observation.press.name] - JOINT_STEPS * cost
+            budget = SOLVE_BUDGET - solves[observation.press.name]
+            budget -= self._request.joint_steps * cost
             key = task_key(
                 self._request.sensor,
                 self._skin,

@@ -108,9 +108,7 @@ def identifiability(
 
 def joint_step(problem: Problem, linearisations: Sequence[Linearisation]) -> Array:
     """Return the Gauss-Newton step (P,) of the shared parameters, from the mean of their points."""
-    count = len(problem.parameters)
-    informations, gradients = _stacked(problem, linearisations)
-    here = np.mean([lin.point[:count] for lin in linearisations], axis=0)
+    here, informations, gradients = _stacked(problem, linearisations)
     return _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
 
 
@@ -135,13 +133,13 @@ def joint_estimate(
 ) -> Combination:
     """Return the joint fit's estimate and intervals by bootstrap over presses.
 
-    Each replicate draws presses with replacement and takes one Gauss-Newton step from their
-    information and gradients: no new solve. Deviations are widened by sqrt(n / (n - 1)) and
+    Presses may be linearised at different points: each enters with the quadratic that it has about
+    its own, so that fits of single presses are weighed by what they tell. Each replicate draws
+    presses with replacement and takes one Gauss-Newton step from their information and gradients:
+    no new solve. Deviations are widened by sqrt(n / (n - 1)) and
     Student's quantile over the normal one, since n presses are few.
     """
-    count = len(problem.parameters)
-    informations, gradients = _stacked(problem, linearisations)
-    here = np.mean([lin.point[:count] for lin in linearisations], axis=0)
+    here, informations, gradients = _stacked(problem, linearisations)
     n = len(linearisations)
     best = here + _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
     drawn = np.random.default_rng(seed).integers(n, size=(replicates, n))
@@ -180,9 +178,18 @@ def _interval(best: Array, points: Array, count: int) -> Combination:
     return Combination(best, best + wide * (low - best), best + wide * (high - best))
 
 
-def _stacked(problem: Problem, linearisations: Sequence[Linearisation]) -> tuple[Array, Array]:
+def _stacked(
+    problem: Problem, linearisations: Sequence[Linearisation]
+) -> tuple[Array, Array, Array]:
+    """Return the mean of the points (P,), and there the informations (n, P, P) and gradients
+    (n, P) of the presses' quadratics."""
+    count = len(problem.parameters)
+    points = np.stack([lin.point[:count] for lin in linearisations])
+    here = points.mean(axis=0)
     pairs = [reduced(problem, lin) for lin in linearisations]
-    return np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
+    informations = np.stack([pair[0] for pair in pairs])
+    gradients = np.stack([pair[1] for pair in pairs])
+    return here, informations, gradients + np.einsum("kij,kj->ki", informations, here - points)
 
 
 def _step(problem: Problem, here: Array, information: Array, gradient: Array) -> Array:

@@ -70,6 +70,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder of the run's files (OUT_report/run); fits of other splits of the same data "
         "that name the same one share the fits of single presses",
     )
+    parser.add_argument(
+        "--joint-steps",
+        type=int,
+        default=2,
+        choices=range(5),
+        help="Gauss-Newton steps of the joint fit; with 0 it weighs the fits of single presses by "
+        "their information and needs no solve of its own (2)",
+    )
     parser.add_argument("--name", help="of the calibrated sensor (the file's stem)")
     parser.add_argument("--workers", type=int, default=WORKER_COUNT, help="processes (2)")
     parser.add_argument("--seed", type=int, default=0, help="of what is held out and drawn (0)")
@@ -139,6 +147,7 @@ def run(arguments: argparse.Namespace) -> int:
             directory=arguments.run or directory / "run",
             workers=arguments.workers,
             seed=arguments.seed,
+            joint_steps=arguments.joint_steps,
         ),
         _show,
     )

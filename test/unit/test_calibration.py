@@ -225,3 +225,21 @@ def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say() -> N
     # 0.95 within four deviations of a share of 200.
     assert np.all(share > 0.88)
     assert np.all(share[0] < 1.0)
+
+
+def test_quadratics_about_different_points_combine_as_about_one() -> None:
+    problem = problem_of("E", "nu")
+    random = np.random.default_rng(5)
+    here = problem.centre()
+    together, apart = [], []
+    for _ in range(6):
+        jacobian, residual = random.normal(size=(12, 2)) * [4.0, 2.0], random.normal(size=12)
+        together.append(linear_press({FORCE: jacobian}, {FORCE: residual}, here))
+        away = 0.1 * random.normal(size=2)
+        apart.append(
+            linear_press({FORCE: jacobian}, {FORCE: residual + jacobian @ away}, here + away)
+        )
+    expected = joint_estimate(problem, together, replicates=200)
+    found = joint_estimate(problem, apart, replicates=200)
+    assert found.point == pytest.approx(expected.point, rel=1e-9)
+    assert found.low == pytest.approx(expected.low, rel=1e-9)
