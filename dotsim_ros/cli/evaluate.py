@@ -36,9 +36,11 @@ IMAGE_MODELS = (
     "difftactile",
     "paper",
     "paper_direct",
+    "unet",
     "carried",
     "ours",
 )
+OPTIONAL_MODELS = ("unet",)
 LEVELS = ("easy", "medium", "hard")
 BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 RUNTIME_PRESS_COUNT = 3
@@ -99,7 +101,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _add_optics_arguments(optics: argparse.ArgumentParser) -> None:
     optics.add_argument(
-        "--models", nargs="+", choices=IMAGE_MODELS, default=list(IMAGE_MODELS), help="which (all)"
+        "--models",
+        nargs="+",
+        choices=IMAGE_MODELS,
+        default=[name for name in IMAGE_MODELS if name not in OPTIONAL_MODELS],
+        help=f"which (all but {', '.join(OPTIONAL_MODELS)})",
     )
     optics.add_argument(
         "--splits", nargs="+", choices=LEVELS, default=list(LEVELS), help="which (all)"

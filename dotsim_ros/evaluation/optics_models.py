@@ -2,21 +2,74 @@
 
 from __future__ import annotations
 
+import ast
+import hashlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import dotsim_ros
 from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
 from dotsim_ros.evaluation.optics import Carried, Factory, Idle, ImageModel
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.frames import OpticalPress, Rest
 
-NETWORKS = ("paper", "paper_direct", "ours")
+NETWORKS = ("paper", "paper_direct", "unet", "ours")
 """Kinds of networks of `dotsim_ros.optics.learning`."""
-NAMES = ("idle", "tacto", "taxim", "difftactile", "paper", "paper_direct", "carried", "ours")
+NAMES = (
+    "idle",
+    "tacto",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "unet",
+    "carried",
+    "ours",
+)
 CLIPPED = ("tacto",)
 """Models that get the clipped skin instead of the gel's."""
+_BASELINES = "baselines/optics"
+_LEARNING = (
+    "optics/network_input.py",
+    *(f"optics/learning/{part}.py" for part in ("examples", "fitting", "networks", "training")),
+)
+_MADE_BY = {
+    "tacto": tuple(f"{_BASELINES}/{part}.py" for part in ("tacto", "clipped", "pixels")),
+    "taxim": tuple(f"{_BASELINES}/{part}.py" for part in ("taxim", "pixels")),
+    "difftactile": tuple(f"{_BASELINES}/{part}.py" for part in ("per_pixel", "pixels")),
+    **dict.fromkeys(NETWORKS, _LEARNING),
+}
+
+
+def code_digest(name: str) -> str:
+    """Return a digest of the code that fits a model and predicts with it.
+
+    Comments, docstrings and layout play no part in it.
+
+    Raises:
+        FileNotFoundError: a file of that code has moved.
+    """
+    package = Path(dotsim_ros.__file__).parent
+    digest = hashlib.sha256()
+    for path in _MADE_BY.get(name, ()):
+        tree = ast.parse((package / path).read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if isinstance(body, list):
+                # A string that stands alone does nothing.
+                node.body = [part for part in body if not _is_bare_string(part)]  # type: ignore[attr-defined]
+        digest.update(ast.dump(tree).encode())
+    return digest.hexdigest()
+
+
+def _is_bare_string(statement: ast.stmt) -> bool:
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Rows of the optics table, kept on disk as soon as they are there.
 
 Fitting a network takes minutes to hours, so a run that was broken off goes on where it ended: a row
-is found again by the data, the frames of its split, its model and how that is fitted. Frames and
-models that are the same give the same row, whatever the split is called.
+is found again by the data, the frames of its split, its model, how that is fitted and the code that
+does it. Frames and models that are the same give the same row, whatever the split is called.
 """
 
 from __future__ import annotations
@@ -29,7 +29,13 @@ from dotsim_ros.evaluation.optics import (
     scores_as_json,
     scores_from_json,
 )
-from dotsim_ros.evaluation.optics_models import CLIPPED, NETWORKS, FitSettings, factory_of
+from dotsim_ros.evaluation.optics_models import (
+    CLIPPED,
+    NETWORKS,
+    FitSettings,
+    code_digest,
+    factory_of,
+)
 from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.optics.frames import OpticalData, OpticalPress
 from dotsim_ros.view.files import whole_file
@@ -92,9 +98,9 @@ class RowMaker:
         return digest.hexdigest()
 
     def _path(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Path:
-        fitted: list[Any] = []
+        fitted: list[Any] = [code_digest(model)]
         if model in NETWORKS:
-            fitted = [self.settings.budget_minutes, self.settings.network_width]
+            fitted += [self.settings.budget_minutes, self.settings.network_width]
         parts = [_FORMAT, self._digest, split.train, split.test, list(shown)]
         key = repr((*parts, model, self.settings.seed, fitted)).encode()
         return self.cache / f"{model}-{hashlib.sha256(key).hexdigest()[:24]}.json"

@@ -30,7 +30,7 @@ from dotsim_ros.evaluation.optics import (
     summarize,
     with_frames,
 )
-from dotsim_ros.evaluation.optics_models import NAMES, FitSettings, factory_of
+from dotsim_ros.evaluation.optics_models import NAMES, FitSettings, code_digest, factory_of
 from dotsim_ros.evaluation.optics_report import evaluate_optics, optics_page, shown_frames
 from dotsim_ros.evaluation.optics_rows import RowMaker
 from dotsim_ros.evaluation.optics_sheet import write_sheets
@@ -256,6 +256,13 @@ def test_taxim_is_fitted_on_the_frames_given(
 def test_the_command_offers_what_there_is() -> None:
     assert IMAGE_MODELS == NAMES
     assert COMMAND_LEVELS == LEVELS
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_code_of_a_model_has_a_digest(name: str) -> None:
+    assert code_digest(name) == code_digest(name)
+    made_by_nothing = code_digest("idle")
+    assert (code_digest(name) == made_by_nothing) == (name in ("idle", "carried"))
 
 
 def test_an_unknown_model_is_refused(tmp_path: Path) -> None:
