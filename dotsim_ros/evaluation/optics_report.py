@@ -14,7 +14,7 @@ from dotsim_ros.evaluation.optics_rows import Row, RowMaker
 from dotsim_ros.evaluation.table import Column, markdown_table
 from dotsim_ros.optics.frames import OpticalPress
 
-SHOWN_FRAMES = 4
+SHOWN_FRAMES = 3
 OPTICS_COLUMNS = (
     Column("psnr_db", "PSNR dB ↑", 2),
     Column("mean_l2", "mean L2 x 10⁻² ↓", 2, 100.0),

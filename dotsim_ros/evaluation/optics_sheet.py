@@ -24,7 +24,7 @@ BoolArray = NDArray[np.bool_]
 SHOWN_MODELS = ("ours", "carried", "paper", "tacto", "difftactile", "taxim")
 ERROR_GAIN = 3.0
 COLUMN_INCHES, ROW_INCHES, TITLE_INCHES = 2.1, 2.0, 0.4
-DOTS_PER_INCH = 100
+DOTS_PER_INCH = 90
 MARGIN_PX = 4
 
 

@@ -325,9 +325,9 @@ def test_a_model_that_fails_is_named(tmp_path: Path) -> None:
 def test_shown_frames_are_full_depths_of_several_indenters() -> None:
     split = splits_of(DATA)["hard"]["by_trajectory"]
     shown = shown_frames(split, PRESSES, seed=0)
-    assert len(shown) == 4
+    assert len(shown) == 3
     assert {frame for _, frame in shown} == {3}
-    assert sorted(PRESSES[name].indenter for name, _ in shown) == ["1_shape"] * 2 + ["3_shape"] * 2
+    assert {PRESSES[name].indenter for name, _ in shown} == {"1_shape", "3_shape"}
 
 
 # The command
