@@ -172,8 +172,7 @@ def read_filmed_data(
     """
     data_set = read_data_set(directory)
     say = progress or _ignore
-    paths = data_set.idle_images()
-    idle = mean_idle_image(read_idle_images(paths), paths)
+    idle = _read_idle(data_set)
     entries = _entries(data_set, presses)
     footage = [_read_footage(entry, idle, topics) for entry in entries]
     frame_count = sum(press.frame_count for press, _ in footage)
@@ -260,14 +259,15 @@ def read_optical_data(
     Raises:
         ValueError: also where the measured images have another aspect ratio than the camera's.
     """
-    filmed = read_filmed_data(
-        directory, sensor, presses=presses, cache=cache, progress=progress, topics=topics
-    )
-    height, width = filmed.idle.shape[:2]
+    idle = _read_idle(read_data_set(directory))
+    height, width = idle.shape[:2]
     try:
         camera = FisheyeCamera.from_specification(sensor.camera).scaled(width, height)
     except ValueError as error:
         raise ValueError(f"{directory}: measured images do not fit the camera: {error}") from error
+    filmed = read_filmed_data(
+        directory, sensor, presses=presses, cache=cache, progress=progress, topics=topics
+    )
     lighting, vignetting = lights_of(sensor)
     return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
 
@@ -316,6 +316,11 @@ def render_filmed(
         )
     rest = Rest(filmed.idle, untouched.depth_m, untouched.normal, lit_region(filmed.idle))
     return OpticalData(camera, rest, tuple(seen))
+
+
+def _read_idle(data_set: DataSet) -> ByteImage:
+    paths = data_set.idle_images()
+    return mean_idle_image(read_idle_images(paths), paths)
 
 
 def _entries(data_set: DataSet, presses: Sequence[str] | None) -> list[DataSetEntry]:

@@ -22,11 +22,15 @@ from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
 Float32Array = NDArray[np.float32]
 
 BLUR_PX = 2.0
-"""Standard deviation of the blur, at 240 pixels of height."""
+"""Standard deviation of the blur, up to 240 pixels of height; of larger images in proportion."""
 REFERENCE_HEIGHT = 240
 
+LEAST_DEVIATION_LEVELS = 0.5
+"""Whole grey levels hide a smaller noise."""
+BLOCK_PX = 8
+QUIET_SHARE = 0.25
 TOLERANCE_LEVELS = 3.0
-TOLERANCE_DEVIATIONS = 5.0
+TOLERANCE_DEVIATIONS = 3.2
 """A blurred difference is a contact's where it exceeds the levels plus so many deviations of the
 unblurred one: noise of one deviation leaves 0.7 of it as the largest of an image if it is white,
 and up to four if a few pixels are far off, as those of a path tracer."""
@@ -64,8 +68,8 @@ def difference(
     """Return how two images (H, W, 3) differ within the lit disc (H, W)."""
     change = image.astype(np.float32) - other.astype(np.float32)
     change[~lit] = 0.0
-    deviation = float(np.median(np.abs(change[lit]))) / 0.6745
-    size_px = BLUR_PX * len(change) / REFERENCE_HEIGHT
+    deviation = max(_noise_deviation(change, lit), LEAST_DEVIATION_LEVELS)
+    size_px = BLUR_PX * max(len(change) / REFERENCE_HEIGHT, 1.0)
     blurred = np.abs(cv2.GaussianBlur(change, (0, 0), size_px)).max(axis=2)
     y, x = np.unravel_index(int(np.argmax(blurred)), blurred.shape)
     return Difference(
@@ -73,6 +77,17 @@ def difference(
         TOLERANCE_LEVELS + TOLERANCE_DEVIATIONS * deviation,
         (int(x), int(y)),
     )
+
+
+def _noise_deviation(change: Float32Array, lit: BoolArray) -> float:
+    """Return the root mean square of a change (H, W, 3) in the quieter blocks of the lit disc,
+    which a contact does not reach."""
+    size = (lit.shape[1] // BLOCK_PX, lit.shape[0] // BLOCK_PX)
+    whole = cv2.resize(lit.astype(np.float32), size, interpolation=cv2.INTER_AREA) > 0.99
+    square = cv2.resize(np.mean(change**2, axis=2), size, interpolation=cv2.INTER_AREA)
+    if not whole.any():
+        return float(np.sqrt(np.mean(change[lit] ** 2)))
+    return float(np.sqrt(np.quantile(square[whole], QUIET_SHARE)))
 
 
 def read_idle_images(paths: Sequence[Path]) -> NDArray[np.uint8]:

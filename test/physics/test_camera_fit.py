@@ -1,0 +1,153 @@
+"""The fit of camera and lights recovers those that made the images."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dotsim_ros.calibration.camera_fit import fit_camera, rim_circle
+from dotsim_ros.calibration.camera_model import (
+    LENS,
+    LIGHTS,
+    CameraModel,
+    RingLights,
+    camera_section,
+    moved,
+)
+from dotsim_ros.calibration.camera_score import score_frames, summarize_frames
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.optics.frames import FilmedData, FilmedPress
+from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
+from dotsim_ros.optics.renderer import SkinRenderer
+
+RADIUS_M = 0.01575
+STATED_LIGHTS = RingLights(
+    radius_m=0.009, spread_deg=16.0, crosstalk=0.03, ambient_fraction=0.5, exponent=0.7
+)
+LENS_OFFSET = np.array([6.0, -4.0, 1.0, -2.0, 2.5, -1.5, 0.0])
+"""Of the camera that takes the images from the stated one, in steps of LENS."""
+NOISE_LEVELS = 1.2
+
+
+def dented(skin, axis, depth_m):
+    """Return the skin pressed in along a direction, what lies beside pushed outwards."""
+    axis = np.asarray(axis) / np.linalg.norm(axis)
+    square = np.sum((skin.rest_position_m - RADIUS_M * axis) ** 2, axis=1) / 0.004**2
+    dent = depth_m * (1.0 - 0.5 * square) * np.exp(-square)
+    return skin.rest_position_m - dent[:, None] * axis
+
+
+@pytest.fixture(scope="module")
+def stated():
+    camera = FisheyeCamera.from_specification(load_sensor("densetact2").camera)
+    return CameraModel(camera.scaled(320, 240), STATED_LIGHTS)
+
+
+@pytest.fixture(scope="module")
+def true(stated):
+    model = moved(stated, LENS, LENS_OFFSET)
+    return replace(model, lights=replace(STATED_LIGHTS, spread_deg=36.0, gloss=2.0))
+
+
+@pytest.fixture(scope="module")
+def filmed(true):
+    random = np.random.default_rng(0)
+    skin = dome_skin(RADIUS_M, 0.8e-3)
+    idle = render_idle_image(
+        true.camera,
+        RADIUS_M,
+        lighting=true.lights.lighting(),
+        vignetting=true.vignetting,
+        style=PatternStyle(noise_levels=0.0),
+        seed=0,
+    )
+    renderer = SkinRenderer(true.camera, skin)
+    images = ImageRenderer(true.camera, skin, idle, lighting=true.lights.lighting())
+    presses = []
+    for number, (x, y) in enumerate(
+        [(0.0, 0.0), (0.7, 0.2), (-0.5, 0.6), (0.1, -0.8), (-0.7, -0.3)]
+    ):
+        depth_m = np.array([-0.1e-3, 1.5e-3, 3.0e-3])
+        position = np.stack([dented(skin, (x, y, 1.0), max(d, 0.0)) for d in depth_m])
+        measured = np.stack([images.carry(renderer.render(p)) for p in position])
+        noisy = measured + NOISE_LEVELS * random.standard_normal(measured.shape)
+        presses.append(
+            FilmedPress(
+                f"press_{number}",
+                "dent",
+                depth_m,
+                np.clip(np.rint(noisy), 0, 255).astype(np.uint8),
+                position.astype(np.float32),
+            )
+        )
+    return FilmedData(skin, idle, tuple(presses))
+
+
+@pytest.fixture(scope="module")
+def fit(filmed, stated):
+    return fit_camera(filmed, stated)
+
+
+def test_lens_is_found_within_its_stated_deviations(fit, true):
+    found = {parameter.name: parameter for parameter in fit.parameters}
+    for parameter in LENS:
+        one = found[parameter.name]
+        assert abs(one.after - parameter.value(true)) < 3.0 * one.deviation, one
+    assert np.abs(fit.model.camera.principal_point_px - true.camera.principal_point_px).max() < 0.3
+
+
+def test_gloss_and_leds_are_found(fit, true):
+    assert fit.model.lights.gloss == pytest.approx(true.lights.gloss, rel=0.3)
+    assert fit.model.lights.spread_deg == pytest.approx(true.lights.spread_deg, abs=5.0)
+
+
+def test_images_are_met_to_the_noise(fit, filmed, stated):
+    def summary(model):
+        return summarize_frames([s for s in score_frames(filmed, model) if s.deepest])
+
+    before, after = summary(stated), summary(fit.model)
+    assert after["carried_db"] > before["carried_db"] + 5.0
+    assert after["carried_db"] > 40.0
+    assert after["reprojection_rms_px"] < 0.1 < before["reprojection_rms_px"]
+
+
+def test_untouched_frames_tell_the_measures_own_noise(filmed, stated):
+    untouched = summarize_frames([s for s in score_frames(filmed, stated) if s.depth_m < 0.0])
+    assert untouched["reprojection_rms_px"] < 0.05
+
+
+def test_rim_of_the_lit_disc_is_round_about_the_principal_point(filmed, true):
+    rim = rim_circle(filmed.idle)
+    assert np.abs(rim.centre_px - true.camera.principal_point_px).max() < 0.5
+    assert rim.residual_px < 0.5
+
+
+def test_no_circle_is_seen_where_there_is_none():
+    square = np.zeros((240, 320, 3), dtype=np.uint8)
+    square[40:200, 60:260] = 120
+    assert rim_circle(square) is None
+    assert rim_circle(np.zeros((240, 320, 3), dtype=np.uint8)) is None
+
+
+def test_sensor_file_gives_the_fitted_camera_back(true):
+    section = camera_section(true, load_sensor("densetact2").camera, "images/densetact2_idle.png")
+    camera = FisheyeCamera.from_specification(section).scaled(320, 240)
+    directions = np.random.default_rng(1).standard_normal((200, 3)) * [1.0, 1.0, 0.3]
+    directions[:, 2] += 0.5
+    points = true.camera.pose.apply(0.01 * directions)
+    difference = camera.project(points) - true.camera.project(points)
+    assert np.nanmax(np.abs(difference)) < 0.01
+
+
+def test_shallow_presses_are_refused(filmed, stated):
+    shallow = replace(
+        filmed,
+        presses=tuple(
+            replace(press, tip_depth_m=0.1 * press.tip_depth_m) for press in filmed.presses
+        ),
+    )
+    with pytest.raises(ValueError, match="press deeper"):
+        fit_camera(shallow, stated, lens=LENS, lights=LIGHTS)
