@@ -2,12 +2,14 @@
 
 Writes dataset.yaml, skin_mesh.npz, bags/ and indenters/ in the layout of measured data, one
 trajectory for each indenter and tilt, and prints for each frame how far our own gel, pressed the
-same way, is off. Trajectories that OUT already holds are left as they are, so a broken run goes on
-where it stopped. Needs CalculiX: apt-get install calculix-ccx
+same way, is off. Trajectories that OUT already holds, solved to their end with the same constants,
+are left as they are, so a broken run goes on where it stopped; others are solved anew. Needs
+CalculiX: apt-get install calculix-ccx
 
 example:
   dotsim_ros reference --sensor densetact2 --indenter sphere_4mm --out out/reference
   dotsim_ros reference --indenter cone torus --tilt-deg 0 20 40 --shear-mm 0.5 --out out/reference
+  dotsim_ros reference --indenter cone --axisymmetric --depth-mm 2 --out out/reference
 """
 
 from __future__ import annotations
@@ -51,7 +53,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--azimuth-deg", type=float, default=0.0, help="of the place, from +x (0)")
     add("--shear-mm", type=float, default=0.0, help="drag along the indenter's +x at the end (0)")
     add("--friction", type=float, help="coefficient of friction (the sensor's)")
-    add("--spacing-mm", type=_positive, default=1.0, help="of the elements at the press (1)")
+    add("--spacing-mm", type=_positive, help="of the elements at the press (1; 0.25 axisymmetric)")
+    add("--axisymmetric", action="store_true", help="solve in two dimensions: at the apex alone")
     add("--threads", type=_count, default=1, help="of CalculiX (1)")
     add("--time-limit-s", type=_positive, help="for each trajectory (none)")
     add("--keep", type=Path, help="folder for CalculiX's own files")
@@ -66,17 +69,12 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.provenance import provenance, write_json
     from dotsim_ros.geometry.indenter import load_indenter
     from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.measured.reference.axisymmetric import AxisymmetricSettings
     from dotsim_ros.measured.reference.comparison import compare
-    from dotsim_ros.measured.reference.results import (
-        ReferenceDataSet,
-        ReferenceSettings,
-        press_poses,
-        reference_deck,
-        settings_notes,
-        trajectory_of,
-    )
-    from dotsim_ros.measured.reference.run import CalculixError, calculix_version, solve
-    from dotsim_ros.measured.scripted import Site
+    from dotsim_ros.measured.reference.data_set import ReferenceDataSet
+    from dotsim_ros.measured.reference.press import ReferencePress, ReferenceSettings
+    from dotsim_ros.measured.reference.results import solved_press
+    from dotsim_ros.measured.reference.run import CalculixError, calculix_version
     from dotsim_ros.sensor import skin_of
 
     version = calculix_version()
@@ -86,60 +84,54 @@ def run(arguments: argparse.Namespace) -> int:
         specification = replace(specification, contact=contact)
     skin = skin_of(specification.gel)
     data_set = ReferenceDataSet(arguments.out, skin)
-    settings = ReferenceSettings(spacing_m=1e-3 * arguments.spacing_mm)
-    friction = specification.contact.friction_coefficient
+    settings: ReferenceSettings | AxisymmetricSettings = (
+        AxisymmetricSettings() if arguments.axisymmetric else ReferenceSettings()
+    )
+    if arguments.spacing_mm is not None:
+        settings = replace(settings, spacing_m=1e-3 * arguments.spacing_mm)
     rows: list[dict[str, Any]] = []
     failures = []
     print(_HEADER)
     for source in arguments.indenter:
         indenter = load_indenter(source)
         for tilt_deg in arguments.tilt_deg:
-            site = Site(
-                outer_radius_m=specification.gel.outer_radius_m,
-                tilt_rad=math.radians(tilt_deg),
-                azimuth_rad=math.radians(arguments.azimuth_deg),
-            )
-            poses = press_poses(
-                site,
+            press = ReferencePress(
+                specification,
+                indenter,
                 depth_m=1e-3 * arguments.depth_mm,
                 frame_count=arguments.frames,
+                tilt_deg=tilt_deg,
+                azimuth_deg=arguments.azimuth_deg,
                 shear_m=1e-3 * arguments.shear_mm,
+                settings=settings,
             )
-            name = (
-                f"{indenter.name}_depth{arguments.depth_mm:g}_tilt{tilt_deg:g}"
-                f"_shear{arguments.shear_mm:g}_friction{friction:g}_spacing{arguments.spacing_mm:g}"
-            )
-            if data_set.bag(name).exists():
-                print(f"{name}: there already")
+            notes = press.notes() | {"calculix": version}
+            if data_set.holds(press.name, notes):
+                print(f"{press.name}: there already")
                 continue
-            deck = reference_deck(specification, skin, indenter, poses, settings)
             try:
-                solution = solve(
-                    deck,
+                trajectory, solution = solved_press(
+                    press,
+                    skin,
                     thread_count=arguments.threads,
-                    keep=None if arguments.keep is None else arguments.keep / name,
+                    keep=None if arguments.keep is None else arguments.keep / press.name,
                     time_limit_s=arguments.time_limit_s,
                 )
             except CalculixError as error:
-                failures.append(f"{name}: {error}")
+                failures.append(f"{press.name}: {error}")
                 print(failures[-1])
                 continue
-            trajectory = trajectory_of(deck, solution, skin, name=name)
-            notes = {"calculix": version, "settings": settings_notes(settings)}
-            data_set.add(trajectory, indenter, notes)
-            for row in compare(specification, skin, indenter, poses, trajectory):
+            data_set.add(trajectory, indenter, notes, failure=solution.failure)
+            for row in compare(specification, skin, indenter, trajectory):
                 figures = {
-                    "trajectory": name,
+                    "trajectory": press.name,
                     "iterations": solution.steps[row.frame - 1].iterations,
                     **row.figures(),
                 }
                 rows.append(figures)
                 print(_ROW.format(**figures), flush=True)
             if solution.failure:
-                failures.append(
-                    f"{name}: CalculiX stopped after {len(solution.steps)} of {len(poses) - 1} "
-                    f"frames: {solution.failure}"
-                )
+                failures.append(f"{press.name}: {solution.failure}")
                 print(failures[-1])
     if arguments.json is not None:
         origin = provenance() | {"calculix": version}

@@ -10,9 +10,19 @@ from dotsim_ros.cli.main import main
 from dotsim_ros.gel.material import MooneyRivlin, NeoHookean, Yeoh
 from dotsim_ros.geometry.indenter import load_indenter, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import ContactSpecification, load_sensor
+from dotsim_ros.geometry.specification import (
+    ContactSpecification,
+    GelSpecification,
+    load_sensor,
+)
 from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.reference.deck import Deck
+from dotsim_ros.measured.reference.axisymmetric import (
+    AxisymmetricDeck,
+    AxisymmetricSettings,
+    dome_section,
+)
+from dotsim_ros.measured.reference.data_set import ReferenceDataSet, read_solved_presses
+from dotsim_ros.measured.reference.deck import EARLY_M, Deck, StepControl
 from dotsim_ros.measured.reference.mesh import (
     Press,
     corner_volumes,
@@ -20,12 +30,13 @@ from dotsim_ros.measured.reference.mesh import (
     interpolate_skin,
     pressed_place,
 )
-from dotsim_ros.measured.reference.results import (
+from dotsim_ros.measured.reference.press import (
+    ReferencePress,
     ReferenceSettings,
     press_poses,
     reference_deck,
-    stamps_ns,
 )
+from dotsim_ros.measured.reference.results import solved_press, stamps_ns
 from dotsim_ros.measured.reference.run import (
     CalculixError,
     CalculixMissingError,
@@ -146,7 +157,7 @@ def _deck(law, friction=0.4, depth_m=0.4e-3, spacing_m=2.4e-3):
     skin = dome_skin(OUTER_M, 1e-3)
     deck = reference_deck(specification, skin, indenter, poses, settings)
     contact = ContactSpecification(friction_coefficient=friction)
-    return Deck(deck.gel, deck.surface, deck.poses, law, contact, deck.control)
+    return Deck(deck.gel, deck.surface, deck.poses, law, contact, deck.controls)
 
 
 def _block(text, keyword):
@@ -186,6 +197,32 @@ def test_press_ends_with_a_drag_along_the_indenter():
     assert np.all(np.diff(stamps_ns(poses)) > 0)
 
 
+def test_drag_begins_with_smaller_increments():
+    press, drag = StepControl(first=0.5), StepControl(first=0.125)
+    settings = ReferenceSettings(spacing_m=2.4e-3, control=press, drag_control=drag)
+    poses = press_poses(Site(tilt_rad=0.5), depth_m=1e-3, frame_count=1, shear_m=0.2e-3)
+    skin = dome_skin(OUTER_M, 1e-3)
+    deck = reference_deck(load_sensor("densetact2"), skin, sphere(4e-3), poses, settings)
+    assert deck.controls == [press, drag]
+    lines = deck.text().splitlines()
+    first = [lines[k + 1].split(",")[0] for k, line in enumerate(lines) if line == "*STATIC"]
+    assert first == ["0.5", "0.125"]
+
+
+def test_step_without_control_is_refused():
+    deck = _deck(NeoHookean(3e5, 0.48))
+    with pytest.raises(ValueError, match="0 step controls for 2 poses"):
+        Deck(deck.gel, deck.surface, deck.poses, deck.law, deck.contact, [])
+
+
+def test_surface_lies_where_the_gels_contact_begins():
+    nodes = _deck(NeoHookean(3e5, 0.48)).indenter_nodes_m()
+    distance = sphere(4e-3).signed_distance(nodes[len(nodes) // 2 :])
+    # The last ring's normals are those of the triangles on one side alone.
+    np.testing.assert_allclose(np.median(distance), EARLY_M, atol=1e-8)
+    assert np.abs(distance - EARLY_M).max() < 0.5e-6
+
+
 def test_missing_calculix_is_told_with_the_way_to_install_it(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(CalculixMissingError, match="apt-get install calculix-ccx"):
@@ -201,7 +238,91 @@ def test_a_run_that_takes_too_long_is_ended():
         solve(_deck(NeoHookean(3e5, 0.48)), time_limit_s=0.2)
 
 
+def _section_deck(name):
+    settings = AxisymmetricSettings(spacing_m=0.8e-3, surface_step_m=0.4e-3)
+    return AxisymmetricDeck(
+        section=dome_section(GelSpecification(), settings),
+        indenter=load_indenter(name),
+        apex_m=OUTER_M,
+        depth_m=[-2e-5, 0.5e-3],
+        law=NeoHookean(3e5, 0.48),
+        contact=ContactSpecification(),
+        settings=settings,
+    )
+
+
+def test_half_section_is_filled_without_gaps():
+    section = dome_section(GelSpecification(), AxisymmetricSettings(spacing_m=0.8e-3))
+    corner = section.node_m[section.element[:, :4]]
+    across = corner - corner[:, :1]
+    area = 0.5 * (
+        across[:, 1, 0] * across[:, 2, 1]
+        - across[:, 1, 1] * across[:, 2, 0]
+        + across[:, 2, 0] * across[:, 3, 1]
+        - across[:, 2, 1] * across[:, 3, 0]
+    )
+    assert area.min() > 0.0
+    np.testing.assert_allclose(area.sum(), 0.25 * np.pi * (OUTER_M**2 - CORE_M**2), rtol=0.01)
+    assert set(np.unique(section.element)) == set(range(len(section.node_m)))
+    skin = section.node_m[section.element[section.skin_element][:, [2, 6, 3]]]
+    np.testing.assert_allclose(np.linalg.norm(skin, axis=2), OUTER_M)
+    np.testing.assert_allclose(
+        section.node_m[section.skin_node],
+        OUTER_M * np.stack([np.sin(section.skin_angle_rad), np.cos(section.skin_angle_rad)], 1),
+        atol=1e-12,
+    )
+
+
+@pytest.mark.parametrize("name", ["sphere_4mm", "cone", "flat_punch", "torus"])
+def test_meridian_lies_where_contact_begins_all_around(name):
+    deck = _section_deck(name)
+    line = deck.indenter_nodes_m()[2]
+    assert len(line) % 2 == 1
+    points = np.stack([line[:, 0], 0.0 * line[:, 0], line[:, 1]], axis=1)
+    distance = deck.indenter.signed_distance(points)
+    assert line[:, 0].min() > -1e-12
+    assert np.abs(distance - EARLY_M).max() < 2e-6
+    # The tip is there, on the axis or around it.
+    assert line[:, 1].min() < -EARLY_M + 1e-6
+
+
+@pytest.mark.parametrize("name", ["lying_cylinder", "box_edge"])
+def test_indenter_of_no_revolution_is_refused_in_two_dimensions(name):
+    with pytest.raises(ValueError, match="no upright body of revolution"):
+        _section_deck(name)
+
+
+def test_tilt_is_refused_in_two_dimensions():
+    with pytest.raises(ValueError, match=r"20 degrees .* not axisymmetric"):
+        ReferencePress(
+            load_sensor("densetact2"),
+            sphere(4e-3),
+            1e-3,
+            1,
+            tilt_deg=20.0,
+            settings=AxisymmetricSettings(),
+        )
+
+
+@needs_calculix
+def test_two_dimensions_give_what_three_give():
+    indenter = load_indenter("sphere_4mm")
+    specification = load_sensor("densetact2")
+    skin = dome_skin(OUTER_M, 1e-3)
+    fine = AxisymmetricSettings(spacing_m=0.5e-3, surface_step_m=0.3e-3)
+    two, three = (
+        solved_press(ReferencePress(specification, indenter, 1.0e-3, 1, settings=settings), skin)[0]
+        for settings in (fine, ReferenceSettings(spacing_m=2.4e-3))
+    )
+    force = two.wrench.force_n[1]
+    np.testing.assert_allclose(force[:2], 0.0)
+    np.testing.assert_allclose(three.wrench.force_n[1], force, atol=0.05 * force[2])
+    apart = two.skin.position_m[1] - three.skin.position_m[1]
+    assert np.sqrt(np.mean(np.sum(apart**2, axis=1))) < 15e-6
+
+
 SENSOR = """
+name: coarse
 gel: {skin_spacing_m: 0.001}
 material: {law: yeoh, c10_pa: 5.0e4, c20_pa: 4.0e3, c30_pa: 2.0e2, bulk_modulus_pa: 2.5e6}
 contact: {friction_coefficient: 0.3}
@@ -270,3 +391,41 @@ def test_solved_trajectory_is_not_solved_again(reference, capsys):
     assert main(command) == 0
     assert "there already" in capsys.readouterr().out
     assert len(read_data_set(out).entries) == 1
+
+
+@needs_calculix
+def test_solved_press_says_what_it_was_solved_for(reference):
+    _, out = reference
+    skin, (press,) = read_solved_presses(out)
+    assert press.specification.name == "coarse"
+    assert press.specification.material.c20_pa == 4.0e3
+    assert press.specification.contact.friction_coefficient == 0.3
+    assert press.notes["press"]["tilt_deg"] == 25.0
+    assert press.trajectory.skin.position_m.shape == (2, skin.vertex_count, 3)
+    np.testing.assert_allclose(press.indenter.signed_distance([[0.0, 0.0, -1e-3]]), 1e-3, atol=1e-6)
+
+
+def test_measured_data_is_no_reference(tmp_path):
+    (tmp_path / "bags" / "press").mkdir(parents=True)
+    (tmp_path / "dataset.yaml").write_text("trajectories: [{bag: bags/press}]")
+    with pytest.raises(ValueError, match="press names no sensor that it was solved for"):
+        read_solved_presses(tmp_path)
+
+
+@needs_calculix
+def test_broken_off_or_changed_trajectory_does_not_count_as_solved(reference, tmp_path):
+    _, out = reference
+    _, (solved,) = read_solved_presses(out)
+    data_set = ReferenceDataSet(tmp_path, read_data_set(out).skin_mesh())
+    press = ReferencePress(solved.specification, sphere(4e-3), 0.5e-3, 1, tilt_deg=25.0)
+    name, notes = solved.trajectory.name, press.notes()
+    assert not data_set.holds(name, notes)
+    data_set.add(solved.trajectory, press.indenter, notes, failure="stopped")
+    assert not data_set.holds(name, notes)
+    data_set.add(solved.trajectory, press.indenter, notes)
+    assert data_set.holds(name, notes)
+    assert not data_set.holds(name, notes | {"settings": {"spacing_m": 1e-3}})
+    data_set.bag(name).rename(tmp_path / "elsewhere")
+    assert not data_set.holds(name, notes)
+    data_set.add(solved.trajectory, press.indenter, notes)
+    assert [entry.name for entry in read_data_set(tmp_path).entries] == [name]

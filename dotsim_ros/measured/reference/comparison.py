@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.indenter import Indenter, way_m
+from dotsim_ros.geometry.pose import interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.specification import SensorSpecification
 from dotsim_ros.measured.trajectory import Trajectory
@@ -20,6 +21,10 @@ FloatArray = NDArray[np.float64]
 
 STEP_S = 0.05
 """Of a quasi-static gel; it has no effect."""
+
+MOVE_M = 0.25e-3
+"""Our gel is moved at most so far at once, about a frame of the sensor at 5 mm/s: friction depends
+on the way, and a marker that a longer move brings into contact has already slid by then."""
 
 CONTACT_BAND_M = 0.1e-3
 """Skin of the reference this close to the indenter is the contact region."""
@@ -35,6 +40,7 @@ class FrameComparison:
         normal_n, tangential_n: the reference's force along the indenter's axis and across it.
         normal_error: of the force along the indenter's axis, as a share of the reference's.
         tangential_error: length of the rest of the difference, as a share of the same.
+        force_error: length of the whole difference, as a share of the reference's force.
         skin_rms_m, skin_max_m: distance of corresponding points, over the whole dome.
         contact_rms_m: over the contact region.
         converged: whether our solver met its tolerance.
@@ -47,6 +53,7 @@ class FrameComparison:
     tangential_n: float
     normal_error: float
     tangential_error: float
+    force_error: float
     skin_rms_m: float
     skin_max_m: float
     contact_rms_m: float
@@ -62,6 +69,7 @@ class FrameComparison:
             "tangential_n": self.tangential_n,
             "normal_error": self.normal_error,
             "tangential_error": self.tangential_error,
+            "force_error": self.force_error,
             "skin_rms_mm": 1e3 * self.skin_rms_m,
             "skin_max_mm": 1e3 * self.skin_max_m,
             "contact_rms_mm": 1e3 * self.contact_rms_m,
@@ -78,7 +86,6 @@ def compare(
     specification: SensorSpecification,
     skin: SkinMesh,
     indenter: Indenter,
-    poses: Sequence[Pose],
     trajectory: Trajectory,
     *,
     progress: Callable[[float], None] | None = None,
@@ -89,23 +96,23 @@ def compare(
         specification: the sensor that the reference was solved for.
         skin: whose vertices the trajectory lists.
         indenter: the rigid shape.
-        poses: of its frame in the base frame, as many as the trajectory has frames at least.
-        trajectory: with skin and wrench; the first frame is without contact.
+        trajectory: with poses, skin and wrench; the first frame is without contact.
         progress: told the finished share of tables that are computed once and cached.
 
     Raises:
-        ValueError: the trajectory has no skin or no wrench, or our gel refuses a pose.
+        ValueError: the trajectory lacks poses, skin or wrench, or our gel refuses a pose.
     """
-    if trajectory.skin is None or trajectory.wrench is None:
-        raise ValueError("a reference trajectory needs skin and wrench")
+    if trajectory.pose is None or trajectory.skin is None or trajectory.wrench is None:
+        raise ValueError("a reference trajectory needs poses, skin and wrench")
     quasi_static = replace(specification, solver=replace(specification.solver, dynamic=False))
     gel = make_gel(quasi_static, skin, indenter, progress=progress)
     found = []
-    frame_count = len(trajectory.skin.stamp_ns)
-    for frame, pose in enumerate(poses[:frame_count]):
-        ours = gel.step(pose, STEP_S)
-        if frame == 0:
-            continue
+    poses = trajectory.pose.poses()
+    gel.step(poses[0], STEP_S)
+    for frame, (before, pose) in enumerate(pairwise(poses), start=1):
+        count = max(1, int(np.ceil(way_m(before, pose, indenter) / MOVE_M - 1e-9)))
+        for k in range(1, count + 1):
+            ours = gel.step(interpolate(before, pose, k / count), STEP_S)
         reference = trajectory.skin.position_m[frame].astype(np.float64)
         distance = np.linalg.norm(ours.skin_position_m - reference, axis=1)
         local = (reference - pose.position_m) @ pose.rotation()
@@ -123,6 +130,7 @@ def compare(
                 float(np.linalg.norm(force - normal * axis)),
                 normal_difference / scale,
                 float(np.linalg.norm(difference - normal_difference * axis)) / scale,
+                float(np.linalg.norm(difference) / np.linalg.norm(force)),
                 _root_mean_square(distance, skin.rest_area_m2),
                 float(distance.max()),
                 _root_mean_square(distance, skin.rest_area_m2 * near),

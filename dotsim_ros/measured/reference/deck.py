@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.gel.contact import ONSET_M, REFERENCE_SPACING_M, SMOOTHING_M
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import IndenterMesh
 from dotsim_ros.geometry.pose import Pose
@@ -20,8 +21,9 @@ IntArray = NDArray[np.int64]
 MM = 1e3
 MEGAPASCAL = 1e-6
 
-CONTACT_SPACING_M = 1.2e-3
-"""`ContactSpecification.stiffness` is in units of Young's modulus over this."""
+EARLY_M = ONSET_M - 0.5 * SMOOTHING_M
+"""The gel's pressure is stiffness times (this - distance): its contact begins so far outside of the
+indenter, that penetration and gap share the error. Here the indenter's surface is moved instead."""
 
 WEDGE_THICKNESS_M = 0.1e-3
 """Of the layer of elements that carries the indenter's surface; it is rigid, so any will do."""
@@ -61,7 +63,10 @@ class Deck:
             the end of each step.
         law: of the gel.
         contact: friction and stiffness; frictionless without a coefficient.
-        control: of the increments.
+        controls: of the increments, one for each pose but the first.
+
+    Raises:
+        ValueError: as many controls as steps are needed.
     """
 
     gel: DomeMesh
@@ -69,7 +74,14 @@ class Deck:
     poses: Sequence[Pose]
     law: ElasticLaw
     contact: ContactSpecification
-    control: StepControl = StepControl()
+    controls: Sequence[StepControl]
+
+    def __post_init__(self) -> None:
+        if len(self.controls) != len(self.poses) - 1:
+            raise ValueError(
+                f"{len(self.controls)} step controls for {len(self.poses)} poses, expected one for "
+                "each pose but the first"
+            )
 
     @property
     def gel_node_count(self) -> int:
@@ -77,14 +89,15 @@ class Deck:
         return len(self.gel.node_m)
 
     def indenter_nodes_m(self) -> FloatArray:
-        """Return (2 M, 3) nodes in the indenter's frame: those inside, then the surface's own."""
+        """Return (2 M, 3) nodes in the indenter's frame: those inside, then the surface's own,
+        which lie where contact begins."""
         vertices, triangles = self.surface.vertices_m, self.surface.triangles
         corner = vertices[triangles]
         face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
         normal = np.zeros_like(vertices)
         np.add.at(normal, triangles.ravel(), np.repeat(face, 3, axis=0))
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        return np.concatenate([vertices - WEDGE_THICKNESS_M * normal, vertices])
+        return np.concatenate([vertices - WEDGE_THICKNESS_M * normal, vertices + EARLY_M * normal])
 
     def text(self) -> str:
         """Return the input file."""
@@ -119,50 +132,17 @@ class Deck:
         yield from (f"{number}, S2" for number in (self.gel.skin_element + 1).tolist())
         yield "*SURFACE, NAME=INDENTER_FACES, TYPE=ELEMENT"
         yield "INDENTER, S2"
-        yield from self._material_lines()
-        yield from self._contact_lines()
+        yield from material_lines(self.law)
+        yield from contact_lines(self.law, self.contact)
         yield "*BOUNDARY"
         yield "BONDED, 1, 3"
-        for pose in self.poses[1:]:
-            yield from self._step_lines(first, MM * (pose.apply(local) - start))
+        for pose, control in zip(self.poses[1:], self.controls, strict=True):
+            yield from self._step_lines(first, MM * (pose.apply(local) - start), control)
 
-    def _material_lines(self) -> Iterator[str]:
-        c10, c01, c20, c30, bulk = (MEGAPASCAL * self.law.coefficients_pa()).tolist()
-        d1 = 2.0 / bulk
-        yield "*MATERIAL, NAME=SILICONE"
-        if c20 or c30:
-            if c01:
-                raise ValueError("a law with C01 and C20 or C30 has no form in the reference")
-            yield "*HYPERELASTIC, YEOH"
-            constants = [c10, c20, c30, d1, NEGLIGIBLE * d1, NEGLIGIBLE * d1]
-        elif c01:
-            yield "*HYPERELASTIC, MOONEY-RIVLIN"
-            constants = [c10, c01, d1]
-        else:
-            yield "*HYPERELASTIC, NEO HOOKE"
-            constants = [c10, d1]
-        yield ", ".join(f"{constant:.9e}" for constant in constants)
-        yield "*MATERIAL, NAME=RIGID"
-        yield "*ELASTIC"
-        yield "1.0, 0.3"
-        yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
-        yield "*SOLID SECTION, ELSET=INDENTER, MATERIAL=RIGID"
-
-    def _contact_lines(self) -> Iterator[str]:
-        youngs_modulus, _ = small_strain_moduli_pa(self.law)
-        stiffness = self.contact.stiffness * MEGAPASCAL * youngs_modulus / (MM * CONTACT_SPACING_M)
-        yield "*SURFACE INTERACTION, NAME=TOUCH"
-        yield "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR"
-        yield f"{stiffness:.9e}"
-        if self.contact.friction_coefficient > 0.0:
-            yield "*FRICTION"
-            stick = self.contact.tangential_ratio * stiffness
-            yield f"{self.contact.friction_coefficient:.9e}, {stick:.9e}"
-        yield "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE"
-        yield "SKIN_FACES, INDENTER_FACES"
-
-    def _step_lines(self, first: int, displacement_mm: FloatArray) -> Iterator[str]:
-        c = self.control
+    def _step_lines(
+        self, first: int, displacement_mm: FloatArray, control: StepControl
+    ) -> Iterator[str]:
+        c = control
         yield f"*STEP, NLGEOM, INC={c.count}"
         yield "*STATIC"
         yield f"{c.first}, 1.0, {c.smallest}, {c.largest}"
@@ -175,6 +155,49 @@ class Deck:
         yield f"*NODE PRINT, NSET=INDENTER, FREQUENCY={NEVER}"
         yield "RF"
         yield "*END STEP"
+
+
+def material_lines(law: ElasticLaw) -> Iterator[str]:
+    """Yield the materials of gel and indenter and the sets of elements that have them.
+
+    Raises:
+        ValueError: CalculiX has no form of the law.
+    """
+    c10, c01, c20, c30, bulk = (MEGAPASCAL * law.coefficients_pa()).tolist()
+    d1 = 2.0 / bulk
+    yield "*MATERIAL, NAME=SILICONE"
+    if c20 or c30:
+        if c01:
+            raise ValueError("a law with C01 and C20 or C30 has no form in the reference")
+        yield "*HYPERELASTIC, YEOH"
+        constants = [c10, c20, c30, d1, NEGLIGIBLE * d1, NEGLIGIBLE * d1]
+    elif c01:
+        yield "*HYPERELASTIC, MOONEY-RIVLIN"
+        constants = [c10, c01, d1]
+    else:
+        yield "*HYPERELASTIC, NEO HOOKE"
+        constants = [c10, d1]
+    yield ", ".join(f"{constant:.9e}" for constant in constants)
+    yield "*MATERIAL, NAME=RIGID"
+    yield "*ELASTIC"
+    yield "1.0, 0.3"
+    yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
+    yield "*SOLID SECTION, ELSET=INDENTER, MATERIAL=RIGID"
+
+
+def contact_lines(law: ElasticLaw, contact: ContactSpecification) -> Iterator[str]:
+    """Yield the contact of the surfaces SKIN_FACES and INDENTER_FACES."""
+    youngs_modulus, _ = small_strain_moduli_pa(law)
+    stiffness = contact.stiffness * MEGAPASCAL * youngs_modulus / (MM * REFERENCE_SPACING_M)
+    yield "*SURFACE INTERACTION, NAME=TOUCH"
+    yield "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR"
+    yield f"{stiffness:.9e}"
+    if contact.friction_coefficient > 0.0:
+        yield "*FRICTION"
+        stick = contact.tangential_ratio * stiffness
+        yield f"{contact.friction_coefficient:.9e}, {stick:.9e}"
+    yield "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE"
+    yield "SKIN_FACES, INDENTER_FACES"
 
 
 def _rows(first: int, values: FloatArray) -> Iterator[str]:

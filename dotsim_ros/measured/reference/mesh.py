@@ -94,7 +94,7 @@ def pressed_place(skin_m: FloatArray, indenter: Indenter, poses: Sequence[Pose])
     return Press(pole, float(radius.max() * angle.max()))
 
 
-def _growing(length: float, first: float, *, largest_ratio: float = GROWTH) -> FloatArray:
+def growing_marks(length: float, first: float, *, largest_ratio: float = GROWTH) -> FloatArray:
     """Return (n + 1,) marks from 0 to `length` whose intervals grow from about `first`."""
     count, reach, size = 0, 0.0, first
     while reach < length:
@@ -105,7 +105,7 @@ def _growing(length: float, first: float, *, largest_ratio: float = GROWTH) -> F
     return np.asarray(marks * length / marks[-1])
 
 
-def _halved(marks: FloatArray) -> FloatArray:
+def halved_marks(marks: FloatArray) -> FloatArray:
     """Return the marks with the middle of each interval between them."""
     between = 0.5 * (marks[1:] + marks[:-1])
     return np.concatenate([np.stack([marks[:-1], between], axis=1).ravel(), marks[-1:]])
@@ -147,7 +147,7 @@ def _disc(middle: float, step: float) -> tuple[FloatArray, IntArray]:
         step: size of its cells, rad.
     """
     count = 2 * max(1, int(np.ceil(middle / step)))
-    across = _halved(np.linspace(-1.0, 1.0, count + 1))
+    across = halved_marks(np.linspace(-1.0, 1.0, count + 1))
     # Of the square block each point lies in the quarter of its larger coordinate.
     x, y = np.meshgrid(across, across, indexing="ij")
     larger = np.maximum(np.abs(x), np.abs(y))
@@ -162,7 +162,7 @@ def _disc(middle: float, step: float) -> tuple[FloatArray, IntArray]:
     points = np.where((x == 0.0)[..., None] & (y == 0.0)[..., None], 0.0, points)
     blocks = [points.reshape(-1, 2)]
     cells = [_cells((len(across), len(across)))]
-    rings = middle + _halved(_growing(0.5 * np.pi - middle, middle / (0.5 * count) * 1.2))
+    rings = middle + halved_marks(growing_marks(0.5 * np.pi - middle, middle / (0.5 * count) * 1.2))
     along, width = np.meshgrid(rings, across, indexing="ij")
     block = _disc_points(width, along, middle).reshape(-1, 2)
     for quarter in range(4):
@@ -220,7 +220,7 @@ def dome_mesh(
     middle = min(press.radius_m / outer_radius_m, 0.6)
     points, cells = _disc(middle, spacing_m / outer_radius_m)
     direction = _on_hemisphere(points, press.pole)
-    depth = _halved(_growing(outer_radius_m - core_radius_m, spacing_m))
+    depth = halved_marks(growing_marks(outer_radius_m - core_radius_m, spacing_m))
     radii = (outer_radius_m - depth)[::-1]
     node = (radii[:, None, None] * direction).reshape(-1, 3)
     count = len(points)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.measured.reference.axisymmetric import WEDGE_COUNT, AxisymmetricDeck
 from dotsim_ros.measured.reference.deck import MM, Deck
 
 FloatArray = NDArray[np.float64]
@@ -22,6 +23,7 @@ INSTALL = "apt-get install calculix-ccx"
 JOB = "press"
 
 _HEADING = re.compile(r"^ (displacements|forces).* for set (\w+) and time\s+(\S+)")
+_SKIN_MOVED, _INDENTER_HELD = ("displacements", "SKIN"), ("forces", "INDENTER")
 _ERROR = re.compile(r"\*ERROR.*")
 
 
@@ -110,46 +112,97 @@ def solve(
         CalculixMissingError: it is not installed.
         CalculixError: it solved no step at all.
     """
-    executable = calculix_path()
     with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as temporary:
         folder = Path(temporary) if keep is None else keep
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / f"{JOB}.inp").write_text(deck.text(), encoding="ascii")
-        environment = os.environ | {"OMP_NUM_THREADS": str(thread_count)}
-        log_path = folder / f"{JOB}.log"
-        late = ""
-        with log_path.open("w", encoding="utf-8") as log:
-            try:
-                status = subprocess.run(
-                    [executable, "-i", JOB],
-                    cwd=folder,
-                    env=environment,
-                    stdout=log,
-                    stderr=subprocess.STDOUT,
-                    timeout=time_limit_s,
-                    check=False,
-                ).returncode
-            except subprocess.TimeoutExpired:
-                status, late = -1, f"it was ended after {time_limit_s:.0f} s"
+        told = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
         steps = read_steps(folder, deck)
-        if status == 0 and len(steps) == len(deck.poses) - 1:
-            return Solution(steps)
-        told = _ERROR.findall(log_path.read_text(encoding="utf-8", errors="replace"))
-        failure = late or (told[-1].strip() if told else f"it ended with status {status}")
-        if not steps:
-            raise CalculixError(f"CalculiX solved no step: {failure}")
-        return Solution(steps, failure)
+    return Solution(steps, failure_of(len(steps), len(deck.poses) - 1, told))
+
+
+def solve_section(
+    deck: AxisymmetricDeck,
+    *,
+    thread_count: int = 1,
+    keep: Path | None = None,
+    time_limit_s: float | None = None,
+) -> Solution:
+    """As `solve`, for a problem of two dimensions: node displacements have no y."""
+    with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as temporary:
+        folder = Path(temporary) if keep is None else keep
+        told = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
+        efforts = read_efforts(folder / f"{JOB}.sta")
+        tables = read_tables(folder / f"{JOB}.dat")
+    skin = [rows for quantity, name, rows in tables if (quantity, name) == _SKIN_MOVED]
+    held = [rows for quantity, name, rows in tables if (quantity, name) == _INDENTER_HELD]
+    steps = []
+    for number, (moved, reaction) in enumerate(zip(skin, held, strict=False), start=1):
+        displacement = np.zeros((len(deck.section.node_m), 3))
+        node = moved[:, 0].astype(np.int64) - 1
+        displacement[node, 0], displacement[node, 2] = moved[:, 1] / MM, moved[:, 2] / MM
+        # The force that holds the indenter is opposite to the one that the gel exerts.
+        force = np.array([0.0, 0.0, -WEDGE_COUNT * float(reaction[:, 2].sum())])
+        steps.append(SolvedStep(displacement, force, np.zeros(3), *efforts.get(number, (0, 0))))
+    return Solution(tuple(steps), failure_of(len(steps), len(deck.depth_m) - 1, told))
+
+
+def failure_of(solved_count: int, step_count: int, told: str) -> str:
+    """Return what to say of a run that told why it ended, nothing where all steps were solved.
+
+    Raises:
+        CalculixError: no step was solved.
+    """
+    if solved_count == 0:
+        raise CalculixError(f"CalculiX solved no step: {told}")
+    if solved_count == step_count:
+        return ""
+    return f"CalculiX stopped after {solved_count} of {step_count} frames: {told}"
+
+
+def execute(text: str, folder: Path, *, thread_count: int, time_limit_s: float | None) -> str:
+    """Run CalculiX on an input file in a folder, which is made; return why it ended before its end.
+
+    Args:
+        text: of the input file.
+        folder: its files are left there.
+        thread_count: of CalculiX's equation solver.
+        time_limit_s: it is ended after this long.
+
+    Raises:
+        CalculixMissingError: it is not installed.
+    """
+    executable = calculix_path()
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{JOB}.inp").write_text(text, encoding="ascii")
+    environment = os.environ | {"OMP_NUM_THREADS": str(thread_count)}
+    log_path = folder / f"{JOB}.log"
+    with log_path.open("w", encoding="utf-8") as log:
+        try:
+            status = subprocess.run(
+                [executable, "-i", JOB],
+                cwd=folder,
+                env=environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                timeout=time_limit_s,
+                check=False,
+            ).returncode
+        except subprocess.TimeoutExpired:
+            return f"it was ended after {time_limit_s:.0f} s"
+    told = _ERROR.findall(log_path.read_text(encoding="utf-8", errors="replace"))
+    if told:
+        return str(told[-1]).strip()
+    return "" if status == 0 else f"it ended with status {status}"
 
 
 def read_steps(folder: Path, deck: Deck) -> tuple[SolvedStep, ...]:
     """Return the steps whose results are in the folder of a run."""
-    efforts = _efforts(folder / f"{JOB}.sta")
+    efforts = read_efforts(folder / f"{JOB}.sta")
     skin: list[FloatArray] = []
     forces: list[FloatArray] = []
-    for quantity, name, rows in _tables(folder / f"{JOB}.dat"):
-        if quantity == "displacements" and name == "SKIN":
+    for quantity, name, rows in read_tables(folder / f"{JOB}.dat"):
+        if (quantity, name) == _SKIN_MOVED:
             skin.append(rows)
-        elif quantity == "forces" and name == "INDENTER":
+        elif (quantity, name) == _INDENTER_HELD:
             forces.append(rows)
     local = deck.indenter_nodes_m()
     steps = []
@@ -173,7 +226,7 @@ def read_steps(folder: Path, deck: Deck) -> tuple[SolvedStep, ...]:
     return tuple(steps)
 
 
-def _tables(path: Path) -> list[tuple[str, str, FloatArray]]:
+def read_tables(path: Path) -> list[tuple[str, str, FloatArray]]:
     """Return quantity, set and rows (node, x, y, z) of each table in a .dat file."""
     if not path.is_file():
         return []
@@ -191,7 +244,7 @@ def _tables(path: Path) -> list[tuple[str, str, FloatArray]]:
     ]
 
 
-def _efforts(path: Path) -> dict[int, tuple[int, int]]:
+def read_efforts(path: Path) -> dict[int, tuple[int, int]]:
     """Return increments and iterations of each step, by its number, from a .sta file."""
     efforts: dict[int, tuple[int, int]] = {}
     if not path.is_file():

@@ -37,7 +37,7 @@ def _path(pieces: list[FloatArray], step: float) -> FloatArray:
     return np.concatenate(points)
 
 
-def _meridian(indenter: Indenter, step: float) -> FloatArray:
+def meridian(indenter: Indenter, step: float) -> FloatArray:
     """Return (n, 2) distance from the axis and height along the meridian, from the tip up."""
     down, up = -0.5 * np.pi, 0.5 * np.pi
     p = indenter.parameters
@@ -97,9 +97,9 @@ def _stitched(lower: IntArray, upper: IntArray) -> list[tuple[int, int, int]]:
     return triangles
 
 
-def _revolved(meridian: FloatArray, step: float, *, is_closed: bool) -> IndenterMesh:
+def _revolved(line: FloatArray, step: float, *, is_closed: bool) -> IndenterMesh:
     points, rings, count = [], [], 0
-    for radius, height in meridian[:-1] if is_closed else meridian:
+    for radius, height in line[:-1] if is_closed else line:
         # A multiple of four, so that a cylinder on its side has points on its tip.
         number = 4 * max(2, int(np.ceil(0.5 * np.pi * radius / step))) if radius > 1e-9 else 1
         turn = 2.0 * np.pi * np.arange(number) / number
@@ -175,5 +175,5 @@ def indenter_surface(indenter: Indenter, step_m: float) -> IndenterMesh:
         mesh = _box(np.array(size), edge, step_m)
     else:
         is_closed = indenter.kind is IndenterKind.TORUS
-        mesh = _revolved(_meridian(indenter, step_m), step_m, is_closed=is_closed)
+        mesh = _revolved(meridian(indenter, step_m), step_m, is_closed=is_closed)
     return IndenterMesh(indenter.mount.apply(mesh.vertices_m), mesh.triangles)
