@@ -1,11 +1,11 @@
 """Train a network that completes the images of a sensor, from measured presses.
 
-DATA is a data set as tactile_record writes it: dataset.yaml, bags with poses and images, idle
-images, indenters. SENSOR is a calibrated sensor's file or name. Writes into OUT the weights with
-their card, the graph that runs without torch, the idle image that goes with them, sensor.yaml to
-run it all, preview.png (measured, carried, predicted, errors) and training.json. A run that was
-broken off goes on where it stopped. On a machine with CUDA the measured resolution is used;
-without, the published network is trained on smaller images.
+DIR is a data set as tactile_record writes it: dataset.yaml, bags with poses and images, idle
+images, indenters. FILE is a calibrated sensor. Writes into OUT the weights with their card, the
+graph that runs without torch, the idle image that goes with them, and sensor.yaml to run it all;
+into OUT_training preview.png (measured, carried, predicted, errors), training.json and the state of
+the training: a run that was broken off goes on where it stopped. With CUDA the networks see the
+measured resolution; without, the published ones are trained on smaller images.
 
 example:
   dotsim_ros train-optics --data measured/sensor_a --sensor sensor_a --out out/optics
@@ -16,6 +16,7 @@ example:
 from __future__ import annotations
 
 import argparse
+import itertools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--data", type=Path, required=True, metavar="DIR", help="folder of the data set")
     add("--sensor", required=True, metavar="FILE", help="the sensor's file, or its name")
     add("--out", type=Path, default=Path("out/optics"), metavar="DIR", help="(out/optics)")
+    add("--sensor-out", type=Path, metavar="FILE", help="sensor's file to write (OUT/sensor.yaml)")
     add("--network", choices=NETWORKS, default="ours", help="kind of the network (ours)")
     judged = parser.add_mutually_exclusive_group()
     judged.add_argument(
@@ -80,22 +82,36 @@ def _split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, .
     return hold_out(names, count, arguments.split_seed) if count else (tuple(names), ())
 
 
+def _comment(source: Path) -> str:
+    """Return the comment that begins a sensor's file, without the marks."""
+    lines = source.read_text(encoding="utf-8").splitlines()
+    head = itertools.takewhile(lambda line: line.startswith("#"), lines)
+    return "\n".join(line.removeprefix("#").strip() for line in head)
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Train, write the files, and print the figures."""
     try:
-        from dotsim_ros.optics.learning.run import Request, train_optics
+        from dotsim_ros.optics.learning.run import SENSOR, Request, train_optics
     except ModuleNotFoundError as error:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
     from dotsim_ros.evaluation.provenance import write_json
     from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.resources import parameter_path
 
+    sensor_file = arguments.sensor_out or arguments.out / SENSOR
+    if sensor_file.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"--sensor-out is {sensor_file}, expected a file that ends in .yaml")
+    source = Path(arguments.sensor)
+    if source.suffix not in (".yaml", ".yml"):
+        source = parameter_path(f"sensors/{arguments.sensor}.yaml")
     train, held_out = _split(arguments)
     report = train_optics(
         Request(
             data=arguments.data,
-            sensor=load_sensor(arguments.sensor),
+            sensor=load_sensor(source),
             train=train,
             held_out=held_out,
             kind=arguments.network,
@@ -103,6 +119,9 @@ def run(arguments: argparse.Namespace) -> int:
             budget_minutes=arguments.budget_minutes,
             size=arguments.size,
             out=arguments.out,
+            record=arguments.out.with_name(f"{arguments.out.name}_training"),
+            sensor_file=sensor_file,
+            sensor_comment=_comment(source),
         ),
         say=lambda line: print(line, file=sys.stderr, flush=True),
         progress=_show,

@@ -116,7 +116,7 @@ class LocalModel(nn.Module):
         deep_width: channels at a quarter and an eighth.
     """
 
-    def __init__(self, width: int = 32, deep_width: int = 48) -> None:
+    def __init__(self, width: int = 16, deep_width: int = 48) -> None:
         super().__init__()
         self.entry = nn.Conv2d(_GIVEN, width, 2, stride=2)
         self.fine = Block(width)

@@ -31,6 +31,7 @@ from dotsim_ros.optics.learning.preview import write_preview
 from dotsim_ros.optics.learning.training import Progress
 from dotsim_ros.optics.network_card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.optics.untouched import with_refined_idle
+from dotsim_ros.resources import parameter_path
 from dotsim_ros.sensor import idle_image_path
 from dotsim_ros.view.files import whole_file
 
@@ -38,7 +39,6 @@ IDLE = "idle.png"
 SENSOR = "sensor.yaml"
 PREVIEW = "preview.png"
 REPORT = "training.json"
-STATE = "state"
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,10 @@ class Request:
         seed: of the training.
         budget_minutes: time after which it ends; None for none.
         size: width of the network's images; None for the default.
-        out: folder of what is written.
+        out: folder of what a sensor with the network needs.
+        record: folder of the training's state, preview and report.
+        sensor_file: of the sensor with the network.
+        sensor_comment: that begins that file.
     """
 
     data: Path
@@ -65,6 +68,9 @@ class Request:
     budget_minutes: float | None
     size: int | None
     out: Path
+    record: Path
+    sensor_file: Path
+    sensor_comment: str
 
 
 def scores(
@@ -130,7 +136,7 @@ def train_optics(
         seed=request.seed,
         budget_minutes=request.budget_minutes,
         size=request.size,
-        directory=request.out / STATE,
+        directory=request.record,
         progress=progress,
     )
     judged = tuple(by_name[name] for name in request.held_out) or tuple(train)
@@ -141,7 +147,7 @@ def train_optics(
         request.out, network.trained.network, _card(request, network, metrics, origin)
     )
     _write_sensor(request, data.rest.idle)
-    write_preview(request.out / PREVIEW, judged, predicted)
+    write_preview(request.record / PREVIEW, judged, predicted)
     report = {
         "judged_on": list(request.held_out) or "the presses trained on: none was held out",
         "metrics": metrics,
@@ -152,7 +158,7 @@ def train_optics(
         "weights_sha256": card.weights_sha256,
         "origin": origin,
     }
-    write_json(request.out / REPORT, report)
+    write_json(request.record / REPORT, report)
     return report
 
 
@@ -198,9 +204,15 @@ def _write_sensor(request: Request, idle: ByteImage) -> None:
         lights.pop("disc", None)
         with whole_file((out / IDLE).with_suffix(".yaml")) as part:
             part.write_text(yaml.safe_dump(lights, sort_keys=False), encoding="utf-8")
-    camera = replace(request.sensor.camera, idle_image=str(out / IDLE), residual=str(out))
+    camera = replace(request.sensor.camera, idle_image=_named(out / IDLE), residual=_named(out))
     write_sensor(
-        out / SENSOR,
-        replace(request.sensor, camera=camera),
-        "A sensor with the network of images beside this file.",
+        request.sensor_file, replace(request.sensor, camera=camera), request.sensor_comment
     )
+
+
+def _named(path: Path) -> str:
+    """Return how a sensor's file names a path: below `params/` where it lies there."""
+    parameters = parameter_path("sensors").parent.resolve()
+    if path.is_relative_to(parameters):
+        return path.relative_to(parameters).as_posix()
+    return str(path)

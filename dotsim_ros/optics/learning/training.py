@@ -52,10 +52,10 @@ class Recipe:
 PUBLISHED = Recipe()
 RECIPES: dict[str, Recipe] = {
     "ours": Recipe(
-        learning_rate=2e-3,
+        learning_rate=4e-3,
         weight_decay=1e-2,
         batch=4,
-        epochs=40,
+        epochs=32,
         one_cycle=True,
         decoupled=True,
         averaging=0.98,
