@@ -206,6 +206,7 @@ def _optics(arguments: argparse.Namespace) -> int:
     from dotsim_ros.optics.frames import read_optical_data
     from dotsim_ros.optics.idle_check import read_idle_images
 
+    settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
     data_set = read_data_set(arguments.data)
     sensor = load_sensor(arguments.sensor)
     data = read_optical_data(arguments.data, sensor, progress=_say)
@@ -213,7 +214,7 @@ def _optics(arguments: argparse.Namespace) -> int:
         data,
         cache(lambda: clipped_presses(data_set, sensor, data)),
         arguments.cache or cache_directory() / "optics",
-        FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width),
+        settings,
         _say,
     )
     drawn = splits_of(data, seed=arguments.seed)

@@ -80,11 +80,23 @@ class FitSettings:
         seed: of all draws.
         budget_minutes: after which the training of one network ends; None for none.
         network_width: of the networks' images, pixels; None for the network's own choice.
+
+    Raises:
+        ValueError: a seed below zero, or a budget that is no time.
     """
 
     seed: int = 0
     budget_minutes: float | None = None
     network_width: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}, expected 0 or more")
+        if self.budget_minutes is not None and not self.budget_minutes > 0.0:
+            raise ValueError(
+                f"budget is {self.budget_minutes} minutes, expected a positive number; leave it "
+                "out for a training of full length"
+            )
 
 
 def factory_of(

@@ -333,6 +333,14 @@ def test_shown_frames_are_full_depths_of_several_indenters() -> None:
 # The command
 
 
+def test_settings_that_make_no_sense(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["evaluate", "optics", "--data", str(tmp_path), "--out", str(tmp_path / "out")]
+    assert main([*command, "--budget-minutes", "0"]) == 1
+    assert "budget is 0.0 minutes, expected a positive number" in capsys.readouterr().err
+    assert main([*command, "--seed", "-1"]) == 1
+    assert "seed is -1, expected 0 or more" in capsys.readouterr().err
+
+
 def test_a_data_set_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = main(["evaluate", "optics", "--data", str(tmp_path), "--out", str(tmp_path / "out")])
     assert code == 1
