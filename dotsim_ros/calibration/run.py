@@ -42,7 +42,7 @@ from dotsim_ros.sensor import skin_of
 Array = NDArray[np.float64]
 
 SOLVE_BUDGET = 40
-"""Most solves of a press in a whole calibration."""
+"""Usual most solves of a press in a whole calibration."""
 JOINT_STEPS = 2
 """Gauss-Newton steps of the joint fit: from the median, whose neighbourhood is nearly linear."""
 
@@ -67,6 +67,8 @@ class Request:
         joint_steps: Gauss-Newton steps of the joint fit, each a solve and one a parameter for each
             press. Without any, the joint estimate comes from the fits of single presses, weighed by
             their information: splits of one data set then share all solves.
+        solve_budget: most solves of a press. One more than there are parameters leaves each press
+            where it starts.
     """
 
     data_set: DataSet
@@ -82,6 +84,7 @@ class Request:
     workers: int
     seed: int
     joint_steps: int = JOINT_STEPS
+    solve_budget: int = SOLVE_BUDGET
 
 
 @dataclass(frozen=True)
@@ -281,7 +284,7 @@ class _Stages:
             start = starts.get(observation.press.name)
             if start is None:
                 continue
-            budget = SOLVE_BUDGET - solves[observation.press.name]
+            budget = self._request.solve_budget - solves[observation.press.name]
             budget -= self._request.joint_steps * cost
             key = task_key(
                 self._request.sensor,

@@ -78,6 +78,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="Gauss-Newton steps of the joint fit; with 0 it weighs the fits of single presses by "
         "their information and needs no solve of its own (2)",
     )
+    parser.add_argument(
+        "--solves",
+        type=int,
+        default=40,
+        metavar="N",
+        help="most solves of a press; few, with --joint-steps 0 and a --sensor that is fitted "
+        "already, take one step from there for each split (40)",
+    )
     parser.add_argument("--name", help="of the calibrated sensor (the file's stem)")
     parser.add_argument("--workers", type=int, default=WORKER_COUNT, help="processes (2)")
     parser.add_argument("--seed", type=int, default=0, help="of what is held out and drawn (0)")
@@ -148,6 +156,7 @@ def run(arguments: argparse.Namespace) -> int:
             workers=arguments.workers,
             seed=arguments.seed,
             joint_steps=arguments.joint_steps,
+            solve_budget=arguments.solves,
         ),
         _show,
     )
