@@ -139,6 +139,8 @@ def camera_section(
         principal_point_px=(x, y),
         distortion=(k1, k2, k3, k4),
         idle_image=idle_image,
+        # A network that was trained with the camera before would be refused.
+        residual="",
     )
 
 
