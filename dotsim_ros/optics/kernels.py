@@ -162,19 +162,24 @@ def irradiate(
     v = wp.tid()
     total = wp.vec3(0.0, 0.0, 0.0)
     sight = wp.normalize(position[v])
+    towards = wp.dot(outward[v], sight)
+    # Most vertices mirror no LED: a lobe below a ten thousandth is not worth its power.
+    least = wp.max(1.0 - 9.0 / gloss_exponent, 0.0)
     for i in range(leds.shape[0]):
         led = leds[i]
         away = position[v] - led.position
         square = wp.dot(away, away)
-        distance = wp.sqrt(square)
-        share = wp.max(wp.dot(outward[v], away), 0.0) / distance
+        nearness = 1.0 / wp.sqrt(square)
+        incidence = wp.dot(outward[v], away) * nearness
+        share = wp.max(incidence, 0.0)
         if gloss > 0.0:
-            halfway = away / distance + sight
-            cosine = wp.dot(outward[v], halfway) / wp.length(halfway)
-            # Most vertices mirror no LED: a lobe below a millionth is not worth its power.
-            if cosine > 0.0 and gloss_exponent * (1.0 - cosine) < 14.0:
-                share += gloss * wp.pow(cosine, gloss_exponent)
-        total += led.intensity * (share / square)
+            # The half-way direction is the sum of two unit vectors, over its length.
+            along = incidence + towards
+            length_square = 2.0 + 2.0 * wp.dot(away, sight) * nearness
+            if along > 0.0 and along * along > least * least * length_square:
+                cosine = wp.min(along / wp.sqrt(length_square), 1.0)
+                share += gloss * wp.exp(gloss_exponent * (cosine - 1.0))
+        total += led.intensity * (share * nearness * nearness)
     irradiance[v] = total
 
 

@@ -71,8 +71,8 @@ class Lighting:
         exponent: of brightness over light; 1 for a camera with a linear response.
         gloss: light that the coat mirrors where it turns an LED straight into the camera, over what
             it scatters of one that it faces; 0 for a dull coat.
-        gloss_exponent: of the cosine between the normal and the half-way direction; larger is a
-            smoother coat.
+        gloss_exponent: n of the lobe exp(n (c - 1)), with c the cosine between the normal and the
+            half-way direction (nearly Blinn's c^n, and cheaper); larger is a smoother coat.
 
     Raises:
         ValueError: no light, a fraction or an exponent that is not positive, or a negative gloss.
