@@ -1,6 +1,7 @@
 """The finite-element reference: its mesh, its input file, and a press that CalculiX solves."""
 
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -398,6 +399,8 @@ def test_solved_press_says_what_it_was_solved_for(reference):
     _, out = reference
     skin, (press,) = read_solved_presses(out)
     assert press.specification.name == "coarse"
+    assert press.trajectory.name == Path(press.notes["bag"]).name
+    assert press.trajectory.name.endswith("spacing2.4")
     assert press.specification.material.c20_pa == 4.0e3
     assert press.specification.contact.friction_coefficient == 0.3
     assert press.notes["press"]["tilt_deg"] == 25.0

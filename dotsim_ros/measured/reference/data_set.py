@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -164,6 +164,7 @@ def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:
         sensor = sensor_from(record["sensor"], f"{directory / INDEX}, {entry.name}")
         if entry.indenter not in indenters:
             indenters[entry.indenter] = load_indenter(data_set.indenter_mesh(entry.indenter))
-        indenter = indenters[entry.indenter]
-        presses.append(SolvedPress(sensor, indenter, read_trajectory(entry.bag), record))
+        # A spacing's decimal point in the name is no suffix.
+        trajectory = replace(read_trajectory(entry.bag), name=entry.name)
+        presses.append(SolvedPress(sensor, indenters[entry.indenter], trajectory, record))
     return data_set.skin_mesh(), presses
