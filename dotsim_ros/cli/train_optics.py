@@ -1,11 +1,11 @@
 """Train a network that completes the images of a sensor, from measured presses.
 
-DIR is a data set as tactile_record writes it: dataset.yaml, bags with poses and images, idle
-images, indenters. FILE is a calibrated sensor. Writes into OUT the weights with their card, the
+The data set is one as tactile_record writes it: dataset.yaml, bags with poses and images, idle
+images, indenters; the sensor is a calibrated one. Writes into OUT the weights with their card, the
 graph that runs without torch, the idle image that goes with them, and sensor.yaml to run it all;
-into OUT_training preview.png (measured, carried, predicted, errors), training.json and the state of
-the training: a run that was broken off goes on where it stopped. With CUDA the networks see the
-measured resolution; without, the published ones are trained on smaller images.
+beside it, into OUT_training, preview.png (measured, carried, predicted, errors), training.json and
+the state of the training: a run that was broken off goes on where it stopped. With CUDA the
+networks see the measured resolution; without, the published ones are trained on smaller images.
 
 example:
   dotsim_ros train-optics --data measured/sensor_a --sensor sensor_a --out out/optics
@@ -34,6 +34,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sensor", required=True, metavar="FILE", help="the sensor's file, or its name")
     add("--out", type=Path, default=Path("out/optics"), metavar="DIR", help="(out/optics)")
     add("--sensor-out", type=Path, metavar="FILE", help="sensor's file to write (OUT/sensor.yaml)")
+    add(
+        "--record",
+        type=Path,
+        metavar="DIR",
+        help="folder of state, preview and report (OUT_training)",
+    )
     add("--network", choices=NETWORKS, default="ours", help="kind of the network (ours)")
     judged = parser.add_mutually_exclusive_group()
     judged.add_argument(
@@ -119,7 +125,7 @@ def run(arguments: argparse.Namespace) -> int:
             budget_minutes=arguments.budget_minutes,
             size=arguments.size,
             out=arguments.out,
-            record=arguments.out.with_name(f"{arguments.out.name}_training"),
+            record=arguments.record or arguments.out.with_name(f"{arguments.out.name}_training"),
             sensor_file=sensor_file,
             sensor_comment=_comment(source),
         ),
