@@ -231,7 +231,11 @@ def _fitted(
 ) -> FittedParameter:
     """Return a parameter with its posterior deviation, which is given in steps."""
     after = parameter.value(model)
-    unit = abs(parameter.value(parameter.moved(model, parameter.step)) - after)
+    # A number at its limit moves one way only.
+    unit = max(
+        abs(parameter.value(parameter.moved(model, way * parameter.step)) - after)
+        for way in (-1.0, 1.0)
+    )
     prior = unit * parameter.prior / parameter.step
     return FittedParameter(parameter.name, parameter.value(start), after, unit * steps, prior)
 
