@@ -124,8 +124,11 @@ class Calibration:
     fit_seconds: float
 
     def named(self, name: str) -> SensorSpecification:
-        """Return the calibrated sensor under a name."""
-        return replace(self.specification, name=name)
+        """Return the calibrated sensor under a name; a network of images stays with its own."""
+        sensor = self.specification
+        if name != sensor.name:
+            sensor = replace(sensor, camera=replace(sensor.camera, residual=""))
+        return replace(sensor, name=name)
 
 
 Progress = Callable[[str, int, int], None]
