@@ -101,15 +101,17 @@ class LocalModel(nn.Module):
     """A local linear model of the image, whose coefficients a small network reads off the geometry.
 
     What shading does to a coat is to multiply its colours by a gain that varies slowly, what light
-    scattered or reflected does is to add to them, what an error of the simulated motion does is to
-    shift the pattern, and where the shift is uncertain the best guess is a blurred pattern. So
+    scattered or reflected does is to add to them, and where the simulated motion is uncertain the
+    best guess is a blurred pattern. So
 
-        added = gain * c + offset + x_shift * dc/dx + y_shift * dc/dy + sharpening * laplacian(c)
+        added = gain * c + offset + sharpening * laplacian(c)
 
-    with c the carried image, and nine coefficients that a network gives at half the resolution of c
-    from normals, depth, their change against rest, the place, and the carried image and its change.
-    The pattern itself never needs to be learned, so few frames suffice. Everything is multiplied by
-    a measure of whether anything has moved, exactly zero at rest, and by the fade of the lit disc.
+    with c the carried image, and seven coefficients that a network gives at half the resolution of
+    c from normals, depth, their change against rest, the place, and the carried image and its
+    change. The pattern itself never needs to be learned, so few frames suffice. Everything is
+    multiplied by a measure of whether anything has moved, exactly zero at rest, and by the fade of
+    the lit disc. (A shift of the pattern as further coefficients fits the errors of pose of single
+    presses, and does no good on others.)
 
     Args:
         width: channels at half the geometry's resolution.
@@ -132,7 +134,7 @@ class LocalModel(nn.Module):
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
 
     def coefficients(self, frame: Tensor, rest: Tensor) -> Tensor:
-        """Return (N, 9, h, w) the local model's coefficients."""
+        """Return (N, 7, h, w) the local model's coefficients."""
         change = frame - rest[:, FRAME]
         given = torch.cat(
             [
@@ -157,21 +159,19 @@ class LocalModel(nn.Module):
         rest = rest.expand(frame.shape[0], -1, -1, -1)
         acts = moved(frame, rest) * rest[:, FADE]
         coefficients = _enlarged(self.coefficients(frame, rest) * acts, image)
-        gain, offset, x_shift, y_shift, sharpening = coefficients.split(_COEFFICIENTS, dim=1)
+        gain, offset, sharpening = coefficients.split(_COEFFICIENTS, dim=1)
         padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
         left, right = padded[:, :, 1:-1, :-2], padded[:, :, 1:-1, 2:]
         above, below = padded[:, :, :-2, 1:-1], padded[:, :, 2:, 1:-1]
         return (
             gain * image
             + OFFSET_SCALE * offset
-            + x_shift * (right - left)
-            + y_shift * (below - above)
             + sharpening * (left + right + above + below - 4.0 * image)
         )
 
 
-_COEFFICIENTS = (3, 3, 1, 1, 1)
-"""Channels of gain, offset, shift in x and y, sharpening."""
+_COEFFICIENTS = (3, 3, 1)
+"""Channels of gain, offset, sharpening."""
 _GIVEN = 4 + 4 + 2 + 1 + 3 + 3
 """Channels that the coefficients are read off."""
 CHANGE_SCALE = 4.0
