@@ -23,7 +23,7 @@ from dotsim_ros.optics.renderer import View
 
 Float32Array = NDArray[np.float32]
 
-THREADS = 2
+THREADS = 1
 
 
 class ResidualNetwork:
