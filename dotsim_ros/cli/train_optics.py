@@ -92,7 +92,7 @@ def _comment(source: Path) -> str:
     """Return the comment that begins a sensor's file, without the marks."""
     lines = source.read_text(encoding="utf-8").splitlines()
     head = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    return "\n".join(line.removeprefix("#").strip() for line in head)
+    return "\n".join(line.removeprefix("#").removeprefix(" ") for line in head)
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -186,7 +187,7 @@ def _card(
         },
         commit=origin["commit"],
         date=datetime.date.today().isoformat(),
-        command=origin["command"],
+        command=" ".join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         metrics=dict(metrics),
     )
 
