@@ -32,7 +32,7 @@ from dotsim_ros.optics.network_card import (
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.residual_network import ResidualNetwork
 from dotsim_ros.resources import parameter_path
-from dotsim_ros.sensor import TactileSensor
+from dotsim_ros.sensor import TactileSensor, given_path
 
 SENSOR = load_sensor("densetact2")
 SIZE = (320, 240)
@@ -281,6 +281,29 @@ def test_a_sensor_refuses_a_network_that_is_not_its_own(made):
     absent = replace(SENSOR, camera=replace(SENSOR.camera, residual="networks/none"))
     with pytest.raises(FileNotFoundError, match="networks/none"):
         TactileSensor(absent, indenter=indenter)
+
+
+def test_the_stand_in_sensor_ships_with_its_network():
+    shipped = load_sensor("sensor_a")
+    camera = FisheyeCamera.from_specification(shipped.camera)
+    network = ResidualNetwork(
+        given_path(shipped.camera.residual), sensor=shipped.name, camera=camera
+    )
+    metrics = network.card.metrics
+    assert metrics["predicted_all_psnr_db"] > metrics["carried_all_psnr_db"]
+    folder = given_path(shipped.camera.residual)
+    assert sum(file.stat().st_size for file in folder.iterdir()) < 10e6
+
+    skin = dome_skin(shipped.gel.outer_radius_m, 1.0e-3)
+    renderer = SkinRenderer(camera, skin)
+    idle = read_idle_frame(given_path(shipped.camera.idle_image), camera)
+    untouched = renderer.render(skin.rest_position_m)
+    residual = network.at_rest(untouched, idle.image)
+    images = ImageRenderer(camera, skin, idle.image, lighting=idle.lighting, residual=residual)
+    assert np.array_equal(images.render(untouched), idle.image)
+    pressed = renderer.render(dented(skin, np.array([0.0, 0.0, 1.0]), 0.002, 0.004))
+    added = residual(pressed, images.carry(pressed))
+    assert 1.0 < np.abs(added).max() < 100.0
 
 
 def test_running_a_network_loads_no_torch(made):
