@@ -31,7 +31,7 @@ from dotsim_ros.optics.network_card import (
 )
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.residual_network import ResidualNetwork
-from dotsim_ros.resources import parameter_path
+from dotsim_ros.resources import PACKAGE_ROOT, parameter_path
 from dotsim_ros.sensor import TactileSensor, given_path
 
 SENSOR = load_sensor("densetact2")
@@ -133,6 +133,10 @@ def test_weights_are_stored_once(made):
     weights = sum(value.numel() * 4 for value in network.state_dict().values())
     assert (directory / WEIGHTS).stat().st_size < weights + 20_000
     assert (directory / GRAPH).stat().st_size < 0.25 * weights
+
+
+def test_the_graph_tells_no_folders_of_the_machine_that_made_it(made):
+    assert str(PACKAGE_ROOT).encode() not in (made[0] / GRAPH).read_bytes()
 
 
 def test_an_untouched_sensor_shows_the_idle_frame_bit_for_bit(

@@ -65,7 +65,18 @@ def graph_of(network: nn.Module, size: tuple[int, int], fineness: int) -> onnx.M
         )
     if program is None:
         raise RuntimeError("torch.onnx.export returned no program")
-    return program.model_proto
+    return without_origins(program.model_proto)
+
+
+def without_origins(model: onnx.ModelProto) -> onnx.ModelProto:
+    """Return the model without the exporter's notes on each entry: the lines of code that it came
+    from, with the folders of the machine that it was made on."""
+    graph = model.graph
+    entries = [graph, *graph.node, *graph.initializer, *graph.value_info, *graph.input]
+    for entry in [*entries, *graph.output, *model.functions]:
+        entry.ClearField("doc_string")
+        entry.ClearField("metadata_props")
+    return model
 
 
 def _places(path: Path) -> dict[str, tuple[int, int]]:
