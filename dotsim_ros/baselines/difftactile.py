@@ -360,8 +360,7 @@ def _free_pose(pose: Pose, indenter: Indenter, skin: SkinMesh) -> Pose:
     retreat = RETREAT_M
     while True:
         free = Pose(pose.position_m + retreat * away, pose.quaternion_xyzw)
-        local = (skin.rest_position_m - free.position_m) @ free.rotation()
-        if indenter.signed_distance(local).min() > 0.0:
+        if indenter.distance_from(skin.rest_position_m, free).min() > 0.0:
             return free
         retreat += RETREAT_M
 

@@ -98,12 +98,10 @@ class ExplicitModel:
 def start_outside(pose: Pose, indenter: Indenter, skin: SkinMesh) -> Pose:
     """Return a pose moved out along the indenter's axis until it is clear of the skin at rest."""
     away = pose.rotation()[:, 2]
-    local = (skin.rest_position_m - pose.position_m) @ pose.rotation()
-    depth = -float(indenter.signed_distance(local).min())
+    depth = -float(indenter.distance_from(skin.rest_position_m, pose).min())
     while depth > -CLEARANCE_M:
         pose = Pose(pose.position_m + (depth + 1.1 * CLEARANCE_M) * away, pose.quaternion_xyzw)
-        local = (skin.rest_position_m - pose.position_m) @ pose.rotation()
-        depth = -float(indenter.signed_distance(local).min())
+        depth = -float(indenter.distance_from(skin.rest_position_m, pose).min())
     return pose
 
 

@@ -138,15 +138,9 @@ def judged_frames(
     return np.flatnonzero(tip_depth_m(skin, press.poses) >= from_depth_m)
 
 
-def indenter_distance_m(measured_m: FloatArray, pose: Pose, indenter: Indenter) -> FloatArray:
-    """Return how far (V,) measured vertices (V, 3) lie from the indenter, negative in it."""
-    local = (measured_m - pose.position_m) @ pose.rotation()
-    return np.asarray(indenter.signed_distance(local), dtype=np.float64)
-
-
 def contact_region(measured_m: FloatArray, pose: Pose, indenter: Indenter) -> BoolArray:
     """Return which measured vertices (V, 3) lie within 0.5 mm of the indenter, or in it."""
-    return np.asarray(indenter_distance_m(measured_m, pose, indenter) < CONTACT_REACH_M)
+    return np.asarray(indenter.distance_from(measured_m, pose) < CONTACT_REACH_M)
 
 
 def _measured_skin(press: Press, skin: SkinMesh) -> FloatArray:
@@ -214,7 +208,7 @@ def score_press(
     scores = []
     for frame in judged_frames(press, skin, from_depth_m=from_depth_m).tolist():
         predicted = prediction.skin_position_m[frame]
-        distance = indenter_distance_m(measured[frame], press.poses[frame], indenter)
+        distance = indenter.distance_from(measured[frame], press.poses[frame])
         region = distance < CONTACT_REACH_M
         inside = np.maximum(0.0, -distance[region])
         skin_m, contact_m = surface_errors(measured[frame], predicted, region, skin)

@@ -261,8 +261,7 @@ class ImplicitGel:
         Raises:
             PressTooDeepError: it comes too close to what the gel is bonded to.
         """
-        local = (self._rigid_points_m - pose.position_m) @ pose.rotation()
-        clearance = float(self.contact.indenter.signed_distance(local).min())
+        clearance = float(self.contact.indenter.distance_from(self._rigid_points_m, pose).min())
         if clearance < CORE_CLEARANCE_M:
             raise PressTooDeepError(
                 f"the indenter at {np.round(pose.position_m * 1e3, 2).tolist()} mm comes within "

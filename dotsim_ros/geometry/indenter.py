@@ -89,6 +89,11 @@ class Indenter:
         local = (points - self.mount.position_m) @ self.mount.rotation()
         return _PRIMITIVE_DISTANCE[self.kind](local, *self.parameters)
 
+    def distance_from(self, points_m: FloatArray, pose: Pose) -> FloatArray:
+        """Return the signed distance (N,) in metres at points (N, 3) of the frame that the
+        indenter's pose is given in."""
+        return self.signed_distance((points_m - pose.position_m) @ pose.rotation())
+
     def bounds_m(self) -> FloatArray:
         """Return the lower and upper corner (2, 3) of a box around the shape, indenter's frame."""
         if self.mesh is not None:

@@ -13,8 +13,7 @@ FREE_STEP_COUNT = 32
 
 def clearance_m(pose: Pose, indenter: Indenter, skin_position_m: FloatArray) -> float:
     """Return the distance of an indenter from skin markers (V, 3), negative in contact."""
-    local = (skin_position_m - pose.position_m) @ pose.rotation()
-    return float(indenter.signed_distance(local).min())
+    return float(indenter.distance_from(skin_position_m, pose).min())
 
 
 def pursue(

@@ -399,8 +399,7 @@ def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[
     """Return the frames before anything touched the skin."""
     untouched = []
     for frame, pose in enumerate(press.poses):
-        local = (skin.rest_position_m - pose.position_m) @ pose.rotation()
-        if indenter.signed_distance(local).min() <= CLEARANCE_M:
+        if indenter.distance_from(skin.rest_position_m, pose).min() <= CLEARANCE_M:
             break
         untouched.append(frame)
     return untouched

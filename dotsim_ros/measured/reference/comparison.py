@@ -115,8 +115,7 @@ def compare(
             ours = gel.step(interpolate(before, pose, k / count), STEP_S)
         reference = trajectory.skin.position_m[frame].astype(np.float64)
         distance = np.linalg.norm(ours.skin_position_m - reference, axis=1)
-        local = (reference - pose.position_m) @ pose.rotation()
-        near = indenter.signed_distance(local) < CONTACT_BAND_M
+        near = indenter.distance_from(reference, pose) < CONTACT_BAND_M
         force, axis = trajectory.wrench.force_n[frame], pose.rotation()[:, 2]
         difference = ours.wrench.force_n - force
         normal, normal_difference = float(force @ axis), float(difference @ axis)

@@ -82,8 +82,7 @@ def pressed_place(skin_m: FloatArray, indenter: Indenter, poses: Sequence[Pose])
     """
     pressed = np.zeros(len(skin_m), dtype=bool)
     for pose in poses:
-        local = (skin_m - pose.position_m) @ pose.rotation()
-        pressed |= indenter.signed_distance(local) < REACH_M
+        pressed |= indenter.distance_from(skin_m, pose) < REACH_M
     if not pressed.any():
         raise ValueError("the indenter touches the skin in none of the poses; press deeper")
     radius = np.linalg.norm(skin_m, axis=1)
