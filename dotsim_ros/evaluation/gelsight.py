@@ -26,11 +26,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.baselines.optics import per_pixel, taxim
+from dotsim_ros.baselines.optics import per_pixel
 from dotsim_ros.evaluation.image_metrics import score_image
-from dotsim_ros.evaluation.optics import Carried, Factory, Idle, mean_score
+from dotsim_ros.evaluation.optics import Factory, mean_score
 from dotsim_ros.evaluation.optics_models import FitSettings, factory_of
-from dotsim_ros.evaluation.table import Column, markdown_table
+from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
@@ -400,17 +400,8 @@ MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 def _factory(
     model: str, settings: FitSettings, state: Path, progress: Callable[[str], None]
 ) -> Factory:
-    match model:
-        case "idle":
-            return lambda _train, _rest, _camera: Idle()
-        case "carried":
-            return lambda _train, _rest, _camera: Carried()
-        case "taxim":
-            return lambda t, r, c: taxim.fit(t, r, c, seed=settings.seed)
-        case "fots":
-            return lambda t, r, c: per_pixel.fit(
-                t, r, c, seed=settings.seed, settings=per_pixel.FOTS
-            )
+    if model == "fots":
+        return lambda t, r, c: per_pixel.fit(t, r, c, seed=settings.seed, settings=per_pixel.FOTS)
     return factory_of(model, settings, state=state, progress=progress)
 
 
@@ -430,7 +421,6 @@ def gelsight_page(figures: dict[str, Any]) -> str:
     for name, row in figures["rows"].items():
         contact = {f"contact_{key}": value for key, value in row["contact"].items()}
         rows.append(([name], row | contact))
-    origin = figures["provenance"]
     return "\n".join(
         [
             "# Images of a real GelSight\n",
@@ -440,6 +430,6 @@ def gelsight_page(figures: dict[str, Any]) -> str:
             "Means over the images held out. Contact: pixels within one and a half radii of the "
             "marked circle's centre. `_cap`: with the ball's cap on a flat gel, as Taxim and FOTS "
             "label such presses; the others with the shape of this package's gel.\n",
-            "\n".join(f"- {key}: {value}" for key, value in origin.items()) + "\n",
+            entry_list(figures["provenance"]),
         ]
     )

@@ -11,7 +11,7 @@ from dotsim_ros.evaluation.image_metrics import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
 from dotsim_ros.evaluation.optical_split import WAYS, FrameKey, OpticalSplit
 from dotsim_ros.evaluation.optics import DEEP_M, depth_ranges, is_single_press, summarize
 from dotsim_ros.evaluation.optics_rows import Row, RowMaker
-from dotsim_ros.evaluation.table import Column, markdown_table
+from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.optics.frames import OpticalPress
 
 SHOWN_FRAMES = 3
@@ -189,8 +189,8 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
             + "\n"
         )
     parts.append("## What the figures mean\n")
-    parts.append("\n".join(f"- {k}: {v}" for k, v in figures["definitions"].items()) + "\n")
-    parts.append("\n".join(f"- {key}: {value}" for key, value in origin.items()) + "\n")
+    parts.append(entry_list(figures["definitions"]))
+    parts.append(entry_list(origin))
     return "\n".join(parts)
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from dotsim_ros.evaluation.image_metrics import score_image
-from dotsim_ros.evaluation.table import Column, markdown_table
+from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.specification import SensorSpecification
@@ -302,7 +302,6 @@ def real_pair_page(figures: dict[str, Any]) -> str:
         )
         for name, row in figures["rows"].items()
     ]
-    origin = figures["provenance"]
     return "\n".join(
         [
             "# One real press on a DenseTact\n",
@@ -313,6 +312,6 @@ def real_pair_page(figures: dict[str, Any]) -> str:
             "the press whose fine pattern, at even contrast, correlates best with the measured "
             "one; the others: the press of least squared error in the mask. x and y: unit vector "
             "from the dome's centre to the press.\n",
-            "\n".join(f"- {key}: {value}" for key, value in origin.items()) + "\n",
+            entry_list(figures["provenance"]),
         ]
     )

@@ -25,7 +25,7 @@ from dotsim_ros.evaluation.geometry import (
 from dotsim_ros.evaluation.metrics import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
 from dotsim_ros.evaluation.presses import Press, read_press
 from dotsim_ros.evaluation.split import HELD_OUT_COUNT, Split, hold_out, leave_one_indenter_out
-from dotsim_ros.evaluation.table import GEOMETRY_COLUMNS, markdown_table
+from dotsim_ros.evaluation.table import GEOMETRY_COLUMNS, entry_list, markdown_table
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import DataSet
@@ -299,9 +299,9 @@ def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
         parts.append("## Left out\n")
         parts.append("\n".join(failures) + "\n")
     parts.append("## What the figures mean\n")
-    parts.append("\n".join(f"- {k}: {v}" for k, v in figures["definitions"].items()) + "\n")
+    parts.append(entry_list(figures["definitions"]))
     origin = figures["provenance"]
-    parts.append("\n".join(f"- {key}: {value}" for key, value in origin.items()) + "\n")
+    parts.append(entry_list(origin))
     return "\n".join(parts)
 
 

@@ -14,7 +14,7 @@ from dotsim_ros.evaluation.geometry import contact_region, judged_frames, surfac
 from dotsim_ros.evaluation.metrics import relative_rms
 from dotsim_ros.evaluation.ours import ImplicitModel, steps
 from dotsim_ros.evaluation.presses import Prediction, Press
-from dotsim_ros.evaluation.table import RUNTIME_COLUMNS, markdown_table
+from dotsim_ros.evaluation.table import RUNTIME_COLUMNS, entry_list, markdown_table
 from dotsim_ros.gel.explicit import PAPER_FRAME_S
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import Indenter
@@ -199,6 +199,6 @@ def runtime_page(figures: Mapping[str, Any]) -> str:
         f"Frames of at most 1/24 s along {', '.join(figures['presses'])}; errors as in the "
         "geometry tables. The explicit gel's force is that of the paper's Young's modulus.\n",
         markdown_table(["method"], rows, RUNTIME_COLUMNS),
-        "\n".join(f"- {key}: {value}" for key, value in figures["provenance"].items()) + "\n",
+        entry_list(figures["provenance"]),
     ]
     return "\n".join(parts)

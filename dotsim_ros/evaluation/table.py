@@ -87,6 +87,11 @@ def _cell(value: Any, column: Column) -> str:
     return f"{value * column.scale:.{column.digits}f}"
 
 
+def entry_list(entries: Mapping[str, Any]) -> str:
+    """Return names and what they stand for as a Markdown list, with a line's end."""
+    return "\n".join(f"- {name}: {value}" for name, value in entries.items()) + "\n"
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
