@@ -13,8 +13,8 @@ import os
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.evaluation.image_metrics import image_psnr_db
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.measured.data_set import read_data_set
@@ -24,12 +24,6 @@ from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer
 
 UNCHANGING = Lighting(ambient_fraction=1e9)
-
-
-def psnr_db(image: NDArray[np.uint8], measured: NDArray[np.uint8]) -> float:
-    """Return the peak signal-to-noise ratio over the whole frame, all channels."""
-    error = image.astype(np.float64) - measured
-    return float(10.0 * np.log10(255.0**2 / np.mean(error**2)))
 
 
 def measure(directory: Path, sensor_name: str) -> dict[str, float]:
@@ -50,7 +44,7 @@ def measure(directory: Path, sensor_name: str) -> dict[str, float]:
         view = SkinRenderer(camera, skin).render(trajectory.skin.position_m[-1])
         carried = ImageRenderer(camera, skin, idle.image, lighting=UNCHANGING).render(view)
         shaded = ImageRenderer(camera, skin, idle.image, lighting=idle.lighting).render(view)
-        scores.append([psnr_db(image, measured) for image in (idle.image, carried, shaded)])
+        scores.append([image_psnr_db(image, measured) for image in (idle.image, carried, shaded)])
     means = np.mean(scores, axis=0)
     names = ("idle_db", "carried_db", "carried_and_shaded_db")
     return {name: round(float(mean), 2) for name, mean in zip(names, means, strict=True)}

@@ -250,11 +250,6 @@ def given_path(name: str) -> Path:
     return path if path.is_absolute() else parameter_path(name)
 
 
-def idle_image_path(name: str) -> Path:
-    """Return the file of an idle image, given absolute or below `params/`."""
-    return given_path(name)
-
-
 def residual_network(
     specification: SensorSpecification, camera: FisheyeCamera
 ) -> ResidualNetwork | None:
@@ -302,9 +297,7 @@ class TactileSensor:
         self._network = residual_network(specification, self.camera)
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
-        self._set_idle(
-            read_idle_frame(idle_image_path(specification.camera.idle_image), self.camera)
-        )
+        self._set_idle(read_idle_frame(given_path(specification.camera.idle_image), self.camera))
         self._time_s = 0.0
 
     @property

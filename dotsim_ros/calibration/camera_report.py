@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,7 +10,8 @@ import numpy as np
 
 from dotsim_ros.calibration.camera_fit import CameraFit
 from dotsim_ros.calibration.camera_model import CameraModel
-from dotsim_ros.calibration.camera_score import FrameScore, by_depth, psnr_db
+from dotsim_ros.calibration.camera_score import FrameScore, by_depth
+from dotsim_ros.evaluation.image_metrics import image_psnr_db
 from dotsim_ros.optics.frames import FilmedData
 from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.optics.image import ImageRenderer
@@ -104,7 +103,7 @@ def draw_sheet(filmed: FilmedData, model: CameraModel) -> ByteImage:
             np.hstack(
                 [
                     _titled(measured, f"{press.name} measured"),
-                    _titled(carried, f"carried {psnr_db(carried, measured):.1f} dB"),
+                    _titled(carried, f"carried {image_psnr_db(carried, measured):.1f} dB"),
                     _titled(enlarged, f"difference x{CONTRAST}"),
                 ]
             )
@@ -121,18 +120,3 @@ def _titled(image: ByteImage, title: str) -> ByteImage:
     place = (4, round(12 * len(image) / 240.0))
     cv2.putText(titled, title, place, cv2.FONT_HERSHEY_SIMPLEX, size, white, 1, cv2.LINE_AA)
     return titled
-
-
-def write_image(path: Path, image: ByteImage) -> None:
-    """Write an image (H, W, 3) as PNG, whole or not at all.
-
-    Raises:
-        ValueError: it could not be encoded.
-    """
-    encoded, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    if not encoded:
-        raise ValueError(f"{path}: OpenCV could not encode the image")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + ".part")
-    part.write_bytes(data.tobytes())
-    os.replace(part, path)

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.calibration.camera_model import REFERENCE_HEIGHT_PX, CameraModel
+from dotsim_ros.evaluation.image_metrics import image_psnr_db
+from dotsim_ros.evaluation.optics import depth_ranges
 from dotsim_ros.optics.frames import FilmedData
 from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
 from dotsim_ros.optics.image import ImageRenderer
@@ -35,9 +36,6 @@ TEXTURE_LEVELS = 8.0
 """Standard deviation of a patch's brightness from which its motion can be told."""
 NEIGHBOURHOOD_PX = 6.0
 RIM_MARGIN_PX = 9
-
-DEPTH_EDGES_MM = (0.0, 1.0, 2.0, 3.0)
-"""Depths of the tip that rows of tables lie between."""
 
 UNCHANGING = Lighting(ambient_fraction=1e9)
 
@@ -69,12 +67,6 @@ class FrameScore:
     carried_db: float
     lit_db: float
     errors_px: FloatArray
-
-
-def psnr_db(image: ByteImage, measured: ByteImage) -> float:
-    """Return the peak signal-to-noise ratio of images of any equal shape."""
-    error = image.astype(np.float32) - measured.astype(np.float32)
-    return float(20.0 * np.log10(255.0) - 10.0 * np.log10(max(float(np.mean(error**2)), 1e-12)))
 
 
 def score_frames(
@@ -117,10 +109,10 @@ def score_frames(
                     frame=frame,
                     depth_m=depth_m,
                     deepest=frame == deepest,
-                    idle_db=psnr_db(filmed.idle, measured),
-                    unshaded_db=psnr_db(images["unshaded"].carry(view), measured),
-                    carried_db=psnr_db(carried, measured),
-                    lit_db=psnr_db(carried[lit], measured[lit]),
+                    idle_db=image_psnr_db(filmed.idle, measured),
+                    unshaded_db=image_psnr_db(images["unshaded"].carry(view), measured),
+                    carried_db=image_psnr_db(carried, measured),
+                    lit_db=image_psnr_db(carried[lit], measured[lit]),
                     errors_px=_errors_px(
                         carried,
                         measured,
@@ -194,19 +186,13 @@ def by_depth(scores: Iterable[FrameScore]) -> Mapping[str, dict[str, float | int
     """Return the summaries of untouched frames, of depths in between, of each press's deepest
     frame and of all frames."""
     chosen = list(scores)
-    edges = (*DEPTH_EDGES_MM, np.inf)
     rows = {
-        "untouched": [s for s in chosen if s.depth_m < 0.0],
         **{
-            _depth_name(low, high): [s for s in chosen if low <= 1e3 * s.depth_m < high]
-            for low, high in pairwise(edges)
+            name: [s for s in chosen if low <= s.depth_m < high]
+            for name, low, high in depth_ranges()
         },
         "full depth": [s for s in chosen if s.deepest],
         "all": chosen,
     }
     summaries = {name: summarize_frames(row) for name, row in rows.items()}
     return {name: summary for name, summary in summaries.items() if summary is not None}
-
-
-def _depth_name(low_mm: float, high_mm: float) -> str:
-    return f"from {low_mm:g} mm" if np.isinf(high_mm) else f"{low_mm:g} to {high_mm:g} mm"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import os
 from pathlib import Path
 from typing import Any
@@ -35,6 +36,13 @@ def write_sensor(path: Path, specification: SensorSpecification, comment: str) -
     if load_sensor(part) != specification:
         raise ValueError(f"{part} does not give the sensor back that was written")
     os.replace(part, path)
+
+
+def read_comment(path: Path) -> list[str]:
+    """Return the lines of the comment that begins a sensor's file, without their marks."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    head = itertools.takewhile(lambda line: line.startswith("#"), lines)
+    return [line.removeprefix("#").removeprefix(" ") for line in head]
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -75,7 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
         draw_sheet,
         fit_figures,
         summary_lines,
-        write_image,
     )
     from dotsim_ros.calibration.camera_score import score_frames
     from dotsim_ros.evaluation.provenance import provenance, write_json
@@ -84,7 +83,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.trajectory import Topics
     from dotsim_ros.optics.frames import read_filmed_data, with_measured_skin
-    from dotsim_ros.sensor import idle_image_path
+    from dotsim_ros.sensor import given_path
+    from dotsim_ros.view.files import write_image
 
     out: Path = arguments.out
     if out.suffix not in (".yaml", ".yml"):
@@ -98,7 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.data, sensor, presses=[*train, *held_out], progress=_say, topics=topics
     )
     height, width = filmed.idle.shape[:2]
-    lights, falloff = read_lights(idle_image_path(stated.camera.idle_image).with_suffix(".yaml"))
+    lights, falloff = read_lights(given_path(stated.camera.idle_image).with_suffix(".yaml"))
     start = CameraModel(
         FisheyeCamera.from_specification(stated.camera).scaled(width, height), lights, falloff
     )
@@ -184,10 +184,11 @@ def _write_sensor(
     import yaml
 
     from dotsim_ros.calibration.camera_model import camera_section, describe_lights
-    from dotsim_ros.calibration.camera_report import write_image
-    from dotsim_ros.calibration.sensor_file import write_sensor
+    from dotsim_ros.calibration.sensor_file import read_comment, write_sensor
     from dotsim_ros.evaluation.table import write_text
+    from dotsim_ros.geometry.specification import sensor_path
     from dotsim_ros.resources import parameter_path
+    from dotsim_ros.view.files import write_image
 
     out = arguments.out.resolve()
     parameters = parameter_path("sensors").resolve().parent
@@ -207,25 +208,11 @@ def _write_sensor(
         f"as fitted by\n#   {command}\n" + yaml.safe_dump(describe_lights(model), sort_keys=False),
     )
     fitted = replace(sensor, name=out.stem, camera=camera_section(model, sensor.camera, name))
-    comment = [*_kept_comment(arguments.sensor), f"{MARK}{command}"]
-    write_sensor(out, fitted, "\n".join(comment + [MARK + line for line in lines]))
-
-
-def _kept_comment(source: str) -> list[str]:
-    """Return the first comment of a sensor's file, without what an earlier fit said."""
-    from dotsim_ros.resources import parameter_path
-
-    path = Path(source)
-    if path.suffix not in (".yaml", ".yml"):
-        path = parameter_path(f"sensors/{source}.yaml")
-    kept = []
-    for line in path.read_text(encoding="utf-8").splitlines():
-        if not line.startswith("#"):
-            break
-        text = line[1:].removeprefix(" ")
-        if not text.startswith(MARK):
-            kept.append(text)
-    return kept
+    # What an earlier fit of the camera said gives way.
+    before = read_comment(sensor_path(arguments.sensor))
+    comment = [line for line in before if not line.startswith(MARK)]
+    comment += [f"{MARK}{line}" for line in (command, *lines)]
+    write_sensor(out, fitted, "\n".join(comment))
 
 
 def _say(line: str) -> None:

@@ -16,7 +16,6 @@ example:
 from __future__ import annotations
 
 import argparse
-import itertools
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,13 +87,6 @@ def _split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, .
     return hold_out(names, count, arguments.split_seed) if count else (tuple(names), ())
 
 
-def _comment(source: Path) -> str:
-    """Return the comment that begins a sensor's file, without the marks."""
-    lines = source.read_text(encoding="utf-8").splitlines()
-    head = itertools.takewhile(lambda line: line.startswith("#"), lines)
-    return "\n".join(line.removeprefix("#").removeprefix(" ") for line in head)
-
-
 def run(arguments: argparse.Namespace) -> int:
     """Train, write the files, and print the figures."""
     try:
@@ -103,21 +95,18 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
+    from dotsim_ros.calibration.sensor_file import read_comment
     from dotsim_ros.evaluation.provenance import write_json
-    from dotsim_ros.geometry.specification import load_sensor
-    from dotsim_ros.resources import parameter_path
+    from dotsim_ros.geometry.specification import load_sensor, sensor_path
 
     sensor_file = arguments.sensor_out or arguments.out / SENSOR
     if sensor_file.suffix not in (".yaml", ".yml"):
         raise ValueError(f"--sensor-out is {sensor_file}, expected a file that ends in .yaml")
-    source = Path(arguments.sensor)
-    if source.suffix not in (".yaml", ".yml"):
-        source = parameter_path(f"sensors/{arguments.sensor}.yaml")
     train, held_out = _split(arguments)
     report = train_optics(
         Request(
             data=arguments.data,
-            sensor=load_sensor(source),
+            sensor=load_sensor(arguments.sensor),
             train=train,
             held_out=held_out,
             kind=arguments.network,
@@ -127,7 +116,7 @@ def run(arguments: argparse.Namespace) -> int:
             out=arguments.out,
             record=arguments.record or arguments.out.with_name(f"{arguments.out.name}_training"),
             sensor_file=sensor_file,
-            sensor_comment=_comment(source),
+            sensor_comment="\n".join(read_comment(sensor_path(arguments.sensor))),
         ),
         say=lambda line: print(line, file=sys.stderr, flush=True),
         progress=_show,

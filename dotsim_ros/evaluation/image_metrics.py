@@ -51,6 +51,12 @@ def psnr_db(mean_squared_error: float) -> float:
     return min(float(-10.0 * np.log10(mean_squared_error)), LARGEST_PSNR_DB)
 
 
+def image_psnr_db(predicted: ByteImage, measured: ByteImage) -> float:
+    """Return the peak signal-to-noise ratio of images, or of chosen pixels, of one shape."""
+    error = (predicted.astype(np.float64) - measured) / FULL_SCALE
+    return psnr_db(float(np.mean(error**2)))
+
+
 def ssim_map(predicted: ByteImage, measured: ByteImage) -> FloatArray:
     """Return (H, W) structural similarity around each pixel, the mean of its channels.
 

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.image_metrics import ImageScore, psnr_db, score_image
+from dotsim_ros.evaluation.image_metrics import ImageScore, image_psnr_db, psnr_db, score_image
 from dotsim_ros.evaluation.optical_split import FrameKey, OpticalSplit, optical_splits
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.frames import OpticalData, OpticalPress, Rest
@@ -284,10 +284,10 @@ def ceilings(data: OpticalData, idle_images: ByteImage) -> dict[str, float]:
     if pairs:
         figures["camera_noise_db"] = psnr_db(0.5 * float(np.mean(pairs)))
     untouched = [
-        np.mean(((press.measured[0].astype(np.float64) - data.rest.idle) / 255.0) ** 2)
+        image_psnr_db(press.measured[0], data.rest.idle)
         for press in data.presses
         if press.tip_depth_m[0] < 0.0
     ]
     if untouched:
-        figures["two_renderings_db"] = float(np.mean([psnr_db(float(u)) for u in untouched]))
+        figures["two_renderings_db"] = float(np.mean(untouched))
     return figures

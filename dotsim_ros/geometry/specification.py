@@ -219,6 +219,12 @@ def _section(kind: type[Section], name: str, values: Any, source: str) -> Sectio
         raise ValueError(f"{source}: {error}") from error
 
 
+def sensor_path(source: str | Path) -> Path:
+    """Return the file of a sensor, given itself or by the sensor's name."""
+    path = Path(source)
+    return path if path.suffix in (".yaml", ".yml") else parameter_path(f"sensors/{source}.yaml")
+
+
 def load_sensor(source: str | Path) -> SensorSpecification:
     """Read a sensor from a YAML file, or by name from `params/sensors/`.
 
@@ -226,9 +232,7 @@ def load_sensor(source: str | Path) -> SensorSpecification:
         FileNotFoundError: no such file or name.
         ValueError: an entry is unknown, of the wrong type or out of range; the message names it.
     """
-    path = Path(source)
-    if path.suffix not in (".yaml", ".yml"):
-        path = parameter_path(f"sensors/{source}.yaml")
+    path = sensor_path(source)
     try:
         document = yaml.safe_load(path.read_text())
     except yaml.YAMLError as error:

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import os
-import tempfile
 import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -36,7 +34,8 @@ from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.sensor import Gel, idle_image_path, make_gel, skin_of
+from dotsim_ros.sensor import Gel, given_path, make_gel, skin_of
+from dotsim_ros.view.files import whole_file
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -259,12 +258,7 @@ def read_optical_data(
     Raises:
         ValueError: also where the measured images have another aspect ratio than the camera's.
     """
-    idle = _read_idle(read_data_set(directory))
-    height, width = idle.shape[:2]
-    try:
-        camera = FisheyeCamera.from_specification(sensor.camera).scaled(width, height)
-    except ValueError as error:
-        raise ValueError(f"{directory}: measured images do not fit the camera: {error}") from error
+    camera = camera_for(sensor, _read_idle(read_data_set(directory)), str(directory))
     filmed = read_filmed_data(
         directory, sensor, presses=presses, cache=cache, progress=progress, topics=topics
     )
@@ -272,9 +266,27 @@ def read_optical_data(
     return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
 
 
+def camera_for(sensor: SensorSpecification, image: ByteImage, source: str) -> FisheyeCamera:
+    """Return the sensor's camera at the resolution of a measured image (H, W, 3).
+
+    Args:
+        sensor: whose camera.
+        image: that it took.
+        source: where the image comes from, for messages.
+
+    Raises:
+        ValueError: the image has another aspect ratio than the camera's.
+    """
+    height, width = image.shape[:2]
+    try:
+        return FisheyeCamera.from_specification(sensor.camera).scaled(width, height)
+    except ValueError as error:
+        raise ValueError(f"{source}: measured images do not fit the camera: {error}") from error
+
+
 def lights_of(sensor: SensorSpecification) -> tuple[Lighting, Vignetting]:
     """Return what the description beside the sensor's idle image states, or the defaults."""
-    description = idle_image_path(sensor.camera.idle_image).with_suffix(".yaml")
+    description = given_path(sensor.camera.idle_image).with_suffix(".yaml")
     if not description.exists():
         return Lighting(), Vignetting()
     _, lighting, vignetting = read_description(description)
@@ -477,7 +489,5 @@ def _load(path: Path, shape: tuple[int, ...]) -> Float32Array | None:
 
 
 def _store(path: Path, position: Float32Array) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npy", delete=False) as stream:
-        np.save(stream, position)
-    os.replace(stream.name, path)
+    with whole_file(path) as part:
+        np.save(part, position)

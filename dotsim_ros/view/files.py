@@ -8,6 +8,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
@@ -21,3 +25,14 @@ def whole_file(path: str | Path) -> Iterator[Path]:
         temporary = Path(folder) / path.name
         yield temporary
         os.replace(temporary, path)
+
+
+def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
+    """Write an image (H, W, 3), red, green, blue, in the format that the suffix names.
+
+    Raises:
+        OSError: it could not be written.
+    """
+    with whole_file(path) as part:
+        if not cv2.imwrite(str(part), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
+            raise OSError(f"{path} could not be written")

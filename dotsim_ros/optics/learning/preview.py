@@ -10,7 +10,7 @@ import numpy as np
 
 from dotsim_ros.optics.frames import OpticalPress
 from dotsim_ros.optics.idle import ByteImage
-from dotsim_ros.view.files import whole_file
+from dotsim_ros.view.files import write_image
 
 COLUMNS = ("measured", "carried", "predicted", "error of carried x4", "error of predicted x4")
 ERROR_GAIN = 4.0
@@ -51,7 +51,4 @@ def write_preview(
         pictures = (measured, carried, image, _error(carried, measured), _error(image, measured))
         titles = (f"{press.name}, frame {frame}: {COLUMNS[0]}", *COLUMNS[1:])
         lines.append(np.hstack([_titled(*pair) for pair in zip(pictures, titles, strict=True)]))
-    sheet = cv2.cvtColor(np.vstack(lines), cv2.COLOR_RGB2BGR)
-    with whole_file(path) as part:
-        if not cv2.imwrite(str(part), sheet):
-            raise OSError(f"{path} could not be written")
+    write_image(path, np.vstack(lines))

@@ -9,18 +9,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import yaml
 
 from dotsim_ros.calibration.sensor_file import write_sensor
-from dotsim_ros.evaluation.image_metrics import psnr_db
+from dotsim_ros.evaluation.image_metrics import image_psnr_db
 from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.specification import SensorSpecification
 from dotsim_ros.optics.frames import (
     OpticalData,
     OpticalPress,
+    camera_for,
     lights_of,
     read_filmed_data,
     render_filmed,
@@ -33,8 +32,8 @@ from dotsim_ros.optics.learning.training import Progress
 from dotsim_ros.optics.network_card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.optics.untouched import with_refined_idle
 from dotsim_ros.resources import parameter_path
-from dotsim_ros.sensor import idle_image_path
-from dotsim_ros.view.files import whole_file
+from dotsim_ros.sensor import given_path
+from dotsim_ros.view.files import whole_file, write_image
 
 IDLE = "idle.png"
 SENSOR = "sensor.yaml"
@@ -85,8 +84,7 @@ def scores(
         for frame, measured in enumerate(press.measured):
             shown = {"idle": idle, "carried": press.carried[frame], "predicted": images[frame]}
             for name, image in shown.items():
-                error = (image.astype(np.float64) - measured) / 255.0
-                score = psnr_db(float(np.mean(error**2)))
+                score = image_psnr_db(image, measured)
                 every[name].append(score)
                 if frame == deep:
                     deepest[name].append(score)
@@ -103,11 +101,7 @@ def read_presses(request: Request, say: Callable[[str], None]) -> OpticalData:
         request.data, request.sensor, presses=[*request.train, *request.held_out], progress=say
     )
     filmed = with_refined_idle(filmed, request.train)
-    height, width = filmed.idle.shape[:2]
-    try:
-        camera = FisheyeCamera.from_specification(request.sensor.camera).scaled(width, height)
-    except ValueError as error:
-        raise ValueError(f"{request.data}: images do not fit the camera: {error}") from error
+    camera = camera_for(request.sensor, filmed.idle, str(request.data))
     lighting, vignetting = lights_of(request.sensor)
     return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
 
@@ -195,10 +189,8 @@ def _card(
 def _write_sensor(request: Request, idle: ByteImage) -> None:
     """Write the idle image, what is known of its lights, and the sensor that uses both."""
     out = request.out.resolve()
-    with whole_file(out / IDLE) as part:
-        if not cv2.imwrite(str(part), cv2.cvtColor(idle, cv2.COLOR_RGB2BGR)):
-            raise OSError(f"{out / IDLE} could not be written")
-    described = idle_image_path(request.sensor.camera.idle_image).with_suffix(".yaml")
+    write_image(out / IDLE, idle)
+    described = given_path(request.sensor.camera.idle_image).with_suffix(".yaml")
     if described.exists():
         lights = yaml.safe_load(described.read_text(encoding="utf-8")) or {}
         # The disc is that of another image: this one shows the camera's own view.
