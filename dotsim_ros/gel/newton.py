@@ -37,6 +37,9 @@ LEFT_SHARE = 0.3
 """Share of the tolerance that an iteration may leave to the one after it."""
 CONTACT_SHARE = 0.3
 """Share of the tolerance to which the contact of the linear gel is solved."""
+LARGEST_CONTACT_TOLERANCE_M = 3.0e-6
+"""A loose tolerance leaves out iterations of the gel; it must not make its contact wrong, since the
+force follows from the contact."""
 FAR_SHARE = 0.2
 """Forces out of balance far away below this share of those near the contact move nothing there."""
 LARGEST_STEP_M = 0.3e-3
@@ -323,7 +326,7 @@ class EquilibriumSearch:
             lambda position, limit: respond(near.marker, position, limit),
             lambda position: respond_now(near.marker, position),
         )
-        tolerance = CONTACT_SHARE * self.solver.tolerance_m
+        tolerance = min(CONTACT_SHARE * self.solver.tolerance_m, LARGEST_CONTACT_TOLERANCE_M)
         return solve_contact(
             compliance,
             point.position_m[rows] + free,
