@@ -1,0 +1,1 @@
+"""The library of effects: one module, one effect, in its attribute `EFFECT`."""
