@@ -24,7 +24,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -65,8 +65,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         subject.add_argument(
             "--sensor",
             default="densetact2",
-            help="name or file of the sensor (densetact2), or, for geometry, a folder with a file "
-            "for each split, held_out.yaml and INDENTER.yaml",
+            help="name or file of the sensor (densetact2), or a folder with a file for each split: "
+            "held_out.yaml and INDENTER.yaml for geometry, LEVEL.yaml for optics",
         )
     geometry.add_argument(
         "--models", nargs="+", choices=MODELS, default=list(MODELS), help="which (all)"
@@ -123,7 +123,9 @@ def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
         "--budget-minutes", type=float, help="end the training of one network after so long"
     )
     subject.add_argument(
-        "--network-width", type=int, help="of the networks' images, pixels (the network's own)"
+        "--network-width",
+        type=int,
+        help="of the published networks' images, pixels (the network's own)",
     )
     subject.add_argument(
         "--cache",
@@ -196,10 +198,11 @@ def _optics(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.optical_split import WAYS
     from dotsim_ros.evaluation.optics import ceilings, splits_of
     from dotsim_ros.evaluation.optics_models import FitSettings
-    from dotsim_ros.evaluation.optics_report import evaluate_optics, optics_page
+    from dotsim_ros.evaluation.optics_report import evaluate_optics, joined, optics_page
     from dotsim_ros.evaluation.optics_rows import RowMaker
     from dotsim_ros.evaluation.optics_sheet import write_sheets
     from dotsim_ros.evaluation.optics_source import clipped_presses
+    from dotsim_ros.evaluation.registry import sensor_file
     from dotsim_ros.gel.refinement import cache_directory
     from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.measured.data_set import read_data_set
@@ -208,20 +211,31 @@ def _optics(arguments: argparse.Namespace) -> int:
 
     settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
     data_set = read_data_set(arguments.data)
-    sensor = load_sensor(arguments.sensor)
-    data = read_optical_data(arguments.data, sensor, progress=_say)
-    maker = RowMaker(
-        data,
-        cache(lambda: clipped_presses(data_set, sensor, data)),
-        arguments.cache or cache_directory() / "optics",
-        settings,
-        _say,
-    )
-    drawn = splits_of(data, seed=arguments.seed)
-    splits = [drawn[level][way] for level in arguments.splits for way in WAYS]
-    figures, rows = evaluate_optics(maker, splits, arguments.models)
-    figures["ceiling"] = ceilings(data, read_idle_images(data_set.idle_images()))
-    sheets = write_sheets(arguments.images, maker, rows, seen_from=arguments.out)
+
+    # One at a time: the frames of one take half a gigabyte.
+    @lru_cache(maxsize=1)
+    def maker_of(file: Path | str) -> RowMaker:
+        sensor = load_sensor(file)
+        data = read_optical_data(arguments.data, sensor, progress=_say)
+        return RowMaker(
+            data,
+            cache(lambda: clipped_presses(data_set, sensor, data)),
+            arguments.cache or cache_directory() / "optics",
+            settings,
+            _say,
+        )
+
+    files = {level: sensor_file(level, arguments.sensor) for level in arguments.splits}
+    figures: dict[str, Any] = {}
+    sheets: dict[str, str] = {}
+    for level, file in files.items():
+        maker = maker_of(file)
+        drawn = splits_of(maker.data, seed=arguments.seed)[level]
+        part, rows = evaluate_optics(maker, [drawn[way] for way in WAYS], arguments.models)
+        figures = joined(figures, part)
+        sheets |= write_sheets(arguments.images, maker, rows, seen_from=arguments.out)
+    # The measured images decide these, so that any level's data will do.
+    figures["ceiling"] = ceilings(maker.data, read_idle_images(data_set.idle_images()))
     origin = {
         "sensor": str(arguments.sensor),
         "seed": str(arguments.seed),

@@ -15,7 +15,9 @@ from dotsim_ros.evaluation.optics import Carried, Factory, Idle, ImageModel
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.frames import OpticalPress, Rest
 
-NETWORKS = ("paper", "paper_direct", "unet", "ours")
+PUBLISHED = ("paper", "paper_direct", "unet")
+"""Published networks, which take hours without CUDA unless their images are small."""
+NETWORKS = (*PUBLISHED, "ours")
 """Kinds of networks of `dotsim_ros.optics.learning`."""
 NAMES = (
     "idle",
@@ -79,7 +81,7 @@ class FitSettings:
     Attributes:
         seed: of all draws.
         budget_minutes: after which the training of one network ends; None for none.
-        network_width: of the networks' images, pixels; None for the network's own choice.
+        network_width: of the published networks' images, pixels; None for their own choice.
 
     Raises:
         ValueError: a seed below zero, or a budget that is no time.
@@ -97,6 +99,10 @@ class FitSettings:
                 f"budget is {self.budget_minutes} minutes, expected a positive number; leave it "
                 "out for a training of full length"
             )
+
+    def width_of(self, network: str) -> int | None:
+        """Return the width of a network's images, pixels; None for the network's own choice."""
+        return self.network_width if network in PUBLISHED else None
 
 
 def factory_of(
@@ -153,7 +159,7 @@ def _network(
             camera,
             seed=settings.seed,
             budget_minutes=settings.budget_minutes,
-            size=settings.network_width,
+            size=settings.width_of(name),
             directory=state,
             progress=lambda p: progress(
                 f"{name}: epoch {p.epoch} of {p.epochs}, {p.psnr_db:.2f} dB in training, "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -90,6 +91,7 @@ def evaluate_optics(
                 "predict_s": row.predict_s,
                 "commit": row.commit,
                 "date": row.date,
+                "training": None if row.training is None else asdict(row.training),
             }
         if split.way == "by_trajectory":
             shown_rows[split.level] = rows
@@ -105,6 +107,16 @@ def evaluate_optics(
     figures["failures"] = failures
     figures["definitions"] = definitions()
     return figures, shown_rows
+
+
+def joined(first: Mapping[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the figures of `evaluate_optics` on other levels together; the first may be empty."""
+    return {
+        **first,
+        **second,
+        "splits": {**first.get("splits", {}), **second["splits"]},
+        "failures": [*first.get("failures", []), *second["failures"]],
+    }
 
 
 def definitions() -> dict[str, str]:
@@ -177,6 +189,10 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
             parts.append(markdown_table(["method"], table, OPTICS_COLUMNS))
             parts.append("PSNR over the whole frame by depth of the tip, dB:\n")
             parts.append(_depth_table(rows))
+            trainings = _trainings(rows)
+            if trainings:
+                parts.append("How long the networks were trained, and on which images:\n")
+                parts.append(entry_list(trainings))
         if level in sheets:
             parts.append(f"![measured and simulated images, {level}]({sheets[level]})\n")
     if figures["failures"]:
@@ -192,6 +208,21 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
     parts.append(entry_list(figures["definitions"]))
     parts.append(entry_list(origin))
     return "\n".join(parts)
+
+
+def _trainings(rows: Mapping[str, Any]) -> dict[str, str]:
+    """Return what to know of each network's training before its row is compared."""
+    words = {}
+    for model, row in rows.items():
+        training = row.get("training")
+        if training is None:
+            continue
+        ended = ", **broken off by the time allowed**" if training["cut_short"] else ""
+        words[model] = (
+            f"{training['epochs']} epochs in {training['minutes']:.1f} minutes, images of "
+            f"{training['width_px']}x{training['height_px']}{ended}"
+        )
+    return words
 
 
 def _depth_table(rows: Mapping[str, Any]) -> str:

@@ -13,10 +13,10 @@ import shutil
 import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from dotsim_ros.evaluation.optical_split import FrameKey, OpticalSplit
 from dotsim_ros.evaluation.optics import (
     FrameScores,
+    ImageModel,
     restricted,
     score_frames,
     scores_as_json,
@@ -45,6 +46,38 @@ ByteImage = NDArray[np.uint8]
 _FORMAT = 1
 
 
+class _Course(Protocol):
+    epochs: int
+    spent_s: float
+    cut_short: bool
+
+
+@runtime_checkable
+class _TrainedModel(Protocol):
+    """A network: it says how its training went."""
+
+    trained: _Course
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class TrainingRecord:
+    """How far a network was trained.
+
+    Attributes:
+        epochs: begun; the last one may be cut short.
+        minutes: spent training.
+        cut_short: whether a budget ended it.
+        width_px, height_px: of its images.
+    """
+
+    epochs: int
+    minutes: float
+    cut_short: bool
+    width_px: int
+    height_px: int
+
+
 @dataclass(frozen=True)
 class Row:
     """What a model got on the judged frames of a split.
@@ -55,6 +88,7 @@ class Row:
         fit_s: how long the fit took, with what else the machine did.
         predict_s: how long predicting and judging took, a frame.
         commit, date: when it was made.
+        training: of a network; None for what is no network.
     """
 
     scores: tuple[FrameScores, ...]
@@ -63,6 +97,7 @@ class Row:
     predict_s: float
     commit: str
     date: str
+    training: TrainingRecord | None = None
 
 
 @dataclass(frozen=True)
@@ -100,7 +135,7 @@ class RowMaker:
     def _path(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Path:
         fitted: list[Any] = [code_digest(model)]
         if model in NETWORKS:
-            fitted += [self.settings.budget_minutes, self.settings.network_width]
+            fitted += [self.settings.budget_minutes, self.settings.width_of(model)]
         parts = [_FORMAT, self._digest, split.train, split.test, list(shown)]
         key = repr((*parts, model, self.settings.seed, fitted)).encode()
         return self.cache / f"{model}-{hashlib.sha256(key).hexdigest()[:24]}.json"
@@ -135,11 +170,26 @@ class RowMaker:
         scores, images = score_frames(fitted, presses, split.test, rest, keep=shown)
         predict_s = (time.perf_counter() - start) / len(scores)
         origin = provenance()
-        row = Row(tuple(scores), images, fit_s, predict_s, origin["commit"], origin["date"])
+        row = Row(
+            tuple(scores),
+            images,
+            fit_s,
+            predict_s,
+            origin["commit"],
+            origin["date"],
+            _training_of(fitted),
+        )
         _store(path, row)
         # What a training leaves to go on from is as large as its network, and done with.
         shutil.rmtree(state, ignore_errors=True)
         return row
+
+
+def _training_of(model: ImageModel) -> TrainingRecord | None:
+    if not isinstance(model, _TrainedModel):
+        return None
+    course = model.trained
+    return TrainingRecord(course.epochs, course.spent_s / 60.0, course.cut_short, *model.size)
 
 
 def _store(path: Path, row: Row) -> None:
@@ -159,6 +209,7 @@ def _store(path: Path, row: Row) -> None:
             "predict_s": row.predict_s,
             "commit": row.commit,
             "date": row.date,
+            "training": None if row.training is None else asdict(row.training),
         },
     )
 
@@ -170,7 +221,9 @@ def _load(path: Path) -> Row | None:
             keys = zip(arrays["press"].tolist(), arrays["frame"].tolist(), strict=True)
             images = dict(zip(keys, arrays["image"], strict=True))
         scores = tuple(scores_from_json(values.pop("scores")))
-        return Row(scores=scores, images=images, **values)
+        training = values.pop("training", None)
+        record = None if training is None else TrainingRecord(**training)
+        return Row(scores=scores, images=images, training=record, **values)
     # What is broken or of another version is made anew.
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
         return None

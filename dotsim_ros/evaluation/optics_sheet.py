@@ -26,6 +26,8 @@ ERROR_GAIN = 3.0
 COLUMN_INCHES, ROW_INCHES, TITLE_INCHES = 2.1, 2.0, 0.4
 DOTS_PER_INCH = 90
 MARGIN_PX = 4
+JPEG_QUALITY = 85
+"""PNG takes three times the space, and the sheets lie in the repository."""
 
 
 def write_optics_sheet(
@@ -36,7 +38,7 @@ def write_optics_sheet(
     *,
     title: str,
 ) -> None:
-    """Write a sheet as PNG, whole or not at all: two rows a frame, images above errors.
+    """Write a sheet as JPEG, whole or not at all: two rows a frame, images above errors.
 
     Args:
         path: the file; replaced where it is there.
@@ -74,7 +76,7 @@ def write_optics_sheet(
                 upper[column].set_title(f"{name}: {score.psnr_db:.1f} dB", fontsize=7)
                 lower[column].imshow(_error(images[key], image)[crop])
         with whole_file(path) as temporary:
-            figure.savefig(temporary)
+            figure.savefig(temporary, format="jpeg", pil_kwargs={"quality": JPEG_QUALITY})
 
 
 def _error(predicted: ByteImage, measured: ByteImage) -> ByteImage:
@@ -88,7 +90,7 @@ def write_sheets(
     """Write a sheet for each level, and return its path as a page in `seen_from` names it.
 
     Args:
-        directory: folder of the sheets, `optics_LEVEL.png`.
+        directory: folder of the sheets, `optics_LEVEL.jpg`.
         maker: of the rows.
         rows: by level and model, those of the split by trajectory.
         seen_from: folder of the page.
@@ -99,7 +101,7 @@ def write_sheets(
         if not models:
             continue
         keys = sorted(by_model[models[0]].images)
-        path = directory / f"optics_{level}.png"
+        path = directory / f"optics_{level}.jpg"
         write_optics_sheet(
             path,
             {key: maker.presses[key[0]].measured[key[1]] for key in keys},

@@ -23,28 +23,37 @@ BASELINES = ("tacto", "taxim", "difftactile")
 NAMES = ("ours", "explicit", *BASELINES)
 
 
-def sensor_for(split: Split, sensor: str | Path) -> SensorSpecification:
-    """Return the specification to judge a split with.
+def sensor_file(split: str, sensor: str | Path) -> str | Path:
+    """Return the name or file of the sensor to judge a split with.
 
     Args:
-        split: which one.
+        split: its name.
         sensor: name or file of a sensor, which serves for every split; or a folder with one file
-            for each, `held_out.yaml` and `INDENTER.yaml`, calibrated without what it is judged on.
+            `SPLIT.yaml` for each, calibrated without what it is judged on.
+
+    Raises:
+        FileNotFoundError: the folder lacks the split's file.
+    """
+    folder = Path(sensor)
+    if not folder.is_dir():
+        return sensor
+    path = folder / f"{split}.yaml"
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{folder} holds no {path.name}: calibrate on the presses that split {split!r} "
+            "leaves for it, or name one sensor's file"
+        )
+    return path
+
+
+def sensor_for(split: Split, sensor: str | Path) -> SensorSpecification:
+    """Return the specification to judge a split with; arguments as `sensor_file`.
 
     Raises:
         FileNotFoundError: no such sensor, or the folder lacks the split's file.
         ValueError: it is no sensor.
     """
-    folder = Path(sensor)
-    if not folder.is_dir():
-        return load_sensor(sensor)
-    path = folder / f"{split.name}.yaml"
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"{folder} holds no {path.name}: calibrate on the presses that split {split.name!r} "
-            "leaves for it, or name one sensor's file"
-        )
-    return load_sensor(path)
+    return load_sensor(sensor_file(split.name, sensor))
 
 
 def _ours(sensor: str | Path) -> Factory:

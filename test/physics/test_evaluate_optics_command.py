@@ -96,10 +96,49 @@ def test_the_command_on_a_small_data_set(
         assert figures["hard"][way]["idle"]["frames"] == 20
     assert figures["provenance"]["seed"] == "0"
     assert figures["medium"]["by_trajectory"]["idle"]["deep"]["frames"] == 2
-    assert (tmp_path / "images" / "optics_hard.png").is_file()
+    assert (tmp_path / "images" / "optics_hard.jpg").is_file()
     assert "# Images of" in (tmp_path / "out" / "optics.md").read_text()
     capsys.readouterr()
     assert main(command) == 0
     said = capsys.readouterr().err
     assert "following" not in said
     assert said.count("made before") == 16
+
+
+def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.setenv("DOTSIM_ROS_CACHE", str(tmp_path / "cache"))
+    write_photographed_presses(tmp_path)
+    calibrated = tmp_path / "calibrated"
+    calibrated.mkdir()
+    (calibrated / "easy.yaml").write_text(COARSE_SENSOR)
+    moved = COARSE_SENSOR.replace("[31.5, 23.5]", "[33.0, 23.5]")
+    (calibrated / "hard.yaml").write_text(moved)
+    command = [
+        *("evaluate", "optics", "--data", str(tmp_path), "--sensor", str(calibrated)),
+        *("--models", "carried", "paper", "--budget-minutes", "0.01", "--network-width", "64"),
+        *("--out", str(tmp_path / "out"), "--images", str(tmp_path / "images")),
+    ]
+    assert main([*command, "--splits", "medium"]) == 1
+    assert "holds no medium.yaml" in capsys.readouterr().err
+    assert main([*command, "--splits", "easy", "hard"]) == 0
+    figures = json.loads((tmp_path / "out" / "optics.json").read_text())
+    assert set(figures["splits"]) == {
+        f"{level}.{way}" for level in ("easy", "hard") for way in ("by_frame", "by_trajectory")
+    }
+    assert figures["hard"]["by_frame"]["carried"]["training"] is None
+    training = figures["hard"]["by_frame"]["paper"]["training"]
+    assert (training["width_px"], training["height_px"]) == (64, 48)
+    assert training["epochs"] >= 1
+    assert training["cut_short"]
+    page = (tmp_path / "out" / "optics.md").read_text()
+    assert "images of 64x48, **broken off by the time allowed**" in page
+    # Each level with its own camera, in one page.
+    other = [*command, "--splits", "hard", "--models", "carried"]
+    other[other.index(str(calibrated))] = str(calibrated / "easy.yaml")
+    carried = figures["hard"]["by_frame"]["carried"]
+    assert main(other) == 0
+    figures = json.loads((tmp_path / "out" / "optics.json").read_text())
+    assert figures["hard"]["by_frame"]["carried"]["psnr_db"] != carried["psnr_db"]

@@ -229,6 +229,12 @@ def test_a_budget_matters_to_networks_alone(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.json"))) == 1
 
 
+def test_the_width_is_that_of_published_networks() -> None:
+    settings = FitSettings(network_width=64)
+    assert settings.width_of("paper") == settings.width_of("paper_direct") == 64
+    assert settings.width_of("ours") is None
+
+
 def test_taxim_is_fitted_on_the_frames_given(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -289,15 +295,15 @@ def test_page_and_figures(tmp_path: Path) -> None:
     assert figures["failures"] == []
     sheets = write_sheets(tmp_path / "images", rows_of, rows, seen_from=tmp_path / "results")
     assert sheets == {
-        "easy": "../images/optics_easy.png",
-        "hard": "../images/optics_hard.png",
+        "easy": "../images/optics_easy.jpg",
+        "hard": "../images/optics_hard.jpg",
     }
-    assert (tmp_path / "images" / "optics_hard.png").stat().st_size > 1000
+    assert (tmp_path / "images" / "optics_hard.jpg").stat().st_size > 1000
     page = optics_page(figures, sheets)
     assert "## Hard, by whole trajectories" in page
     assert "| carried |" in page
     assert "| ceiling: camera noise | 47.00 |" in page
-    assert "../images/optics_easy.png" in page
+    assert "../images/optics_easy.jpg" in page
     assert "| method | untouched | 0 to 1 mm |" in page
     json.dumps(figures)
 
