@@ -1,0 +1,350 @@
+"""The mechanical effects: nothing at `none`, a closed form elsewhere, and no memory across runs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dotsim_ros.calibration.parameters import GelValues
+from dotsim_ros.evaluation.presses import Press
+from dotsim_ros.gap.effect import Active, Effect, GelTerm, Response, gel_with
+from dotsim_ros.gap.effects.adhesion import ClingingContact
+from dotsim_ros.gap.effects.poroelastic_relaxation import contact_radius_m
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.recording import Recording, phases_of
+from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
+from dotsim_ros.geometry.pose import Pose
+
+APEX_M = 15.75e-3
+LIBRARY = load_effects()
+MECHANICAL = (
+    "adhesion",
+    "backlash",
+    "base_compliance",
+    "compressibility",
+    "coulomb_slip",
+    "force_drift",
+    "force_scale",
+    "hyperelastic_stiffening",
+    "latency",
+    "mullins_softening",
+    "permanent_set",
+    "pose_offset",
+    "pose_offset_x",
+    "pose_offset_y",
+    "poroelastic_relaxation",
+    "thermal_drift",
+    "thickness_error",
+    "viscoelastic_relaxation",
+)
+VALUES = GelValues(
+    youngs_modulus_pa=3e5,
+    poisson_ratio=0.48,
+    friction=0.4,
+    c20_ratio=0.1,
+    c30_ratio=0.0,
+    thickness_m=9.75e-3,
+)
+
+
+def recording_of(
+    depth_mm: list[float], x_mm: list[float] | None = None, *, session_s: float = 0.0
+) -> Recording:
+    """Return a recording of a sphere that is 0.1 s at each depth, above x."""
+    x_mm = x_mm or [0.0] * len(depth_mm)
+    poses = [
+        Pose(np.array([1e-3 * x, 0.0, APEX_M - 1e-3 * depth]))
+        for x, depth in zip(x_mm, depth_mm, strict=True)
+    ]
+    stamp_s = 1.0 + 0.1 * np.arange(len(poses))
+    depth_m = 1e-3 * np.array(depth_mm)
+    press = Press("press", "sphere", poses, stamp_s)
+    return Recording(press, sphere(4e-3), session_s, depth_m, phases_of(poses, stamp_s, depth_m))
+
+
+LOAD = recording_of([-0.5, 0.5, 1.0, 1.5, 2.0])
+HELD = recording_of([-0.5, 1.0, 2.0, 2.0, 2.0])
+RELEASED = recording_of([-0.5, 1.0, 2.0, 1.0, 0.3, -0.5])
+SLID = recording_of([-0.5, 1.0, 2.0, 2.0, 2.0], [0.0, 0.0, 0.0, 0.5, 1.0])
+OUTSIDE = recording_of([-1.0, -0.5, -0.7])
+
+
+def response_of(
+    depth_m: float, force_n: float, *, session_s: float = 0.0, moved_m: float = 0.0
+) -> Response:
+    """Return a response whose force is along z, with one marker of three moved along -z."""
+    rest = np.array([[0.0, 0.0, APEX_M], [1e-3, 0.0, APEX_M], [0.0, 1e-3, APEX_M]])
+    skin = rest.copy()
+    skin[0, 2] -= moved_m
+    return Response(
+        stamp_s=session_s,
+        session_s=session_s,
+        pose=Pose(np.array([0.0, 0.0, APEX_M - depth_m])),
+        depth_m=depth_m,
+        rest_position_m=rest,
+        skin_position_m=skin,
+        force_n=np.array([0.0, 0.0, force_n]),
+    )
+
+
+def none_of(effect: Effect) -> dict[str, float]:
+    """Return the values at which an effect is absent."""
+    return effect.checked({p.name: p.none for p in effect.parameters if p.none is not None})
+
+
+def response_filter(name: str, **values: float):
+    """Return a fresh filter of an effect."""
+    effect = LIBRARY[name]
+    assert effect.response is not None
+    return effect.response(effect.checked(values))
+
+
+def motion_filter(name: str, **values: float):
+    """Return a fresh filter of an effect."""
+    effect = LIBRARY[name]
+    assert effect.motion is not None
+    return effect.motion(effect.checked(values))
+
+
+def gel_of(name: str, recording: Recording | None = None, **values: float) -> GelTerm:
+    """Return what an effect makes of the gel."""
+    effect = LIBRARY[name]
+    return gel_with([Active(effect, effect.checked(values))], GelTerm(VALUES), recording)
+
+
+def test_every_mechanical_effect_is_shipped() -> None:
+    assert set(MECHANICAL) <= set(LIBRARY)
+
+
+@pytest.mark.parametrize("name", sorted(LIBRARY))
+def test_parameters_are_valid(name: str) -> None:
+    effect = LIBRARY[name]
+    assert effect.title[0].isupper()
+    assert effect.protocol
+    assert effect.channels
+    size = effect.parameters[0]
+    assert size.none is not None, "the first parameter is the size"
+    assert size.none not in size.probes
+    assert any((effect.gel, effect.motion, effect.response, effect.image))
+    for p in effect.parameters:
+        assert p.low < p.high
+        assert p.probes
+        assert all(p.low <= probe <= p.high for probe in p.probes)
+
+        assert p.none is None or p.low <= p.none <= p.high
+
+
+@pytest.mark.parametrize("name", MECHANICAL)
+def test_nothing_happens_at_none(name: str) -> None:
+    effect = LIBRARY[name]
+    values = none_of(effect)
+    if effect.gel is not None:
+        assert effect.gel(GelTerm(VALUES), values, RELEASED) == GelTerm(VALUES)
+    if effect.motion is not None:
+        moved = effect.motion(values)
+        for stamp_s, pose in zip(RELEASED.press.stamp_s, RELEASED.press.poses, strict=True):
+            acts = moved(float(stamp_s), pose, np.array([0.1, 0.0, 3.0]))
+            assert np.array_equal(acts.position_m, pose.position_m)
+            assert np.array_equal(acts.quaternion_xyzw, pose.quaternion_xyzw)
+    if effect.response is not None:
+        answered = effect.response(values)
+        for depth_m in (0.0, 1e-3, 2e-3, 1e-3, -1e-4):
+            given = response_of(
+                depth_m, 1e3 * max(0.0, depth_m), session_s=50.0, moved_m=max(0.0, depth_m)
+            )
+            given = replace(given, force_n=np.add(given.force_n, [0.1, -0.2, 0.0]))
+            answer = answered(given)
+            assert np.array_equal(answer.force_n, given.force_n)
+            assert np.array_equal(answer.skin_position_m, given.skin_position_m)
+
+
+@pytest.mark.parametrize("name", MECHANICAL)
+def test_filters_forget_from_one_trajectory_to_the_next(name: str) -> None:
+    effect = LIBRARY[name]
+    values = effect.checked({})
+    trajectories = []
+    for _ in range(2):
+        rows = []
+        moved = None if effect.motion is None else effect.motion(values)
+        answered = None if effect.response is None else effect.response(values)
+        for stamp_s, pose, depth in zip(
+            RELEASED.press.stamp_s, RELEASED.press.poses, RELEASED.depth_m, strict=True
+        ):
+            if moved is not None:
+                rows.append(moved(float(stamp_s), pose, np.array([0.0, 0.0, 2.0])).position_m)
+            if answered is not None:
+                pressed = max(0.0, float(depth))
+                answer = answered(response_of(float(depth), 1e3 * pressed, moved_m=pressed))
+                rows.extend([answer.force_n, answer.skin_position_m[0]])
+        trajectories.append(np.array(rows))
+    assert np.array_equal(*trajectories)
+
+
+def test_hyperelastic_stiffening_adds_to_the_twins_own() -> None:
+    assert gel_of("hyperelastic_stiffening", c20_ratio=0.3).values.c20_ratio == pytest.approx(0.4)
+
+
+def test_compressibility_moves_the_logarithm() -> None:
+    ratio = gel_of("compressibility", log_compressibility_shift=math.log(2.0)).values.poisson_ratio
+    assert ratio == pytest.approx(0.46)
+    assert gel_of("compressibility", log_compressibility_shift=-9.0).values.poisson_ratio == 0.4999
+
+
+def test_thickness_error_is_a_share() -> None:
+    thickness = gel_of("thickness_error", thickness_share=0.1).values.thickness_m
+    assert thickness == pytest.approx(1.1 * 9.75e-3)
+
+
+def test_coulomb_slip_is_a_ratio() -> None:
+    assert gel_of("coulomb_slip", friction_ratio=0.5).values.friction == pytest.approx(0.2)
+
+
+def test_relaxation_adds_a_term_and_two_stay_below_the_whole_stress() -> None:
+    term = gel_of("viscoelastic_relaxation", share=0.5, time_s=3.0)
+    assert (term.prony_shares, term.prony_times_s) == ((0.5,), (3.0,))
+    fluid = LIBRARY["poroelastic_relaxation"]
+    both = gel_with([Active(fluid, {"share": 0.5, "diffusivity_m2_s": 4e-6})], term, None)
+    assert both.prony_shares == (0.5, 0.25)
+    assert both.prony_times_s == pytest.approx((3.0, 1.0))
+
+
+def test_poroelastic_time_grows_with_the_contact() -> None:
+    deep, shallow = recording_of([-0.5, 2.0]), recording_of([-0.5, 0.5])
+    times = [
+        gel_of("poroelastic_relaxation", r, share=0.2, diffusivity_m2_s=1e-6).prony_times_s[0]
+        for r in (deep, shallow)
+    ]
+    assert times[0] == pytest.approx(2e-3 * (8e-3 - 1e-3) * 0.5 / 1e-6, rel=0.02)
+    assert times[0] / times[1] == pytest.approx(4.0, rel=0.1)
+
+
+def test_contact_radius_is_that_of_hertz() -> None:
+    assert contact_radius_m(sphere(4e-3), 0.2e-3) == pytest.approx(np.sqrt(4e-3 * 0.2e-3), rel=0.03)
+    assert contact_radius_m(flat_punch(2e-3, 10e-3), 1e-3) == pytest.approx(2e-3, rel=0.01)
+    # Sneddon 1965: 2/pi of the depth times the tangent; the cross-section half-way has 1/2.
+    steep = contact_radius_m(cone(np.pi / 4, 10e-3), 2e-3)
+    assert steep == pytest.approx(1e-3, rel=0.03)
+
+
+def test_mullins_softens_below_the_largest_force_alone() -> None:
+    softened = response_filter("mullins_softening", share=0.2, width=0.5)
+    assert softened(response_of(2e-3, 4.0)).force_n[2] == 4.0
+    below = softened(response_of(1e-3, 2.0)).force_n[2]
+    assert below == pytest.approx(2.0 * (1.0 - 0.2 * math.erf((1.0 - 0.5 ** (5 / 3)) / 0.5)))
+    assert softened(response_of(2e-3, 4.0)).force_n[2] == 4.0
+    assert softened(response_of(3e-3, 6.0)).force_n[2] == 6.0
+
+
+def test_permanent_set_leaves_a_share_once_the_skin_is_free() -> None:
+    kept = response_filter("permanent_set", share=0.05)
+    rest_m = response_of(0.0, 0.0).rest_position_m
+    pressed = response_of(2e-3, 1.0, moved_m=2e-3)
+    assert np.array_equal(kept(pressed).skin_position_m, pressed.skin_position_m)
+    half = kept(response_of(1e-3, 1.0, moved_m=1e-3)).skin_position_m - rest_m
+    assert half[0, 2] == pytest.approx(-1e-3 - 0.05 * 0.5 * 2e-3)
+    idle = kept(response_of(-1e-3, 0.0)).skin_position_m - rest_m
+    assert idle[:, 2] == pytest.approx([-0.05 * 2e-3, 0.0, 0.0])
+
+
+def test_adhesion_ends_at_the_pull_off_of_the_theory() -> None:
+    radius_m, work, modulus_pa = 3e-3, 0.2, 4e5
+    clinging = response_filter("adhesion", work_j_m2=work, radius_m=radius_m)
+
+    def hertz_n(depth_m: float) -> float:
+        return 4 / 3 * modulus_pa * math.sqrt(radius_m) * max(0.0, depth_m) ** 1.5
+
+    depths_m = np.concatenate([np.linspace(0.0, 1e-3, 20), np.linspace(1e-3, -0.3e-3, 4000)])
+    forces_n = np.array(
+        [clinging(response_of(float(d), hertz_n(float(d)))).force_n[2] for d in depths_m]
+    )
+    # Loading is that of Hertz; the pull is 3/2 pi w R (Johnson, Kendall, Roberts 1971).
+    assert forces_n[:20] == pytest.approx([hertz_n(d) for d in depths_m[:20]])
+    assert forces_n.min() == pytest.approx(-1.5 * np.pi * work * radius_m, rel=1e-3)
+    # Broken off at the least depth of the curve, -3 a^2 / R, a^3 = pi w R^2 / (8 E).
+    contact_m = np.cbrt(np.pi * work * radius_m**2 / (8.0 * modulus_pa))
+    assert depths_m[forces_n < 0.0].min() == pytest.approx(-3 * contact_m**2 / radius_m, abs=1e-6)
+    assert np.all(forces_n[20:] <= [hertz_n(d) + 1e-12 for d in depths_m[20:]])
+    assert np.abs(np.diff(forces_n[20:-1000])).max() < 0.01, "the force falls without a jump"
+    assert forces_n[-1] == 0.0
+
+
+def test_adhesion_breaks_off_a_contact_that_is_too_narrow_to_recede() -> None:
+    contact = ClingingContact(modulus_pa=4e5, radius_m=3e-3, work_j_m2=0.2, deepest_m=1e-6)
+    assert contact.widest_m < contact.narrowest_m
+    assert contact.force_n(-1e-3) is None
+
+
+def test_base_compliance_gives_way_along_the_force() -> None:
+    pushed = motion_filter("base_compliance", compliance_m_n=5e-5)
+    told = Pose(np.array([1e-3, 0.0, 14e-3]))
+    acts = pushed(0.0, told, np.array([0.5, 0.0, 2.0]))
+    assert acts.position_m == pytest.approx([1.025e-3, 0.0, 14.1e-3])
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_pose_offset_moves_one_axis(axis: int) -> None:
+    name = ("pose_offset_x", "pose_offset_y", "pose_offset")[axis]
+    shifted = motion_filter(name, **{f"{'xyz'[axis]}_m": 0.3e-3})
+    moved = shifted(0.0, Pose(), np.zeros(3)).position_m
+    assert moved == pytest.approx(0.3e-3 * np.eye(3)[axis])
+
+
+def test_latency_gives_the_pose_of_a_while_ago() -> None:
+    delayed = motion_filter("latency", latency_s=0.05)
+    # At 5 mm/s, stamped unevenly; before the first pose there is none.
+    stamps = (1.0, 1.02, 1.07, 1.2, 1.21, 1.4)
+    x_m = [
+        delayed(t, Pose(np.array([5e-3 * t, 0.0, 0.0])), np.zeros(3)).position_m[0] for t in stamps
+    ]
+    expected = [5e-3 * max(1.0, t - 0.05) for t in stamps]
+    assert x_m == pytest.approx(expected)
+
+
+def test_backlash_steps_by_the_width_at_a_reversal() -> None:
+    dragged = motion_filter("backlash", width_m=0.1e-3)
+    x_mm = [0.0, 0.5, 1.0, 0.95, 0.5, 0.0]
+    found = [
+        1e3 * dragged(0.0, Pose(np.array([1e-3 * x, 0.0, 0.0])), np.zeros(3)).position_m[0]
+        for x in x_mm
+    ]
+    assert found == pytest.approx([0.0, 0.45, 0.95, 0.95, 0.55, 0.05])
+
+
+def test_force_effects_have_their_closed_forms() -> None:
+    given = response_of(1e-3, 2.0, session_s=40.0)
+    assert response_filter("force_scale", scale=1.1)(given).force_n[2] == pytest.approx(2.2)
+    drifted = response_filter("force_drift", share_per_s=1e-3)(given)
+    assert drifted.force_n[2] == pytest.approx(2.0 * 1.04)
+    warmed = response_filter("thermal_drift", stiffness_change=-0.1, time_s=20.0)(given)
+    assert warmed.force_n[2] == pytest.approx(2.0 * (1.0 - 0.1 * (1.0 - math.exp(-2.0))))
+    assert np.array_equal(warmed.skin_position_m, given.skin_position_m)
+
+
+@pytest.mark.parametrize(
+    ("name", "by", "not_by"),
+    [
+        ("viscoelastic_relaxation", HELD, RELEASED),
+        ("poroelastic_relaxation", HELD, LOAD),
+        ("mullins_softening", RELEASED, HELD),
+        ("permanent_set", RELEASED, HELD),
+        ("adhesion", RELEASED, SLID),
+        ("backlash", RELEASED, LOAD),
+        ("coulomb_slip", SLID, HELD),
+        ("hyperelastic_stiffening", LOAD, recording_of([-0.5, 0.3, 0.8])),
+        ("thickness_error", LOAD, recording_of([-0.5, 0.3, 0.8])),
+        ("force_drift", replace(LOAD, session_s=20.0), LOAD),
+        ("thermal_drift", replace(LOAD, session_s=20.0), LOAD),
+        ("latency", LOAD, OUTSIDE),
+    ],
+)
+def test_a_recording_excites_what_it_can_show(name: str, by: Recording, not_by: Recording) -> None:
+    assert LIBRARY[name].excited_by(by)
+    assert not LIBRARY[name].excited_by(not_by)
+
+
+@pytest.mark.parametrize("name", MECHANICAL)
+def test_a_recording_without_contact_excites_nothing(name: str) -> None:
+    assert not LIBRARY[name].excited_by(replace(OUTSIDE, session_s=100.0))
