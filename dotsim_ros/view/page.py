@@ -1,0 +1,283 @@
+"""A report: sections of text, tables and pictures, as one HTML file or as Markdown.
+
+The HTML needs nothing beside it: no script, no network, pictures inside. It is laid out for a
+screen of 1280 pixels and for a phone of 400, where tables become lists and no picture is drawn
+smaller than it was made for.
+"""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+PIXELS_PER_INCH = 100.0
+"""Of a page, for a figure's inch: a font of 8 points is 11 pixels high."""
+LARGEST_WIDTH_INCHES = 3.6
+"""Of a picture: it fits a phone without being drawn smaller."""
+_DOTS_PER_PIXEL = 2.0
+_STYLE: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.5,
+    "axes.titlesize": "medium",
+    "axes.labelsize": "medium",
+    "figure.titlesize": "medium",
+    "xtick.labelsize": "medium",
+    "ytick.labelsize": "medium",
+    "legend.fontsize": "medium",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+}
+
+
+@dataclass(frozen=True)
+class Paragraph:
+    """Plain text."""
+
+    text: str
+
+
+@dataclass(frozen=True)
+class Bullets:
+    """A list of plain text."""
+
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of plain text, each as long as the head."""
+
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture.
+
+    Attributes:
+        name: of its file, without suffix.
+        png: its content.
+        alt: what it shows, for those who do not see it.
+        width_px: on the page.
+    """
+
+    name: str
+    png: bytes
+    alt: str
+    width_px: int
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Pictures side by side, as many as there is room for."""
+
+    pictures: tuple[Picture, ...]
+
+
+Block = Paragraph | Bullets | Table | Gallery
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of a page.
+
+    Attributes:
+        title: its heading.
+        blocks: what it holds, in order.
+        is_half: whether another one may stand beside it on a wide screen.
+    """
+
+    title: str
+    blocks: tuple[Block, ...]
+    is_half: bool = False
+
+
+@dataclass(frozen=True)
+class Page:
+    """A report.
+
+    Attributes:
+        title: its heading.
+        lead: the result in a sentence.
+        sections: the rest, in order.
+        label: the result in a word or two; may be empty.
+        colour: of the label, as CSS names it.
+    """
+
+    title: str
+    lead: str
+    sections: tuple[Section, ...]
+    label: str = ""
+    colour: str = "#44505f"
+
+
+@contextmanager
+def page_figure(width_inches: float, height_inches: float) -> Iterator[Any]:
+    """Yield an empty matplotlib figure in the page's style, to be drawn inside the block.
+
+    Raises:
+        ValueError: wider than `LARGEST_WIDTH_INCHES`.
+    """
+    import matplotlib
+
+    # Not pyplot, which would keep figures and choose a display.
+    from matplotlib.figure import Figure
+
+    if width_inches > LARGEST_WIDTH_INCHES:
+        raise ValueError(
+            f"a figure {width_inches} inches wide, expected at most {LARGEST_WIDTH_INCHES}: on a "
+            "phone its text could not be read; split it"
+        )
+    with matplotlib.rc_context(_STYLE):
+        yield Figure(figsize=(width_inches, height_inches), layout="constrained")
+
+
+def picture_of(figure: Any, *, name: str, alt: str) -> Picture:
+    """Return a matplotlib figure as a picture, sharp on screens of twice the usual density."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=PIXELS_PER_INCH * _DOTS_PER_PIXEL)
+    width_px = round(float(figure.get_figwidth()) * PIXELS_PER_INCH)
+    return Picture(name, buffer.getvalue(), alt, width_px)
+
+
+def pictures_of(page: Page) -> list[Picture]:
+    """Return all pictures of a page, in order."""
+    return [
+        picture
+        for section in page.sections
+        for block in section.blocks
+        if isinstance(block, Gallery)
+        for picture in block.pictures
+    ]
+
+
+def as_html(page: Page) -> str:
+    """Return a page as one HTML file."""
+    label = ""
+    if page.label:
+        label = f'<p class="label" style="background:{page.colour}">{html.escape(page.label)}</p>'
+    sections = "\n".join(_section_html(section) for section in page.sections)
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        # Without an icon of its own a browser asks the server for one.
+        '<link rel="icon" href="data:,">'
+        f"<title>{html.escape(page.title)}</title><style>{_CSS}</style></head>\n<body>"
+        f'<header><h1>{html.escape(page.title)}</h1>{label}<p class="lead">'
+        f"{html.escape(page.lead)}</p></header>\n<main>{sections}</main></body></html>\n"
+    )
+
+
+def as_markdown(page: Page) -> str:
+    """Return a page as Markdown; its pictures are PNG files beside it, under their names."""
+    label = f"**{_plain(page.label)}.** " if page.label else ""
+    parts = [f"# {_plain(page.title)}", f"{label}{_plain(page.lead)}"]
+    for section in page.sections:
+        parts.append(f"## {_plain(section.title)}")
+        parts += [_block_markdown(block) for block in section.blocks]
+    return "\n\n".join(parts) + "\n"
+
+
+def _section_html(section: Section) -> str:
+    kind = ' class="half"' if section.is_half else ""
+    blocks = "\n".join(_block_html(block) for block in section.blocks)
+    return f"<section{kind}><h2>{html.escape(section.title)}</h2>\n{blocks}</section>"
+
+
+def _block_html(block: Block) -> str:
+    match block:
+        case Paragraph(text):
+            return f"<p>{html.escape(text)}</p>"
+        case Bullets(items):
+            return "<ul>" + "".join(f"<li>{html.escape(item)}</li>" for item in items) + "</ul>"
+        case Table(head, rows):
+            return _table_html(head, rows)
+        case Gallery(pictures):
+            return '<div class="gallery">' + "".join(map(_picture_html, pictures)) + "</div>"
+
+
+def _table_html(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    top = "".join(f'<th scope="col">{html.escape(cell)}</th>' for cell in head)
+    body = "".join(
+        "<tr>"
+        + "".join(
+            f'<td data-label="{html.escape(name)}">{html.escape(cell)}</td>'
+            for name, cell in zip(head, row, strict=True)
+        )
+        + "</tr>"
+        for row in rows
+    )
+    return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _picture_html(picture: Picture) -> str:
+    data = base64.b64encode(picture.png).decode("ascii")
+    return (
+        f'<img alt="{html.escape(picture.alt)}" width="{picture.width_px}" '
+        f'src="data:image/png;base64,{data}">'
+    )
+
+
+def _block_markdown(block: Block) -> str:
+    match block:
+        case Paragraph(text):
+            return _plain(text)
+        case Bullets(items):
+            return "\n".join(f"- {_plain(item)}" for item in items)
+        case Table(head, rows):
+            lines = [head, ["---"] * len(head), *rows]
+            return "\n".join(
+                "| " + " | ".join(_plain(cell).replace("|", "\\|") for cell in line) + " |"
+                for line in lines
+            )
+        case Gallery(pictures):
+            return "\n\n".join(f"![{_plain(p.alt)}]({p.name}.png)" for p in pictures)
+
+
+def _plain(text: str) -> str:
+    """Return text on one line that Markdown takes as it is."""
+    escaped = html.escape(" ".join(text.split()), quote=False)
+    return escaped.replace("[", "\\[").replace("*", "\\*")
+
+
+_CSS = """
+*{box-sizing:border-box}
+body{font:16px/1.45 system-ui,-apple-system,"Segoe UI",Roboto,sans-serif;color:#1b2430;
+background:#f4f6f8;margin:0;overflow-wrap:anywhere}
+header,main{max-width:1220px;margin:0 auto;padding:0 16px}
+header{padding-top:18px}
+h1{font-size:17px;font-weight:600;color:#5a6675;margin:0 0 8px}
+h2{font-size:16px;margin:0 0 8px}
+.label{display:inline-block;color:#fff;font-weight:600;border-radius:4px;padding:2px 10px;margin:0}
+.lead{font-size:22px;line-height:1.3;font-weight:600;margin:8px 0 16px}
+main{display:grid;grid-template-columns:repeat(2,minmax(0,1fr));gap:14px;padding-bottom:30px}
+section{background:#fff;border:1px solid #dbe1e7;border-radius:6px;padding:12px 16px;
+grid-column:1/-1;min-width:0}
+section.half{grid-column:span 1}
+p,ul{margin:0 0 10px}
+ul{padding-left:1.2em}
+.gallery{display:flex;flex-wrap:wrap;gap:8px 16px;align-items:flex-start}
+img{max-width:100%;height:auto;display:block}
+table{border-collapse:collapse;width:100%;font-size:14px;margin:0 0 10px}
+td,th{padding:4px 10px 4px 0;text-align:left;border-bottom:1px solid #e3e8ed;vertical-align:top}
+th{color:#5a6675;font-weight:600}
+@media (max-width:760px){
+header,main{padding-left:8px;padding-right:8px}
+main{grid-template-columns:minmax(0,1fr);gap:8px}
+section,section.half{grid-column:1/-1;padding:10px}
+.lead{font-size:19px}
+thead{display:none}
+table,tbody,tr,td{display:block}
+tr{border-bottom:1px solid #c9d2da;padding:6px 0}
+td{border:0;padding:1px 0 1px 45%;position:relative;min-height:1.5em}
+td::before{content:attr(data-label);position:absolute;left:0;width:43%;color:#5a6675}
+td:first-child{padding-left:0;font-weight:600}
+td:first-child::before{content:none}
+}
+"""

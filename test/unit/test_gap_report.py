@@ -1,0 +1,186 @@
+"""The report of a gap: every verdict, missing parts, its page by itself, its files."""
+
+from __future__ import annotations
+
+import html
+import io
+import json
+import math
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gap_findings import EXAMPLES, named, no_gap, of_set, places, unknown
+from PIL import Image
+
+from dotsim_ros.gap.findings import Findings, Place, Verdict, as_record, findings_of
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.report import write_report
+from dotsim_ros.gap.report_places import by_phase, by_trajectory
+from dotsim_ros.gap.report_sections import page_of
+from dotsim_ros.view.page import (
+    Bullets,
+    Page,
+    Section,
+    Table,
+    as_html,
+    as_markdown,
+    page_figure,
+    pictures_of,
+)
+
+VOID = {"meta", "link", "img", "br"}
+
+
+class Reader(HTMLParser):
+    """Reads a page and keeps what must hold of it: every element closed, every source, the text."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.sources: list[str] = []
+        self.alternatives: list[str] = []
+        self.tags: set[str] = set()
+        self.text = ""
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        if tag not in VOID:
+            self.open.append(tag)
+        values = dict(attrs)
+        self.sources += [values[name] or "" for name in ("src", "href") if name in values]
+        if tag == "img":
+            self.alternatives.append(values.get("alt") or "")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text += data
+
+
+def read(page: str) -> Reader:
+    reader = Reader()
+    reader.feed(page)
+    reader.close()
+    assert reader.open == []
+    return reader
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_every_verdict_is_reported_with_pictures_that_are_whole(name: str, tmp_path: Path) -> None:
+    findings = EXAMPLES[name]()
+    path = write_report(tmp_path, findings, effects=load_effects())
+
+    page = read(path.read_text(encoding="utf-8"))
+    assert findings.sentence in page.text
+    assert all(source.startswith("data:") for source in page.sources)
+    assert "script" not in page.tags
+    assert all(len(text) > 10 for text in page.alternatives)
+    for warning in findings.warnings:
+        assert warning in page.text
+
+    pictures = sorted(tmp_path.glob("*.png"))
+    assert len(pictures) == len(page.alternatives)
+    for picture in pictures:
+        with Image.open(io.BytesIO(picture.read_bytes())) as image:
+            image.load()
+            assert min(image.size) > 100
+    markdown = (tmp_path / "report.md").read_text(encoding="utf-8")
+    assert html.escape(findings.sentence, quote=False) in markdown.replace("\\[", "[")
+    assert all(f"]({picture.name})" in markdown for picture in pictures)
+    assert "http" not in path.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_findings_come_back_from_json(name: str) -> None:
+    findings = EXAMPLES[name]()
+    assert findings_of(json.loads(json.dumps(as_record(findings)))) == findings
+
+
+def test_the_report_holds_the_findings_and_their_origin(tmp_path: Path) -> None:
+    write_report(tmp_path, no_gap(), effects={})
+    assert findings_of(json.loads((tmp_path / "findings.json").read_text())) == no_gap()
+    assert json.loads((tmp_path / "provenance.json").read_text())["commit"]
+
+
+def test_findings_of_another_version_are_refused() -> None:
+    with pytest.raises(ValueError, match="version 7, expected 1"):
+        findings_of({**as_record(no_gap()), "version": 7})
+
+
+def text_of(findings: Findings) -> str:
+    return read(as_html(page_of(findings, {}, load_effects()))).text
+
+
+def test_a_named_effect_is_reported_with_its_numbers() -> None:
+    text = text_of(replace(named(), worst=None))
+    assert "Effect named" in text
+    assert "friction_ratio = 1.52 (1.41 to 1.66)" in text
+    assert "Share of the gap closed on the locked trajectories: 96 % (91 % to 99 %)" in text
+    assert "skin: 0.052 mm, 1.04 times the floor: no gap left that can be seen" in text
+    assert "force: 0.05 N, 1.25 times the floor: a gap remains" in text
+    assert "offset_z = 0.02 (-0.01 to 0.05) mm" in text
+    assert "neither found nor excluded" in text
+    assert "the name is not stable" not in text
+
+
+def test_a_set_comes_with_what_would_separate_it() -> None:
+    text = text_of(replace(of_set(), worst=None, places=()))
+    assert "slides in two opposite directions" in text
+    assert "do not tell Coulomb slip at another friction from: Pose offset" in text
+    assert "60 % of bootstrap repetitions" in text
+    assert "the name is not stable" in text
+
+
+def test_nothing_named_has_no_after() -> None:
+    page = page_of(unknown(), {}, {})
+    assert not [picture.name for picture in pictures_of(page) if "after" in picture.name]
+    assert "No effect was added" in as_markdown(page)
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_every_verdict_renders_without_anything_else(verdict: Verdict) -> None:
+    findings = Findings(verdict, "A sentence.")
+    assert findings.sentence in text_of(findings)
+
+
+def test_places_are_summed_over_what_is_not_shown() -> None:
+    table = by_phase(places())
+    assert table.columns == ("idle", "load", "hold", "slide", "release")
+    row, column = table.rows.index("skin, rim"), table.columns.index("slide")
+    parts = [p for p in places() if (p.channel, p.region, p.phase) == ("skin", "rim", "slide")]
+    assert table.before[row, column] == pytest.approx(
+        math.sqrt(np.mean([part.before**2 for part in parts]))
+    )
+    assert by_trajectory(places()).rows[0] == "slide_1"
+
+
+def test_a_stated_sum_is_used_and_not_counted_again() -> None:
+    def place(trajectory: str, phase: str, before: float, count: int) -> Place:
+        return Place("force", trajectory, phase, "all", before, before, 0.0, 0.0, count)
+
+    parts = (place("a", "hold", 1.0, 10), place("b", "hold", 3.0, 10))
+    stated = (*parts, place("all", "hold", 2.5, 20))
+    assert by_phase(stated).before.item() == 2.5
+    assert by_phase(parts).before.item() == pytest.approx(math.sqrt(5.0))
+    # By trajectory, the sum over phases is not stated: it comes from the phases.
+    assert by_trajectory(stated).before.ravel().tolist() == [1.0, 3.0]
+
+
+def test_text_is_never_taken_for_markup() -> None:
+    hostile = '<img src="http://example.org"> | [x](y) *z*'
+    page = Page(hostile, hostile, (Section(hostile, (Table((hostile,), ((hostile,),)),)),), hostile)
+    read_page = read(as_html(page))
+    assert read_page.sources == ["data:,"]
+    assert read_page.text.count(hostile) == 7
+    markdown = as_markdown(replace(page, sections=(Section("a", (Bullets((hostile,)),)),)))
+    assert "<img" not in markdown
+    assert "[x]" not in markdown.replace("\\[x]", "")
+
+
+def test_a_figure_too_wide_for_a_phone_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected at most 3\.6"), page_figure(9.0, 3.0):
+        pass
