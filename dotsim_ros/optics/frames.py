@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,6 +40,8 @@ from dotsim_ros.view.files import whole_file
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 Progress = Callable[[str], None]
+UntouchedCheck = Callable[[ByteImage, Iterable[tuple[str, ByteImage]]], None]
+"""Raises ValueError where named frames without contact differ from the idle image (H, W, 3)."""
 
 LEAST_FRAMES = 10
 """Frames with images below which nothing can be learned or judged."""
@@ -116,6 +118,7 @@ class FilmedPress:
         tip_depth_m: (F,) how deep the indenter's tip lies below the skin at rest; negative outside.
         measured: (F, H, W, 3) uint8, red, green, blue.
         skin_position_m: (F, V, 3) of the sensor's skin, base frame.
+        stamp_s: (F,) of the images.
     """
 
     name: str
@@ -123,6 +126,7 @@ class FilmedPress:
     tip_depth_m: FloatArray
     measured: ByteImage
     skin_position_m: Float32Array
+    stamp_s: FloatArray
 
 
 @dataclass(frozen=True)
@@ -152,6 +156,7 @@ def read_filmed_data(
     cache: Path | None = None,
     progress: Progress | None = None,
     topics: Topics = MEASURED_TOPICS,
+    check: UntouchedCheck = check_untouched,
 ) -> FilmedData:
     """Read the images of presses, and let the sensor's gel follow their poses.
 
@@ -162,6 +167,8 @@ def read_filmed_data(
         cache: folder of the skins that were computed before; None for the user's cache.
         progress: told what is being done.
         topics: where pose and image lie in the bags.
+        check: refuses frames that do not belong to the idle image; whoever looks for what changed
+            between them brings one that refuses less.
 
     Raises:
         FileNotFoundError: no data set, bag or indenter there.
@@ -184,7 +191,7 @@ def read_filmed_data(
     skin = skin_of(sensor.gel)
     meshes = {entry.indenter: data_set.indenter_mesh(entry.indenter) for entry in entries}
     indenters = {name: load_mesh(path) for name, path in meshes.items()}
-    check_untouched(
+    check(
         idle,
         [
             (f"{press.name}, frame {frame}", images[frame])
@@ -203,6 +210,7 @@ def read_filmed_data(
                 tip_depth_m(skin, press.poses),
                 images,
                 follow(press, indenters[press.indenter], meshes[press.indenter].read_bytes()),
+                press.stamp_s,
             )
             for press, images in footage
         ),

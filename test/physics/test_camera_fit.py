@@ -81,6 +81,7 @@ def filmed(true):
                 depth_m,
                 np.clip(np.rint(noisy), 0, 255).astype(np.uint8),
                 position.astype(np.float32),
+                np.arange(2.0),
             )
         )
     return FilmedData(skin, idle, tuple(presses))

@@ -37,7 +37,9 @@ def filmed_presses(count=6, noise_levels=4.0):
         skins = np.repeat(skin.rest_position_m[None], 5, axis=0).astype(np.float32)
         skins[2:4, 100] -= 1e-4
         images = np.stack([image(), image(), *(np.zeros((3, 24, 32, 3), dtype=np.uint8))])
-        presses.append(FilmedPress(f"press_{number}", "ball", np.zeros(5), images, skins))
+        presses.append(
+            FilmedPress(f"press_{number}", "ball", np.zeros(5), images, skins, np.arange(5.0))
+        )
     return FilmedData(skin, image(), tuple(presses)), scene
 
 
