@@ -12,6 +12,7 @@ says what the figures mean.
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
   dotsim_ros evaluate geometry --data DIR --models ours tacto --splits held_out --out out
+  dotsim_ros evaluate geometry --data DIR --models explicit --splits held_out --keep --out out
   dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
   dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
@@ -24,6 +25,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from dataclasses import asdict
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -83,6 +85,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     geometry.add_argument(
         "--from-depth-mm", type=float, default=2.0, help="frames at least so deep are judged (2)"
+    )
+    geometry.add_argument(
+        "--keep",
+        action="store_true",
+        help="keep the rows of other models in the table that lies in --out, and add these",
     )
     _add_optics_arguments(optics)
     gelsight.add_argument(
@@ -162,8 +169,16 @@ def _write(
 
 
 def _geometry(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.kept_rows import (
+        check_judged_alike,
+        read_figures,
+        with_kept_rows,
+        with_origin,
+    )
+    from dotsim_ros.evaluation.provenance import provenance
     from dotsim_ros.evaluation.registry import factory_of
     from dotsim_ros.evaluation.report import (
+        definitions,
         evaluate_geometry,
         geometry_page,
         read_measured,
@@ -171,6 +186,7 @@ def _geometry(arguments: argparse.Namespace) -> int:
     )
     from dotsim_ros.measured.data_set import read_data_set
 
+    before = read_figures(arguments.out / "geometry.json") if arguments.keep else None
     factories = {
         name: factory_of(name, sensor=arguments.sensor, stated=arguments.stated)
         for name in arguments.models
@@ -182,16 +198,30 @@ def _geometry(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         with_indenters=arguments.splits == "all",
     )
+    from_depth_m = 1e-3 * arguments.from_depth_mm
+    origin = {"sensor": str(arguments.sensor), "seed": str(arguments.seed)}
+    source = provenance() | {"data": arguments.data.name} | origin
+    if before is not None:
+        # Before models are fitted for an hour.
+        known = {
+            "definitions": definitions(from_depth_m),
+            "splits": {split.name: asdict(split) for split in splits},
+            "provenance": source,
+        }
+        check_judged_alike(known, before)
     figures = evaluate_geometry(
         measured,
         splits,
         factories,
         seed=arguments.seed,
-        from_depth_m=1e-3 * arguments.from_depth_mm,
+        from_depth_m=from_depth_m,
         progress=_say,
     )
-    origin = {"sensor": str(arguments.sensor), "seed": str(arguments.seed)}
-    return _write(arguments, figures, origin, lambda f: geometry_page(f, arguments.models))
+    figures = with_origin(figures, arguments.models, source) | {"provenance": source}
+    if before is not None:
+        figures = with_kept_rows(figures, before, MODELS)
+    models = [name for name in MODELS if name in figures]
+    return _write(arguments, figures, origin, lambda f: geometry_page(f, models))
 
 
 def _optics(arguments: argparse.Namespace) -> int:

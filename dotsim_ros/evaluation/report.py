@@ -259,36 +259,35 @@ def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
     """Return the tables as a Markdown page.
 
     Args:
-        figures: of `evaluate_geometry`, with its provenance.
-        models: names of the models, in the order of the rows.
+        figures: of `evaluate_geometry`, with its provenance, and rows that say where they come
+            from (`kept_rows.with_origin`).
+        models: names of the models, in the order of the rows; some may be judged on other splits
+            than the rest.
     """
     named = [*models, "floor"]
     parts = [f"# Geometry of the gel on {figures['provenance']['data']}\n"]
-    if all(HELD_OUT in figures[name] for name in named):
-        split = figures["splits"][HELD_OUT]
-        parts.append(
-            f"## Fitted on {len(split['train'])} presses, judged on {len(split['test'])}\n"
-        )
-        parts.append(
-            markdown_table(
-                ["method"],
-                [([name], figures[name][HELD_OUT] or {}) for name in named],
-                GEOMETRY_COLUMNS,
-            )
-        )
-        parts.append("By indenter:\n")
-        parts.append(_by_indenter_table(figures, named, "held_out_by_indenter"))
-    if all("indenter_left_out" in figures[name] for name in named):
-        parts.append("## Each indenter left out in turn\n")
-        parts.append(
-            markdown_table(
-                ["method"],
-                [([name], figures[name]["indenter_left_out_all"] or {}) for name in named],
-                GEOMETRY_COLUMNS,
-            )
-        )
-        parts.append("By the indenter left out:\n")
-        parts.append(_by_indenter_table(figures, named, "indenter_left_out"))
+    split = figures["splits"][HELD_OUT]
+    drawn_title = f"Fitted on {len(split['train'])} presses, judged on {len(split['test'])}"
+    for title, key, by_title, by_key in (
+        (drawn_title, HELD_OUT, "By indenter", "held_out_by_indenter"),
+        (
+            "Each indenter left out in turn",
+            "indenter_left_out_all",
+            "By the indenter left out",
+            "indenter_left_out",
+        ),
+    ):
+        judged = [name for name in named if key in figures[name]]
+        if not set(judged) & set(models):
+            continue
+        rows = [([name], figures[name][key] or {}) for name in judged]
+        parts.append(f"## {title}\n")
+        parts.append(markdown_table(["method"], rows, GEOMETRY_COLUMNS))
+        missing = [name for name in models if name not in judged]
+        if missing:
+            parts.append(f"Not judged here: {', '.join(missing)}.\n")
+        parts.append(f"{by_title}:\n")
+        parts.append(_by_indenter_table(figures, judged, by_key))
     failures = [
         f"- {name}, {failure['split']}, {failure['press']}: {failure['reason']}"
         for name in models
@@ -300,8 +299,17 @@ def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
         parts.append("\n".join(failures) + "\n")
     parts.append("## What the figures mean\n")
     parts.append(entry_list(figures["definitions"]))
-    origin = figures["provenance"]
-    parts.append(entry_list(origin))
+    parts.append("## Where the rows come from\n")
+    parts.append(
+        entry_list(
+            {
+                name: ", ".join(f"{key} {value}" for key, value in figures[name]["origin"].items())
+                for name in models
+            }
+        )
+    )
+    parts.append("The page:\n")
+    parts.append(entry_list(figures["provenance"]))
     return "\n".join(parts)
 
 

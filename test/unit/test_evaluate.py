@@ -12,7 +12,9 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
+from dotsim_ros.baselines import taxim
 from dotsim_ros.cli.main import main
+from dotsim_ros.evaluation import geometry
 from dotsim_ros.evaluation.geometry import (
     FrameScore,
     by_indenter,
@@ -385,6 +387,36 @@ def test_command_writes_table_and_figures(
     assert page in capsys.readouterr().out
     assert "| tacto |" in page
     assert "| floor |" in page
+
+
+def test_a_model_is_added_to_a_table(
+    data_set: DataSet,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(taxim, "GENERATIONS", 1)
+    monkeypatch.setattr(geometry, "SAMPLE_COUNT", 128)
+    arguments = ["evaluate", "geometry", "--data", str(data_set.directory), "--out", str(tmp_path)]
+    arguments += ["--count", "2", "--from-depth-mm", "2.8"]
+    added = [*arguments, "--models", "taxim", "--splits", "held_out", "--keep"]
+    assert main(added) == 1
+    assert "is not there, so no rows can be kept" in capsys.readouterr().err
+    assert main([*arguments, "--models", "tacto"]) == 0
+    first = json.loads((tmp_path / "geometry.json").read_text())
+    assert main([*added, "--from-depth-mm", "2.5"]) == 1
+    assert "judged otherwise (definitions" in capsys.readouterr().err
+    assert json.loads((tmp_path / "geometry.json").read_text()) == first
+    assert main(added) == 0
+    figures = json.loads((tmp_path / "geometry.json").read_text())
+    assert figures["tacto"] == first["tacto"]
+    assert figures["floor"] == first["floor"]
+    assert figures["splits"] == first["splits"]
+    assert set(figures["taxim"]) == {"held_out", "held_out_by_indenter", "failures", "origin"}
+    drawn, left_out = (tmp_path / "geometry.md").read_text().split("## Each indenter left out")
+    assert drawn.index("| tacto |") < drawn.index("| taxim |") < drawn.index("| floor |")
+    assert "| taxim |" not in left_out
+    assert "Not judged here: taxim." in left_out
 
 
 def test_command_names_a_press_that_is_not_there(

@@ -1,0 +1,115 @@
+"""Rows of a geometry table that were made before, beside new ones.
+
+Models take from minutes to an hour to fit, and their rows do not depend on each other: one model
+can be added to a table without fitting the others anew, where both judge the same presses alike.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+ORIGIN = ("commit", "date", "machine", "sensor", "command")
+"""What each row keeps of the provenance of the run that made it."""
+_SAME = ("definitions", "left_out_presses")
+_JOINED = ("splits", "judged_frames")
+
+
+def read_figures(path: Path) -> dict[str, Any]:
+    """Return the figures of a geometry table.
+
+    Raises:
+        FileNotFoundError: there is none yet.
+        ValueError: it is none.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} is not there, so no rows can be kept; leave --keep out the first time"
+        )
+    try:
+        figures = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} cannot be read: {error}") from error
+    if not isinstance(figures, dict) or not {"provenance", "floor", *_SAME, *_JOINED} <= set(
+        figures
+    ):
+        raise ValueError(f"{path} holds no geometry table; remove it or leave --keep out")
+    return figures
+
+
+def with_origin(
+    figures: Mapping[str, Any], models: Iterable[str], origin: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return figures in which each model's row says where it comes from.
+
+    Args:
+        figures: of `evaluate_geometry`.
+        models: names of the rows.
+        origin: the provenance of the run.
+    """
+    kept = {key: origin[key] for key in ORIGIN}
+    return dict(figures) | {name: {**figures[name], "origin": kept} for name in models}
+
+
+def with_kept_rows(
+    figures: Mapping[str, Any], before: Mapping[str, Any], models: Iterable[str]
+) -> dict[str, Any]:
+    """Return new figures and, beside them, the rows of other models that were made before.
+
+    A model in both is the new one's, whole. The floor is the new one's where both have it: it is
+    no model's, and the same draws give the same.
+
+    Args:
+        figures: of `evaluate_geometry`, with its provenance, rows by `with_origin`.
+        before: the same of an earlier run.
+        models: names of all models there are.
+
+    Raises:
+        ValueError: as `check_judged_alike`.
+    """
+    check_judged_alike(figures, before)
+    names = [name for name in models if name in before and name not in figures]
+    missing = [name for name in names if "origin" not in before[name]]
+    before = with_origin(before, missing, before["provenance"])
+    return {
+        **{name: before[name] for name in names},
+        **figures,
+        "floor": {**before["floor"], **figures["floor"]},
+        **{key: {**before[key], **figures[key]} for key in _JOINED},
+    }
+
+
+def check_judged_alike(figures: Mapping[str, Any], before: Mapping[str, Any]) -> None:
+    """Refuse rows that were judged on other presses, frames or draws.
+
+    Args:
+        figures: of `evaluate_geometry` with provenance, or as much of it as is known.
+        before: of an earlier run.
+
+    Raises:
+        ValueError: the runs differ; the message says in what.
+    """
+    different = [
+        f"{key} {before['provenance'][key]}, now {figures['provenance'][key]}"
+        for key in ("data", "seed")
+        if figures["provenance"][key] != before["provenance"][key]
+    ]
+    different += [key for key in _SAME if key in figures and figures[key] != before[key]]
+    different += [
+        f"{key} of {name}"
+        for key in _JOINED
+        for name, value in figures.get(key, {}).items()
+        if name in before[key] and _plain(value) != before[key][name]
+    ]
+    if different:
+        raise ValueError(
+            f"the rows to keep were judged otherwise ({'; '.join(different)}); leave --keep out "
+            "and judge all models anew"
+        )
+
+
+def _plain(value: Any) -> Any:
+    """Return a value as a JSON file gives it back."""
+    return json.loads(json.dumps(value))
