@@ -1,0 +1,157 @@
+"""The overlay of found effects: written, read, and refused in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from dotsim_ros import __version__
+from dotsim_ros.gap.findings import Estimate
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.overlay import (
+    FoundEffect,
+    Overlay,
+    active_effects,
+    described,
+    load_active,
+    read_overlay,
+    write_overlay,
+)
+
+LIBRARY = load_effects()
+FOUND = Overlay(
+    sensor="sensor_b",
+    data_hash="0123456789abcdef",
+    effects=(
+        FoundEffect(
+            "viscoelastic_relaxation",
+            (Estimate("share", "", 0.19, 0.15, 0.23), Estimate("time_s", "s", 2.1, 1.4, 3.3)),
+        ),
+        FoundEffect("force_scale", (Estimate("scale", "", 1.1, 1.08, 1.12),)),
+    ),
+)
+
+
+def record_of(path: Path) -> dict:
+    write_overlay(path, FOUND)
+    return yaml.safe_load(path.read_text())
+
+
+def test_an_overlay_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "report" / "effects_overlay.yaml"
+    write_overlay(path, FOUND)
+    overlay, active = load_active(path, LIBRARY)
+    assert overlay == FOUND
+    assert overlay.written_by == __version__
+    assert [a.effect.name for a in active] == ["viscoelastic_relaxation", "force_scale"]
+    assert dict(active[0].values) == {"share": 0.19, "time_s": 2.1}
+    assert described(active) == (
+        "viscoelastic_relaxation (share 0.19, time_s 2.1 s)",
+        "force_scale (scale 1.1)",
+    )
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+def test_an_overlay_that_would_be_refused_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "effects_overlay.yaml"
+    lost = FoundEffect("force_scale", (Estimate("scale", "", float("nan"), 1.0, 1.2),))
+    with pytest.raises(ValueError, match=r"force_scale.scale: value is nan, expected a finite"):
+        write_overlay(path, Overlay("sensor_b", "", (lost,)))
+    assert not path.exists()
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"none.yaml; find_gap writes one"):
+        read_overlay(tmp_path / "none.yaml")
+
+
+def change_version(record: dict) -> None:
+    record["version"] = 2
+
+
+def drop_the_sensor(record: dict) -> None:
+    del record["sensor"]
+
+
+def name_no_effects(record: dict) -> None:
+    record["effects"] = "force_scale"
+
+
+def forget_the_parameters(record: dict) -> None:
+    del record["effects"][1]["parameters"]
+
+
+def write_a_word(record: dict) -> None:
+    record["effects"][1]["parameters"]["scale"]["value"] = "big"
+
+
+def leave_the_interval(record: dict) -> None:
+    record["effects"][1]["parameters"]["scale"]["value"] = 1.15
+
+
+def name_an_unknown_effect(record: dict) -> None:
+    record["effects"][1]["name"] = "ghost"
+
+
+def name_an_unknown_parameter(record: dict) -> None:
+    scale = record["effects"][1]["parameters"].pop("scale")
+    record["effects"][1]["parameters"] = {"gain": scale, "scale": scale}
+
+
+def leave_a_parameter_out(record: dict) -> None:
+    del record["effects"][0]["parameters"]["time_s"]
+
+
+def leave_the_range(record: dict) -> None:
+    record["effects"][1]["parameters"]["scale"].update(value=1.5, high=1.6)
+
+
+def name_an_effect_twice(record: dict) -> None:
+    record["effects"].append(record["effects"][1])
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (change_version, "overlay of version 2, this dotsim_ros reads 1"),
+        (drop_the_sensor, "expected data_hash, dotsim_ros, effects, sensor, version"),
+        (name_no_effects, "effects is 'force_scale', expected a list"),
+        (forget_the_parameters, "is no effect, expected its name and parameters"),
+        (write_a_word, "force_scale.scale: value is 'big', expected a number"),
+        (leave_the_interval, "1.15 is not within its interval, 1.08 to 1.12"),
+        (name_an_unknown_effect, "unknown effect 'ghost'; known are adhesion, "),
+        (name_an_unknown_parameter, "'force_scale' has no parameter gain; it has scale"),
+        (leave_a_parameter_out, "viscoelastic_relaxation lacks its parameter time_s"),
+        (leave_the_range, "force_scale.scale is 1.5, expected 0.8 to 1.2"),
+        (name_an_effect_twice, "'force_scale' stands there twice"),
+    ],
+)
+def test_a_broken_overlay_says_what_is_wrong(tmp_path: Path, change, reason: str) -> None:
+    path = tmp_path / "effects_overlay.yaml"
+    record = record_of(path)
+    change(record)
+    path.write_text(yaml.safe_dump(record))
+    with pytest.raises(ValueError, match=reason) as caught:
+        load_active(path, LIBRARY)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("a: [", "is no YAML file"),
+        ("- force_scale", "is no overlay of effects"),
+        ("", "is no overlay of effects"),
+    ],
+)
+def test_what_is_no_overlay_is_refused(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / "effects_overlay.yaml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=reason):
+        read_overlay(path)
+
+
+def test_an_overlay_may_be_empty() -> None:
+    assert active_effects(Overlay("sensor_b", "", ()), LIBRARY) == ()
