@@ -19,7 +19,7 @@ from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit import ImplicitGel
-from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.refinement import Refinement, refine
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 from dotsim_ros.gel.tangent import LocalTangent
@@ -123,6 +123,8 @@ class GelSimulator:
         poses: Sequence[Pose],
         stamp_s: Array,
         offset: Array | None = None,
+        *,
+        relaxation: PronySeries | None = None,
     ) -> Simulated:
         """Return the skin and the force at the poses, one after the other from rest.
 
@@ -132,11 +134,12 @@ class GelSimulator:
             poses: F poses of the indenter.
             stamp_s: (F,) their times.
             offset: (6,) error of all poses, as `offset_pose`.
+            relaxation: of the gel; None for the sensor's own.
 
         Raises:
             SolveError: a pose presses too deep, or the gel has no equilibrium that can be found.
         """
-        gel = self._gel(values, indenter)
+        gel = self._gel(values, indenter, relaxation)
         skins, forces, converged = [], [], True
         duration = np.diff(stamp_s, prepend=stamp_s[0] - 0.1)
         for frame, (pose, dt_s) in enumerate(zip(poses, duration.tolist(), strict=True)):
@@ -158,12 +161,22 @@ class GelSimulator:
         if self._refined:
             self._refinement(values.poisson_ratio)
 
-    def _gel(self, values: GelValues, indenter: Indenter) -> ImplicitGel:
+    def _gel(
+        self, values: GelValues, indenter: Indenter, relaxation: PronySeries | None
+    ) -> ImplicitGel:
         v = values
-        key = (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m)
         specification = specification_with(
             self.specification, replace(v, youngs_modulus_pa=REFERENCE_MODULUS_PA)
         )
+        if relaxation is not None:
+            material = replace(
+                specification.material,
+                prony_shares=relaxation.shares,
+                prony_times_s=relaxation.times_s,
+            )
+            specification = replace(specification, material=material)
+        prony = (*specification.material.prony_shares, *specification.material.prony_times_s)
+        key = (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *prony)
         gel = self._gels.pop(key, None)
         if gel is None:
             gel = ImplicitGel(

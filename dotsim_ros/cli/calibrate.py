@@ -111,7 +111,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.calibration.report import summary_lines, write_report
     from dotsim_ros.calibration.run import Request, calibrate
     from dotsim_ros.calibration.sensor_file import write_sensor
-    from dotsim_ros.evaluation.split import hold_out
+    from dotsim_ros.evaluation.split import hold_out_of_protocols
     from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.measured.data_set import read_data_set
 
@@ -138,7 +138,7 @@ def run(arguments: argparse.Namespace) -> int:
             count = HELD_OUT_COUNT if len(names) > HELD_OUT_COUNT else 0
         train, held_out = tuple(names), ()
         if count:
-            train, held_out = hold_out(names, count, arguments.seed)
+            train, held_out = hold_out_of_protocols(names, count, arguments.seed)
     has_mesh = (data_set.directory / "skin_mesh.npz").is_file()
     directory = out.with_name(f"{out.stem}_report")
     calibration = calibrate(

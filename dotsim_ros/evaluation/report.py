@@ -24,7 +24,12 @@ from dotsim_ros.evaluation.geometry import (
 )
 from dotsim_ros.evaluation.metrics import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
 from dotsim_ros.evaluation.presses import Press, read_press
-from dotsim_ros.evaluation.split import HELD_OUT_COUNT, Split, hold_out, leave_one_indenter_out
+from dotsim_ros.evaluation.split import (
+    HELD_OUT_COUNT,
+    Split,
+    hold_out_of_protocols,
+    leave_one_indenter_out,
+)
 from dotsim_ros.evaluation.table import GEOMETRY_COLUMNS, entry_list, markdown_table
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -82,9 +87,9 @@ def splits_of(
     """Return the drawn split, and that of each indenter left out.
 
     Raises:
-        ValueError: as `hold_out` and `leave_one_indenter_out`.
+        ValueError: as `hold_out_of_protocols` and `leave_one_indenter_out`.
     """
-    splits = [Split(HELD_OUT, *hold_out(measured.presses, count, seed))]
+    splits = [Split(HELD_OUT, *hold_out_of_protocols(measured.presses, count, seed))]
     if with_indenters:
         splits += leave_one_indenter_out(
             {name: press.indenter for name, press in measured.presses.items()}

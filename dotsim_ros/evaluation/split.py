@@ -46,6 +46,47 @@ def hold_out(
     return tuple(n for n in ordered if n not in test), tuple(n for n in ordered if n in test)
 
 
+def hold_out_of_protocols(
+    names: Iterable[str], count: int = HELD_OUT_COUNT, seed: int = 0
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return (train, test), sorted: a stratified draw by a seed.
+
+    Names that differ in the number at their end alone are repeats of one protocol. Some of every
+    protocol stay to fit on, and, as far as `count` goes, one of every protocol is judged on: a draw
+    that holds out every slide leaves nothing that tells friction, one without a slide does not
+    judge it.
+
+    Raises:
+        ValueError: as `hold_out`, or more to hold out than there are repeats.
+    """
+    ordered = _distinct(names)
+    hold_out(ordered, count, seed)  # Checks names and count.
+    random = np.random.default_rng(seed)
+    repeats: dict[str, list[str]] = {}
+    for name in ordered:
+        repeats.setdefault(_protocol(name), []).append(name)
+    for members in repeats.values():
+        random.shuffle(members)
+    # The last of each protocol is never drawn; the first of each goes before all seconds.
+    ranked = [
+        (place, random.random(), name)
+        for members in repeats.values()
+        for place, name in enumerate(members[:-1])
+    ]
+    if len(ranked) < count:
+        raise ValueError(
+            f"{count} of {len(ordered)} presses cannot be held out so that some of each of "
+            f"{len(repeats)} protocols stay to fit on; hold out {len(ranked)} at most, or record "
+            "repeats"
+        )
+    test = {name for _, _, name in sorted(ranked)[:count]}
+    return tuple(n for n in ordered if n not in test), tuple(n for n in ordered if n in test)
+
+
+def _protocol(name: str) -> str:
+    return name.rstrip("0123456789").rstrip("_")
+
+
 def leave_one_indenter_out(indenter_of: Mapping[str, str]) -> Iterator[Split]:
     """Yield a split for each indenter: its presses are judged on, all others fitted on.
 

@@ -169,7 +169,8 @@ class Findings:
         gaps: by channel on the locked trajectories.
         share_closed, share_closed_low, share_closed_high: of the gap, with its interval; None if
             nothing was added.
-        stability: share of bootstrap repetitions that gave the same name; None if nothing was named.
+        stability: share of bootstrap repetitions that gave the same name; None if nothing was
+            named.
         pairs: effects that cannot be told apart.
         worst: the worst frame.
         warnings: what cannot be concluded, and why.

@@ -30,7 +30,12 @@ from dotsim_ros.evaluation.ours import steps
 from dotsim_ros.evaluation.presses import Prediction, Press, press_of, read_press
 from dotsim_ros.evaluation.registry import factory_of, sensor_for
 from dotsim_ros.evaluation.report import read_measured
-from dotsim_ros.evaluation.split import Split, hold_out, leave_one_indenter_out
+from dotsim_ros.evaluation.split import (
+    Split,
+    hold_out,
+    hold_out_of_protocols,
+    leave_one_indenter_out,
+)
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
@@ -210,6 +215,20 @@ def test_split_without_train_or_test_is_refused(count: int) -> None:
 def test_a_name_twice_is_refused() -> None:
     with pytest.raises(ValueError, match="a more than once"):
         hold_out(["a", "b", "a"], 1)
+
+
+def test_a_stratified_draw_fits_and_judges_every_protocol() -> None:
+    names = [f"{kind}_{k}" for kind in ("press", "slide", "1_hold") for k in range(3)] + ["odd_0"]
+    train, test = hold_out_of_protocols(names, 4)
+    assert sorted(train + test) == sorted(names)
+    for kind in ("press", "slide", "1_hold"):
+        assert any(name.startswith(kind) for name in train)
+        assert any(name.startswith(kind) for name in test)
+    assert "odd_0" in train
+    assert hold_out_of_protocols(names[::-1], 4) == (train, test)
+    assert {hold_out_of_protocols(names, 4, seed)[1] for seed in range(5)} != {test}
+    with pytest.raises(ValueError, match="hold out 6 at most"):
+        hold_out_of_protocols(names, 7)
 
 
 def test_every_indenter_is_left_out_once() -> None:
