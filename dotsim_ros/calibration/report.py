@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import html
-import io
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -23,6 +20,21 @@ from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import CHANNEL_SETS, Combination, Identifiability
 from dotsim_ros.evaluation.geometry import by_indenter, summarize
 from dotsim_ros.evaluation.provenance import provenance, write_json
+from dotsim_ros.view.files import whole_file
+from dotsim_ros.view.page import (
+    LARGEST_WIDTH_INCHES,
+    Block,
+    Bullets,
+    Gallery,
+    Page,
+    Paragraph,
+    Picture,
+    Section,
+    Table,
+    as_html,
+    page_figure,
+    picture_of,
+)
 
 Array = NDArray[np.float64]
 
@@ -155,69 +167,97 @@ def write_report(directory: Path, calibration: Calibration, *, seed: int) -> Pat
     numbers = figures(calibration, seed=seed)
     write_json(directory / "report.json", numbers)
     page = directory / "report.html"
-    page.write_text(_page(calibration, numbers), encoding="utf-8")
+    with whole_file(page) as part:
+        part.write_text(as_html(page_of(calibration, numbers)), encoding="utf-8")
     return page
 
 
-def _page(calibration: Calibration, numbers: dict[str, Any]) -> str:
+def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
+    """Return the report as a page.
+
+    Args:
+        calibration: what was found.
+        numbers: its `figures`.
+    """
     c = calibration
-    estimates = [
-        [name, _number(p["prior"])]
-        + [
-            f"{_number(p[kind]['value'])} ({_number(p[kind]['low'])} to {_number(p[kind]['high'])})"
-            for kind in ("joint", "median")
-        ]
-        + [p["unit"]]
+    estimates = tuple(
+        (
+            f"{name}, {p['unit']}" if p["unit"] else name,
+            _number(p["prior"]),
+            *(
+                f"{_number(p[kind]['value'])} "
+                f"({_number(p[kind]['low'])} to {_number(p[kind]['high'])})"
+                for kind in ("joint", "median")
+            ),
+        )
         for name, p in numbers["parameters"].items()
-    ]
-    told = [
-        [
+    )
+    told = tuple(
+        (
             r.parameter,
             r.data,
             _number(r.information),
             _number(r.deviation),
             _number(r.prior_deviation),
             "yes" if r.is_told else "no",
-        ]
+        )
         for r in c.identifiability
-    ]
-    held_out = [
-        [name, *(_number(s[key]) for key in _HELD_OUT)] for name, s in numbers["held_out"].items()
-    ]
-    parts = [
-        "<h1>Calibration of the gel</h1>",
-        f"<p>{html.escape(_origin(numbers))}</p>",
-        "<h2>Parameters</h2>",
-        _table(["", "before", "joint fit (95 %)", "median of single fits (95 %)", ""], estimates),
-        "<p>Intervals are bootstraps over presses. An error that all presses have in common, such "
-        f"as the {100 * c.problem.noise.force_discretisation:.0f} % that the force is stated to "
-        "have, is in none of them.</p>",
-        _image(_plot_single_fits(c)),
-        "<h2>What the data can tell</h2>",
-        _table(["parameter", "from", "information", "deviation after", "before", "told"], told),
-        "<p>Deviations are of the coordinate that is fitted: the logarithm of E, friction and "
-        "1/2 - nu, the others themselves. Without force, E has no information at all: the skin of "
-        "a quasi-static press does not depend on it. What a fit to surfaces alone calls E is the "
-        "softness of its contact and, in a scheme with inertia, its compressed time.</p>",
-        _frozen_paragraph(c),
-        _image(_plot_information(c)),
-        "<h2>Misfit, in units of the stated noise</h2>",
-        _image(_plot_misfit(c)),
-        "<h2>Held-out presses</h2>",
-        _table(["", *_HELD_OUT], held_out) if held_out else "<p>None.</p>",
-        "<h2>Left out</h2>",
-        _list([omission.reason for omission in c.omissions]),
-        "<h2>Solves</h2>",
-        f"<p>At most {numbers['most_solves']} of a press, {c.fit_seconds:.0f} s. Fits that spent "
-        f"their budget: {html.escape(', '.join(numbers['unsettled']) or 'none')}. Presses with a "
-        "frame short of the solver's tolerance: "
-        f"{html.escape(', '.join(numbers['not_converged']) or 'none')}.</p>",
-    ]
-    return (
-        "<!doctype html><html><head><meta charset='utf-8'><title>Calibration</title><style>"
-        "body{font-family:sans-serif;max-width:60em;margin:2em auto}td,th{padding:.2em .8em;"
-        "text-align:left;border-bottom:1px solid #ccc}table{border-collapse:collapse}img{"
-        "max-width:100%}</style></head><body>" + "\n".join(parts) + "</body></html>\n"
+    )
+    held_out = tuple(
+        (name, *(_number(s[key]) for key in _HELD_OUT)) for name, s in numbers["held_out"].items()
+    )
+    head = ("parameter", "before", "joint fit (95 %)", "median of single fits (95 %)")
+    told_head = ("parameter", "from", "information", "deviation after", "before", "told")
+    return Page(
+        "Calibration of the gel",
+        f"Joint fit: {'; '.join(f'{row[0]} {row[2]}' for row in estimates)}",
+        (
+            Section(
+                "Parameters",
+                (
+                    Table(head, estimates),
+                    Paragraph(
+                        "Intervals are bootstraps over presses. An error that all presses have in "
+                        f"common, such as the {100 * c.problem.noise.force_discretisation:.0f} % "
+                        "that the force is stated to have, is in none of them."
+                    ),
+                    Gallery(_plot_single_fits(c)),
+                ),
+            ),
+            Section(
+                "What the data can tell",
+                (
+                    Table(told_head, told),
+                    Paragraph(
+                        "Deviations are of the coordinate that is fitted: the logarithm of E, "
+                        "friction and 1/2 - nu, the others themselves. Without force, E has no "
+                        "information at all: the skin of a quasi-static press does not depend on "
+                        "it. What a fit to surfaces alone calls E is the softness of its contact "
+                        "and, in a scheme with inertia, its compressed time."
+                    ),
+                    Paragraph(_frozen_text(c)),
+                    Gallery((_plot_information(c),)),
+                ),
+            ),
+            Section("Misfit, in units of the stated noise", (Gallery((_plot_misfit(c),)),)),
+            Section(
+                "Held-out presses",
+                (Table(("presses", *_HELD_OUT), held_out) if held_out else Paragraph("None."),),
+            ),
+            Section("Left out", (_bullets([omission.reason for omission in c.omissions]),)),
+            Section(
+                "Solves",
+                (
+                    Paragraph(
+                        f"At most {numbers['most_solves']} of a press, {c.fit_seconds:.0f} s. Fits "
+                        f"that spent their budget: {', '.join(numbers['unsettled']) or 'none'}. "
+                        "Presses with a frame short of the solver's tolerance: "
+                        f"{', '.join(numbers['not_converged']) or 'none'}."
+                    ),
+                    Paragraph(_origin(numbers)),
+                ),
+            ),
+        ),
     )
 
 
@@ -238,92 +278,90 @@ def _origin(numbers: dict[str, Any]) -> str:
     )
 
 
-def _frozen_paragraph(calibration: Calibration) -> str:
+def _frozen_text(calibration: Calibration) -> str:
     if not calibration.frozen:
-        return "<p>The data tell all parameters that were asked for.</p>"
-    return (
-        f"<p>Not told, and kept at their priors: {html.escape(', '.join(calibration.frozen))}.</p>"
-    )
+        return "The data tell all parameters that were asked for."
+    return f"Not told, and kept at their priors: {', '.join(calibration.frozen)}."
 
 
 def _number(value: float | int | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+    """Return four digits, without an exponent where that would be longer than the number."""
+    if value is None:
+        return "-"
+    return f"{float(f'{value:.4g}'):.7g}"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    lines = ["<tr>" + "".join(f"<th>{html.escape(cell)}</th>" for cell in head) + "</tr>"]
-    lines += [
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    ]
-    return "<table>" + "".join(lines) + "</table>"
+def _bullets(items: Sequence[str]) -> Block:
+    return Bullets(tuple(items)) if items else Paragraph("Nothing.")
 
 
-def _list(items: Sequence[str]) -> str:
-    if not items:
-        return "<p>Nothing.</p>"
-    return "<ul>" + "".join(f"<li>{html.escape(item)}</li>" for item in items) + "</ul>"
-
-
-def _image(figure: Any) -> str:
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=110)
-    data = base64.b64encode(buffer.getvalue()).decode("ascii")
-    return f"<p><img alt='plot' src='data:image/png;base64,{data}'></p>"
-
-
-def _axes(count: int, height: float) -> tuple[Any, list[Any]]:
-    # Not pyplot, which would keep figures and choose a display.
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, height), layout="constrained")
-    return figure, [figure.add_subplot(1, count, k + 1) for k in range(count)]
-
-
-def _plot_single_fits(calibration: Calibration) -> Any:
+def _plot_single_fits(calibration: Calibration) -> tuple[Picture, ...]:
+    """Return a picture of each parameter: the fits of single presses, and their combinations."""
     c = calibration
     names = list(c.fits)
-    figure, axes = _axes(len(c.problem.parameters), 1.0 + 0.22 * len(names))
-    for index, (parameter, axis) in enumerate(zip(c.problem.parameters, axes, strict=True)):
-        count = len(c.problem.parameters)
-        single = [_value_at(c, index, c.fits[n].best.point[:count]) for n in names]
-        axis.plot(single, range(len(names)), "o", label="single press")
-        for label, combination, colour in (
-            ("joint", c.joint, "tab:green"),
-            ("median", c.median, "tab:red"),
-        ):
-            shown = _shown(c, parameter, index, combination)
-            axis.axvline(shown["value"], color=colour, label=label)
-            axis.axvspan(shown["low"], shown["high"], color=colour, alpha=0.15)
-        axis.set_xlabel(f"{parameter.name} {parameter.unit}".strip())
-        axis.set_yticks(range(len(names)), names if index == 0 else [""] * len(names), fontsize=7)
-    axes[0].legend(fontsize=7)
-    return figure
+    pictures = []
+    for index, parameter in enumerate(c.problem.parameters):
+        with page_figure(LARGEST_WIDTH_INCHES, 1.3 + 0.2 * len(names)) as figure:
+            axes = figure.add_subplot()
+            count = len(c.problem.parameters)
+            single = [_value_at(c, index, c.fits[n].best.point[:count]) for n in names]
+            axes.plot(single, range(len(names)), "o", label="single press")
+            combined = []
+            for label, combination, colour in (
+                ("joint", c.joint, "tab:green"),
+                ("median", c.median, "tab:red"),
+            ):
+                value = _shown(c, parameter, index, combination)
+                axes.axvline(value["value"], color=colour, label=label)
+                axes.axvspan(value["low"], value["high"], color=colour, alpha=0.15)
+                combined.append(f"{label} {_number(value['value'])}")
+            axes.set_xlabel(f"{parameter.name} {parameter.unit}".strip())
+            axes.set_yticks(range(len(names)), names)
+            axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
+            axes.locator_params(axis="x", nbins=4)
+            figure.legend(loc="outside upper center", ncols=3, frameon=False)
+            alt = (
+                f"{parameter.name} of single presses, {_number(min(single))} to "
+                f"{_number(max(single))}, with {' and '.join(combined)}"
+            )
+            pictures.append(picture_of(figure, name=f"fits_{parameter.name}", alt=alt))
+    return tuple(pictures)
 
 
-def _plot_information(calibration: Calibration) -> Any:
+def _plot_information(calibration: Calibration) -> Picture:
     rows = calibration.identifiability
-    figure, (axis,) = _axes(1, 3.0)
-    width = 0.8 / len(CHANNEL_SETS)
-    for shift, data in enumerate(CHANNEL_SETS):
-        shares = [r.deviation / r.prior_deviation for r in rows if r.data == data]
-        axis.bar(np.arange(len(shares)) + shift * width, shares, width, label=data)
-    axis.set_xticks(np.arange(len(calibration.asked)) + width, calibration.asked)
-    axis.set_ylabel("deviation after / before")
-    axis.set_yscale("log")
-    axis.axhline(0.5, color="black", linewidth=0.8, linestyle="--")
-    axis.legend(fontsize=8)
-    return figure
+    with page_figure(LARGEST_WIDTH_INCHES, 2.6) as figure:
+        axes = figure.add_subplot()
+        width = 0.8 / len(CHANNEL_SETS)
+        for shift, data in enumerate(CHANNEL_SETS):
+            shares = [r.deviation / r.prior_deviation for r in rows if r.data == data]
+            axes.bar(np.arange(len(shares)) + shift * width, shares, width, label=data)
+        axes.set_xticks(np.arange(len(calibration.asked)) + width, calibration.asked)
+        axes.set_ylabel("deviation after / before")
+        axes.set_yscale("log")
+        axes.axhline(0.5, color="black", linewidth=0.8, linestyle="--")
+        figure.legend(loc="outside upper center", ncols=3, frameon=False, columnspacing=1.0)
+        alt = "Deviation of each parameter after the data over before: " + ", ".join(
+            f"{r.parameter} from {r.data} {r.deviation / r.prior_deviation:.2g}" for r in rows
+        )
+        return picture_of(figure, name="information", alt=alt)
 
 
-def _plot_misfit(calibration: Calibration) -> Any:
+def _plot_misfit(calibration: Calibration) -> Picture:
     items = list(calibration.linearisations.items())
-    figure, (axis,) = _axes(1, 1.0 + 0.22 * len(items))
-    for shift, channel in enumerate((SKIN, FORCE)):
-        sizes = [
-            _root_mean_square(lin.loss[channel], lin.count[channel]) if channel in lin.loss else 0.0
-            for _, lin in items
-        ]
-        axis.barh(np.arange(len(items)) + 0.4 * shift, sizes, 0.4, label=channel)
-    axis.set_yticks(np.arange(len(items)) + 0.2, [name for name, _ in items], fontsize=7)
-    axis.legend(fontsize=8)
-    return figure
+    with page_figure(LARGEST_WIDTH_INCHES, 0.9 + 0.3 * len(items)) as figure:
+        axes = figure.add_subplot()
+        worst = []
+        for shift, channel in enumerate((SKIN, FORCE)):
+            sizes = [
+                _root_mean_square(lin.loss[channel], lin.count[channel])
+                if channel in lin.loss
+                else 0.0
+                for _, lin in items
+            ]
+            axes.barh(np.arange(len(items)) + 0.4 * shift, sizes, 0.4, label=channel)
+            worst.append(f"{channel} up to {max(sizes):.2g}")
+        axes.set_yticks(np.arange(len(items)) + 0.2, [name for name, _ in items])
+        figure.legend(loc="outside upper center", ncols=2, frameon=False)
+        alt = f"Misfit of each press in units of noise: {', '.join(worst)}"
+        return picture_of(figure, name="misfit", alt=alt)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from dotsim_ros.gap.effect import Effect
-from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Place, Verdict
+from dotsim_ros.gap.findings import Candidate, Findings, Place, Verdict
 from dotsim_ros.gap.report_figures import gap_bars, heatmap, ranking, worst_frame
 from dotsim_ros.gap.report_places import ALL, by_phase, by_trajectory
 from dotsim_ros.gap.report_text import (
@@ -16,8 +14,7 @@ from dotsim_ros.gap.report_text import (
     force_text,
     percent,
     quantity,
-    shown,
-    shown_unit,
+    shown_name,
 )
 from dotsim_ros.view.page import Block, Bullets, Gallery, Page, Paragraph, Section, Table
 
@@ -75,8 +72,8 @@ def _at_a_glance(f: Findings) -> Section | None:
     if f.candidates:
         items.append(
             f"Largest score {f.statistic:.3g} against a threshold of {f.threshold:.3g}, which "
-            f"{percent(1.0 - f.alpha)} of simulated data without any effect stay below; share of "
-            f"those with a larger score: {f.p_value:.2g}."
+            f"{percent(1.0 - f.alpha)} of simulated data without any effect stay below; "
+            f"{percent(f.p_value) if f.p_value > 0.0 else 'none'} of them had a larger score."
         )
     for name in f.named:
         candidate = _candidate(f, name)
@@ -130,34 +127,26 @@ def _gaps(f: Findings) -> Section | None:
             "was added, so there is no after."
         )
     where = "Locked trajectories" if f.locked else "Trajectories of the search, none was locked"
-    rows = tuple(_gap_row(gap, stages) for gap in f.gaps)
-    blocks = (
-        Gallery(tuple(gap_bars(gap, stages) for gap in f.gaps)),
-        Table(("channel", *stages), rows),
-        Paragraph(text),
-    )
-    return Section(f"{where}: before, after and floor", blocks, is_half=True)
-
-
-def _gap_row(gap: ChannelGap, stages: tuple[str, ...]) -> tuple[str, ...]:
-    values = [f"{shown(getattr(gap, stage), gap.unit):.3g}" for stage in stages]
-    return (f"{gap.channel}, {shown_unit(gap.unit)}", *values)
+    blocks = (Gallery(tuple(gap_bars(gap, stages) for gap in f.gaps)), Paragraph(text))
+    return Section(f"{where}: before, after and floor", blocks)
 
 
 def _where_and_when(f: Findings) -> Section | None:
-    tables = {"phase": by_phase(f.places), "trajectory": by_trajectory(f.places)}
-    stages = {"before": "before"} | ({"after": "with the effect"} if f.named else {})
-    pictures = tuple(
-        heatmap(table, stage, name=f"{name}_{stage}", title=f"By {name}, {words}")
-        for name, table in tables.items()
-        if table.rows and table.columns
-        for stage, words in stages.items()
-    )
+    phases, trajectories = by_phase(f.places), by_trajectory(f.places)
+    pictures = []
+    if phases.rows and phases.columns:
+        pictures.append(heatmap(phases, "before", name="phases", title="By phase"))
+        if f.named:
+            title = "By phase, with the effect"
+            pictures.append(heatmap(phases, "after", name="phases_after", title=title))
+    if trajectories.rows and trajectories.columns:
+        title = "By trajectory"
+        pictures.append(heatmap(trajectories, "before", name="trajectories", title=title))
     if not pictures:
         return None
     text = "RMS of the residuals in units of their expected deviation: 1 is noise and "
     text += "discretisation alone. Blank: nothing measured there."
-    return Section("Where and when", (Gallery(pictures), Paragraph(text)), is_half=True)
+    return Section("Where and when", (Gallery(tuple(pictures)), Paragraph(text)))
 
 
 def _worst(f: Findings) -> Section | None:
@@ -229,13 +218,10 @@ def _role(f: Findings, name: str) -> str:
 
 def _size_text(candidate: Candidate, effects: Mapping[str, Effect]) -> str:
     effect = effects.get(candidate.name)
-    if effect is not None:
-        parameter = effect.parameters[0]
-        return f"{parameter.name} {quantity(candidate.size, parameter.unit)}"
-    if candidate.estimates:
-        first = candidate.estimates[0]
-        return f"{first.name} {quantity(candidate.size, first.unit)}"
-    return f"{candidate.size:.3g}"
+    first = effect.parameters[0] if effect is not None else next(iter(candidate.estimates), None)
+    if first is None:
+        return f"{candidate.size:.3g}"
+    return f"{shown_name(first.name, first.unit)} {quantity(candidate.size, first.unit)}"
 
 
 def _not_apart(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
@@ -294,19 +280,19 @@ def _remains(f: Findings) -> Section | None:
     parts = [p for p in f.places if p.count and ALL not in (p.channel, p.phase, p.region)]
     parts.sort(key=lambda p: p.after if f.named else p.before, reverse=True)
     if parts:
-        rows = tuple(_place_row(place) for place in parts[:_STRONGEST_PLACES])
-        head = ("place", "trajectory", "before (95 %)", "after", "observables")
+        rows = tuple(_place_row(place, bool(f.named)) for place in parts[:_STRONGEST_PLACES])
+        head = ("place", "trajectory", "before (95 %)", *(["after"] if f.named else []), "count")
         blocks.append(Table(head, rows))
     return Section("What remains", tuple(blocks)) if blocks else None
 
 
-def _place_row(p: Place) -> tuple[str, ...]:
+def _place_row(p: Place, with_after: bool) -> tuple[str, ...]:
     interval = f" ({p.low:.2g} to {p.high:.2g})" if p.high > 0.0 else ""
     return (
         f"{p.channel}, {p.region}, {p.phase}",
         p.trajectory,
         f"{p.before:.2g}{interval}",
-        f"{p.after:.2g}" if np.isfinite(p.after) else "-",
+        *([f"{p.after:.2g}"] if with_after else []),
         str(p.count),
     )
 

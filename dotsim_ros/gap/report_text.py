@@ -25,6 +25,11 @@ def shown_unit(unit: str) -> str:
     return _SHOWN_UNITS.get(unit, (1.0, unit))[1]
 
 
+def shown_name(name: str, unit: str) -> str:
+    """Return a parameter's name without its SI unit, which may not be the one that is shown."""
+    return name.removesuffix(f"_{unit.replace('/', '_').lower()}")
+
+
 def quantity(value: float, unit: str) -> str:
     """Return a value with its unit."""
     return f"{shown(value, unit):.3g} {shown_unit(unit)}".rstrip()
@@ -34,8 +39,7 @@ def estimate_text(estimate: Estimate) -> str:
     """Return a fitted number with its interval."""
     low, high = (f"{shown(end, estimate.unit):.3g}" for end in (estimate.low, estimate.high))
     value = f"{shown(estimate.value, estimate.unit):.3g}"
-    # A name that carries its SI unit would contradict the unit that is shown.
-    name = estimate.name.removesuffix(f"_{estimate.unit.replace('/', '_').lower()}")
+    name = shown_name(estimate.name, estimate.unit)
     return f"{name} = {value} ({low} to {high}) {shown_unit(estimate.unit)}".rstrip()
 
 

@@ -262,7 +262,7 @@ grid-column:1/-1;min-width:0}
 section.half{grid-column:span 1}
 p,ul{margin:0 0 10px}
 ul{padding-left:1.2em}
-.gallery{display:flex;flex-wrap:wrap;gap:8px 16px;align-items:flex-start}
+.gallery{display:flex;flex-wrap:wrap;gap:8px;align-items:flex-start}
 img{max-width:100%;height:auto;display:block}
 table{border-collapse:collapse;width:100%;font-size:14px;margin:0 0 10px}
 td,th{padding:4px 10px 4px 0;text-align:left;border-bottom:1px solid #e3e8ed;vertical-align:top}
@@ -275,9 +275,9 @@ section,section.half{grid-column:1/-1;padding:10px}
 thead{display:none}
 table,tbody,tr,td{display:block}
 tr{border-bottom:1px solid #c9d2da;padding:6px 0}
-td{border:0;padding:1px 0 1px 45%;position:relative;min-height:1.5em}
-td::before{content:attr(data-label);position:absolute;left:0;width:43%;color:#5a6675}
-td:first-child{padding-left:0;font-weight:600}
+td{border:0;padding:1px 0;display:grid;grid-template-columns:43% minmax(0,1fr);column-gap:8px}
+td::before{content:attr(data-label);color:#5a6675}
+td:first-child{display:block;font-weight:600}
 td:first-child::before{content:none}
 }
 """

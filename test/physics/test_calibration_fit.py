@@ -301,7 +301,7 @@ def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path: Path
     assert [o["name"] for o in report["omissions"]] == ["press_2"]
     assert "holds ball" in report["omissions"][0]["reason"]
     page = (tmp_path / "fitted_report" / "report.html").read_text()
-    assert page.count("data:image/png") == 3
+    assert page.count("data:image/png") == len(NAMES) + 2
 
     files = sorted((tmp_path / "fitted_report" / "run").rglob("*.json"))
     written = {path: path.stat().st_mtime_ns for path in files}

@@ -1,0 +1,190 @@
+"""Open reports in headless Chromium, as wide as a screen and as a phone, and look at each.
+
+    pages_open.py BROWSER PICTURES PAGE...
+
+Fails on a message of the console, an exception, a request for anything that is not in the page, a
+picture that did not load, that has no alternative text or that is drawn smaller than it was made
+for, text under 11 pixels, and a page wider than its window. Leaves a screenshot of each in
+PICTURES.
+
+Chromium is spoken to in its DevTools protocol over a pipe (file descriptors 3 and 4, messages ended
+by a zero byte), which needs no package beside Python and no port.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+WIDTHS_PX = (1280, 400)
+HEIGHT_PX = 800
+LIMIT_S = 120.0
+LOOK = """(width => {
+  const bad = [];
+  const root = document.documentElement;
+  if (root.scrollWidth > width) bad.push(`the page is ${root.scrollWidth} px wide`);
+  for (const element of document.body.querySelectorAll('*')) {
+    const box = element.getBoundingClientRect();
+    if (box.width && box.right > width + 0.5)
+      bad.push(`<${element.tagName}> ends at ${box.right} px: ${element.textContent.slice(0, 40)}`);
+    const own = [...element.childNodes].some(n => n.nodeType === 3 && n.textContent.trim());
+    if (own && parseFloat(getComputedStyle(element).fontSize) < 11)
+      bad.push(`text under 11 px: ${element.textContent.slice(0, 40)}`);
+  }
+  for (const picture of document.images) {
+    const name = picture.alt.slice(0, 40);
+    if (!picture.complete || !picture.naturalWidth) bad.push(`not loaded: ${name}`);
+    if (!picture.alt) bad.push('a picture without alternative text');
+    if (picture.clientWidth < 0.9 * Number(picture.getAttribute('width')))
+      bad.push(`drawn ${picture.clientWidth} px wide, made for ${picture.getAttribute('width')}: `
+        + name);
+  }
+  return JSON.stringify({bad, pictures: document.images.length, height: root.scrollHeight,
+    text: document.body.innerText.length});
+})"""
+
+
+class Browser:
+    """Chromium, one page, spoken to over a pipe."""
+
+    def __init__(self, program: str, profile: str) -> None:
+        to_read, self._to = os.pipe()
+        self._from, to_write = os.pipe()
+        # Chromium reads commands from 3 and writes to 4; a shell moves what was inherited there.
+        self.process = subprocess.Popen(
+            [
+                "bash",
+                "-c",
+                f'exec "$0" "$@" 3<&{to_read} 4>&{to_write}',
+                program,
+                "--headless",
+                "--no-sandbox",
+                "--disable-gpu",
+                "--disable-dev-shm-usage",
+                "--hide-scrollbars",
+                "--no-first-run",
+                "--disable-background-networking",
+                "--remote-debugging-pipe",
+                f"--user-data-dir={profile}",
+                "about:blank",
+            ],
+            pass_fds=(to_read, to_write),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+        os.close(to_read)
+        os.close(to_write)
+        self._watchdog = threading.Timer(LIMIT_S, self.process.kill)
+        self._watchdog.start()
+        self._buffer = b""
+        self._count = 0
+        self.events: list[dict[str, Any]] = []
+        self._session: str | None = None
+        target = self.call("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
+        self._session = attached["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """Return what a command answers; events before that are kept."""
+        self._count += 1
+        message: dict[str, Any] = {"id": self._count, "method": method, "params": parameters}
+        if self._session is not None:
+            message["sessionId"] = self._session
+        os.write(self._to, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = self._receive()
+            if answer.get("id") == self._count:
+                if "error" in answer:
+                    raise RuntimeError(f"{method}: {answer['error']}")
+                return dict(answer["result"])
+            self.events.append(answer)
+
+    def wait_for(self, method: str) -> None:
+        """Return once an event has come."""
+        while not any(event.get("method") == method for event in self.events):
+            self.events.append(self._receive())
+
+    def _receive(self) -> dict[str, Any]:
+        while b"\0" not in self._buffer:
+            chunk = os.read(self._from, 1 << 16)
+            if not chunk:
+                raise RuntimeError(f"{self.process.args[3]} ended; does it start by itself?")
+            self._buffer += chunk
+        message, self._buffer = self._buffer.split(b"\0", 1)
+        return dict(json.loads(message))
+
+    def close(self) -> None:
+        """End the browser."""
+        self._watchdog.cancel()
+        self.process.terminate()
+        self.process.wait()
+
+
+def complaints(events: list[dict[str, Any]]) -> list[str]:
+    """Return what the console, the log and the network said that they should not have."""
+    found = []
+    for event in events:
+        what = event.get("params", {})
+        match event.get("method"):
+            case "Runtime.exceptionThrown" | "Runtime.consoleAPICalled" | "Log.entryAdded":
+                found.append(f"{event['method']}: {json.dumps(what)[:300]}")
+            case "Network.requestWillBeSent":
+                url = what["request"]["url"]
+                if not url.startswith(("data:", "file:")) or (
+                    url.startswith("file:") and what["type"] != "Document"
+                ):
+                    found.append(f"asks for {url[:100]}")
+    return found
+
+
+def look(browser: Browser, page: Path, width_px: int, screenshot: Path) -> list[str]:
+    """Return what is wrong with a page at a width."""
+    size = {"width": width_px, "height": HEIGHT_PX, "deviceScaleFactor": 1}
+    browser.call("Emulation.setDeviceMetricsOverride", **size, mobile=width_px < 600)
+    browser.events.clear()
+    browser.call("Page.navigate", url=page.resolve().as_uri())
+    browser.wait_for("Page.loadEventFired")
+    answer = browser.call("Runtime.evaluate", expression=f"{LOOK}({width_px})")["result"]["value"]
+    seen = json.loads(answer)
+    shot = browser.call("Page.captureScreenshot", captureBeyondViewport=True, format="png")
+    screenshot.write_bytes(base64.b64decode(shot["data"]))
+    print(
+        f"{page.parent.name}/{page.name} at {width_px} px: {seen['pictures']} pictures, "
+        f"{seen['text']} characters, {seen['height']} px high"
+    )
+    if not seen["text"]:
+        seen["bad"].append("nothing to read")
+    return [*seen["bad"], *complaints(browser.events)]
+
+
+def main() -> int:
+    """Look at all pages; return the exit status."""
+    program, pictures, *pages = sys.argv[1:]
+    Path(pictures).mkdir(parents=True, exist_ok=True)
+    bad = []
+    with tempfile.TemporaryDirectory() as profile:
+        browser = Browser(program, profile)
+        try:
+            for page in map(Path, pages):
+                for width_px in WIDTHS_PX:
+                    shot = Path(pictures) / f"{page.parent.name}_{width_px}.png"
+                    bad += [
+                        f"{page} at {width_px} px: {b}" for b in look(browser, page, width_px, shot)
+                    ]
+        finally:
+            browser.close()
+    print("\n".join(bad) or "nothing wrong")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

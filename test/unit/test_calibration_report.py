@@ -1,0 +1,33 @@
+"""The report of a calibration: its page by itself, and what it says."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from calibration_result import calibration
+
+from dotsim_ros.calibration.report import figures, page_of, write_report
+from dotsim_ros.view.page import as_markdown, pictures_of
+
+
+def test_the_page_needs_nothing_beside_it(tmp_path: Path) -> None:
+    path = write_report(tmp_path, calibration(), seed=3)
+    text = path.read_text(encoding="utf-8")
+    assert text.count("<img ") == text.count('src="data:image/png;base64,') == 5
+    assert "http" not in text
+    assert json.loads((tmp_path / "report.json").read_text())["seed"] == 3
+
+
+def test_the_page_says_what_the_figures_hold() -> None:
+    found = calibration(4)
+    numbers = figures(found, seed=0)
+    page = page_of(found, numbers)
+    text = as_markdown(page)
+    assert f"nu {numbers['parameters']['nu']['joint']['value']:.4g} (" in page.lead
+    assert f"E, Pa {numbers['parameters']['E']['joint']['value'] / 100:.0f}00 (" in page.lead
+    assert "no message on /indenter/pose" in text
+    assert "The data tell all parameters that were asked for." in text
+    alternatives = [picture.alt for picture in pictures_of(page)]
+    assert alternatives[0].startswith("E of single presses")
+    assert "E from skin alone 1," in alternatives[3]
