@@ -127,7 +127,9 @@ def _add_optics_arguments(optics: argparse.ArgumentParser) -> None:
 
 def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
     subject.add_argument(
-        "--budget-minutes", type=float, help="end the training of one network after so long"
+        "--budget-minutes",
+        type=float,
+        help="end the training of one published network after so long",
     )
     subject.add_argument(
         "--network-width",

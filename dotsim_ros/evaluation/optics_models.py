@@ -80,7 +80,8 @@ class FitSettings:
 
     Attributes:
         seed: of all draws.
-        budget_minutes: after which the training of one network ends; None for none.
+        budget_minutes: after which the training of one published network ends; None for none. The
+            others take a minute or two.
         network_width: of the published networks' images, pixels; None for their own choice.
 
     Raises:
@@ -99,6 +100,10 @@ class FitSettings:
                 f"budget is {self.budget_minutes} minutes, expected a positive number; leave it "
                 "out for a training of full length"
             )
+
+    def budget_of(self, network: str) -> float | None:
+        """Return the minutes after which a network's training ends; None for none."""
+        return self.budget_minutes if network in PUBLISHED else None
 
     def width_of(self, network: str) -> int | None:
         """Return the width of a network's images, pixels; None for the network's own choice."""
@@ -158,7 +163,7 @@ def _network(
             rest,
             camera,
             seed=settings.seed,
-            budget_minutes=settings.budget_minutes,
+            budget_minutes=settings.budget_of(name),
             size=settings.width_of(name),
             directory=state,
             progress=lambda p: progress(

@@ -135,7 +135,7 @@ class RowMaker:
     def _path(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Path:
         fitted: list[Any] = [code_digest(model)]
         if model in NETWORKS:
-            fitted += [self.settings.budget_minutes, self.settings.width_of(model)]
+            fitted += [self.settings.budget_of(model), self.settings.width_of(model)]
         parts = [_FORMAT, self._digest, split.train, split.test, list(shown)]
         key = repr((*parts, model, self.settings.seed, fitted)).encode()
         return self.cache / f"{model}-{hashlib.sha256(key).hexdigest()[:24]}.json"

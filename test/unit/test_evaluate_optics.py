@@ -229,8 +229,10 @@ def test_a_budget_matters_to_networks_alone(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.json"))) == 1
 
 
-def test_the_width_is_that_of_published_networks() -> None:
-    settings = FitSettings(network_width=64)
+def test_budget_and_width_are_those_of_published_networks() -> None:
+    settings = FitSettings(budget_minutes=2.0, network_width=64)
+    assert settings.budget_of("paper") == settings.budget_of("unet") == 2.0
+    assert settings.budget_of("ours") is None
     assert settings.width_of("paper") == settings.width_of("paper_direct") == 64
     assert settings.width_of("ours") is None
 
