@@ -1,6 +1,7 @@
 """Brings up tactile_sim, and on request the player of presses and the recorder.
 
 ros2 launch dotsim_ros tactile_sim.launch.py params_file:=MINE.yaml namespace:=left play:=true
+ros2 launch dotsim_ros tactile_sim.launch.py effects:=report/effects_overlay.yaml
 """
 
 from pathlib import Path
@@ -8,9 +9,10 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.conditions import IfCondition
-from launch.substitutions import IfElseSubstitution, LaunchConfiguration
+from launch.conditions import IfCondition, UnlessCondition
+from launch.substitutions import EqualsSubstitution, IfElseSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -18,6 +20,10 @@ def generate_launch_description() -> LaunchDescription:
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
     namespace = LaunchConfiguration("namespace")
     record = LaunchConfiguration("record")
+    params_file = LaunchConfiguration("params_file")
+    effects = LaunchConfiguration("effects")
+    # Not given, it must leave the effects of the file alone.
+    is_plain = EqualsSubstitution(effects, "")
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
@@ -25,6 +31,11 @@ def generate_launch_description() -> LaunchDescription:
                 "params_file",
                 default_value=str(params / "tactile_sim.yaml"),
                 description="parameters of tactile_sim",
+            ),
+            DeclareLaunchArgument(
+                "effects",
+                default_value="",
+                description="overlay of effects that find_gap wrote; empty: as the parameters say",
             ),
             DeclareLaunchArgument(
                 "play",
@@ -48,7 +59,16 @@ def generate_launch_description() -> LaunchDescription:
                 package="dotsim_ros",
                 executable="tactile_sim",
                 namespace=namespace,
-                parameters=[LaunchConfiguration("params_file")],
+                parameters=[params_file],
+                condition=IfCondition(is_plain),
+                output="screen",
+            ),
+            Node(
+                package="dotsim_ros",
+                executable="tactile_sim",
+                namespace=namespace,
+                parameters=[params_file, {"effects": ParameterValue(effects, value_type=str)}],
+                condition=UnlessCondition(is_plain),
                 output="screen",
             ),
             Node(

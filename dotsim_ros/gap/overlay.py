@@ -140,13 +140,13 @@ def load_active(
 
 def _active(found: FoundEffect, effect: Effect, place: str) -> Active:
     values = {estimate.name: estimate.value for estimate in found.parameters}
-    missing = sorted({p.name for p in effect.parameters} - set(values))
-    if missing:
-        raise ValueError(f"{place}: {effect.name} lacks its parameter {', '.join(missing)}")
+    missing = [p.name for p in effect.parameters if p.name not in values]
     try:
         values = effect.checked(values)
     except ValueError as error:
         raise ValueError(f"{place}: {error}") from error
+    if missing:
+        raise ValueError(f"{place}: {effect.name} lacks its parameter {', '.join(missing)}")
     for parameter in effect.parameters:
         value = values[parameter.name]
         if not parameter.low <= value <= parameter.high:

@@ -6,10 +6,12 @@ Needs no ROS.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dotsim_ros.gap.live import LiveEffects
 from dotsim_ros.geometry.pose import FloatArray, Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.nodes.ingest import Fault, RefusedInputError
@@ -18,6 +20,7 @@ from dotsim_ros.nodes.pursuit import pursue
 from dotsim_ros.sensor import GelFailureError
 
 if TYPE_CHECKING:
+    from dotsim_ros.gap.effect import Active
     from dotsim_ros.geometry.indenter import Indenter
     from dotsim_ros.sensor import Frame, GelFrame, TactileSensor
 
@@ -31,16 +34,24 @@ class Moment:
         sensor: which sees.
         gel: what it sees.
         pose: of the indenter.
+        camera: what it makes of the frame, beside what it sees; None for nothing.
     """
 
-    def __init__(self, sensor: TactileSensor, gel: GelFrame, pose: Pose | None) -> None:
-        self._sensor, self.gel, self.pose = sensor, gel, pose
+    def __init__(
+        self,
+        sensor: TactileSensor,
+        gel: GelFrame,
+        pose: Pose | None,
+        camera: Callable[[Frame], Frame] | None = None,
+    ) -> None:
+        self._sensor, self.gel, self.pose, self._camera = sensor, gel, pose, camera
         self._frame: Frame | None = None
 
     def render(self) -> Frame:
         """Return the whole frame; it is rendered the first time."""
         if self._frame is None:
-            self._frame = self._sensor.see(self.gel, self.pose)
+            frame = self._sensor.see(self.gel, self.pose)
+            self._frame = frame if self._camera is None else self._camera(frame)
         return self._frame
 
     def skin_normal(self) -> FloatArray:
@@ -63,6 +74,7 @@ class SensorSession:
         first_dt_s: the time step of a motion that nothing leads to.
         limit_m: how far the indenter may move in contact in one frame; a longer motion takes
             several frames. Infinite for none.
+        effects: at work between what is told and what is measured; the sensor's gel has them.
 
     Attributes:
         moment: the last valid one.
@@ -70,16 +82,24 @@ class SensorSession:
     """
 
     def __init__(
-        self, sensor: TactileSensor, *, first_dt_s: float, limit_m: float = np.inf
+        self,
+        sensor: TactileSensor,
+        *,
+        first_dt_s: float,
+        limit_m: float = np.inf,
+        effects: Sequence[Active] = (),
     ) -> None:
         self._sensor = sensor
         self._first_dt_s = first_dt_s
         self._limit_m = limit_m
+        self._effects = LiveEffects(effects, sensor)
+        self._told: Pose | None = None
         self._at: Pose | None = None
-        self._target: Pose | None = None
+        self._is_behind = False
         self.behind = 0
         self._last_stamp_ns: int | None = None
         self._is_broken = False
+        self._force_n = np.zeros(3)
         self.moment = self._pressed(None, first_dt_s)
 
     def warm_up(self) -> float:
@@ -99,34 +119,35 @@ class SensorSession:
         """
         if motion.new_start is not None or self._is_broken:
             self._sensor.reset()
+            self._effects.begin()
             self._last_stamp_ns = None
             self._at = None
+            self._force_n = np.zeros(3)
         step_s = self._step_s(motion.stamp_ns)
         self._last_stamp_ns = motion.stamp_ns
         return self._move(motion.pose, step_s)
 
     def is_behind(self) -> bool:
         """Return whether the last frame shows the indenter on its way, not at its newest pose."""
-        return self._target is not None
+        return self._is_behind
 
     def catch_up(self) -> Moment:
         """Go on to the newest pose, which `follow` did not reach; where it did, let a gel that
-        remembers go on under the held indenter.
+        remembers, or an effect, go on under the held indenter.
 
         Raises:
             RefusedInputError: as `follow`.
         """
-        target = self._target
-        if target is None and self._sensor.remembers and not self._is_broken:
-            target = self._at
-        if target is None:
+        goes_on = self._is_behind or self._sensor.remembers or self._effects.act_in_time
+        if self._told is None or self._is_broken or not goes_on:
             return self.moment
         if self._last_stamp_ns is not None:
             self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
-        return self._move(target, self._first_dt_s)
+        return self._move(self._told, self._first_dt_s)
 
-    def _move(self, pose: Pose, step_s: float) -> Moment:
-        self._target = None
+    def _move(self, told: Pose, step_s: float) -> Moment:
+        self._told, self._is_behind = told, False
+        pose = self._effects.moved(told, self._force_n, step_s)
         try:
             reached = self._within_reach(pose)
             self.moment = self._pressed(reached, step_s)
@@ -137,12 +158,20 @@ class SensorSession:
         self._is_broken = False
         self._at = reached
         if reached is not pose:
-            self._target = pose
+            self._is_behind = True
             self.behind += 1
         return self.moment
 
     def _pressed(self, pose: Pose | None, step_s: float) -> Moment:
-        return Moment(self._sensor, self._sensor.press(pose, step_s), pose)
+        before_m = None if self._at is None else self.moment.gel.skin_position_m
+        gel = self._sensor.press(pose, step_s)
+        self._force_n = gel.wrench.force_n
+        return Moment(
+            self._sensor,
+            self._effects.answered(gel, pose),
+            pose,
+            self._effects.camera(before_m, step_s),
+        )
 
     def _within_reach(self, pose: Pose) -> Pose:
         if np.isinf(self._limit_m):
@@ -169,11 +198,12 @@ class SensorSession:
         return (stamp_ns - self._last_stamp_ns) / NANOSECONDS_PER_SECOND
 
     def reset(self) -> None:
-        """Bring the gel to rest, with no indenter near it."""
+        """Bring the gel to rest, with no indenter near it; a session of effects begins anew."""
         self._sensor.reset()
+        self._effects.restart()
         self._last_stamp_ns = None
-        self._is_broken = False
-        self._at = self._target = None
+        self._is_broken = self._is_behind = False
+        self._at = self._told = None
         self.moment = self._pressed(None, self._first_dt_s)
         self._sensor.reset()
 

@@ -115,6 +115,17 @@ class TactileSimParameters:
         "beside it may describe it. Empty: the sensor's own.",
         read_only=True,
     )
+    effects: str = option(
+        "",
+        "Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: none.",
+        read_only=True,
+    )
+    effects_folder: str = option(
+        "",
+        "Folder of effects of your own that the overlay may name, one a Python file. Empty: those "
+        "shipped.",
+        read_only=True,
+    )
     compression: str = option("jpeg", "Format of image_raw/compressed.", choices=("jpeg", "png"))
     jpeg_quality: int = option(95, "Quality of JPEG.", minimum=1, maximum=100)
     diagnostics_period_s: float = option(
@@ -153,6 +164,11 @@ class TactileSimParameters:
             raise ValueError(
                 f"base_frame, optical_frame and indenter_frame are {frames}: they must differ and "
                 "must not be empty"
+            )
+        if self.effects_folder and not self.effects:
+            raise ValueError(
+                f"effects_folder is {self.effects_folder!r}, but no overlay names an effect of it: "
+                "set the parameter effects, too"
             )
         if self.clock == REALTIME and self.input_timeout_s < 1.0 / self.rate_hz:
             raise ValueError(

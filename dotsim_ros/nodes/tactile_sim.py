@@ -23,9 +23,13 @@ from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
+from dotsim_ros.gap.effect import Active
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.live import specification_with_effects
+from dotsim_ros.gap.overlay import described, load_active
 from dotsim_ros.gel.implicit import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
-from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
 from dotsim_ros.nodes.declare import declare, follow
 from dotsim_ros.nodes.frame_publishers import FramePublishers
 from dotsim_ros.nodes.health import Condition, FrameCounter, statuses
@@ -62,11 +66,15 @@ class TactileSim(WorkingNode):
         self._stop = Event()
         self._is_enabled = True
         self._is_realtime = self._settings.clock == REALTIME
-        sensor = self._make_sensor()
+        specification = load_sensor(self._settings.sensor)
+        effects = self._load_effects(specification.name)
+        self._effect_names = described(effects)
+        sensor = self._make_sensor(specification_with_effects(specification, effects))
         self._session = SensorSession(
             sensor,
             first_dt_s=1.0 / self._settings.rate_hz,
             limit_m=REALTIME_MOVE_M if self._is_realtime else np.inf,
+            effects=effects,
         )
         self.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()
@@ -117,8 +125,21 @@ class TactileSim(WorkingNode):
             self._thread.join()
         super().destroy_node()
 
-    def _make_sensor(self) -> TactileSensor:
-        specification = load_sensor(self._settings.sensor)
+    def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
+        if not self._settings.effects:
+            return ()
+        folder = self._settings.effects_folder
+        library = load_effects((folder,) if folder else ())
+        overlay, effects = load_active(self._settings.effects, library)
+        if overlay.sensor != sensor_name:
+            self.get_logger().warning(
+                f"{self._settings.effects} was found on the sensor {overlay.sensor!r}, this one is "
+                f"{sensor_name!r}: search its own data"
+            )
+        self.get_logger().info(f"effects: {', '.join(described(effects)) or 'none'}")
+        return effects
+
+    def _make_sensor(self, specification: SensorSpecification) -> TactileSensor:
         if self._settings.idle_image:
             camera = replace(
                 specification.camera, idle_image=str(Path(self._settings.idle_image).absolute())
@@ -216,7 +237,7 @@ class TactileSim(WorkingNode):
             counter=self._counter,
             faults=self._faults,
             gel=self._session.moment.gel,
-            effects=(),
+            effects=self._effect_names,
             now_s=time.monotonic(),
         )
         self._diagnostics.publish(

@@ -32,6 +32,8 @@ LAUNCH_KEYWORDS = {
     ("launch", "LaunchDescription"): set(),
     ("launch.actions", "DeclareLaunchArgument"): {"default_value", "description", "choices"},
     ("launch.conditions", "IfCondition"): set(),
+    ("launch.conditions", "UnlessCondition"): set(),
+    ("launch.substitutions", "EqualsSubstitution"): set(),
     ("launch.substitutions", "IfElseSubstitution"): {"if_value", "else_value"},
     ("launch.substitutions", "LaunchConfiguration"): {"default"},
     ("launch_ros.actions", "Node"): {
@@ -48,6 +50,7 @@ LAUNCH_KEYWORDS = {
         "sigkill_timeout",
         *PROCESS_KEYWORDS,
     },
+    ("launch_ros.parameter_descriptions", "ParameterValue"): {"value_type"},
 }
 """What launch files may use, with its keywords, as the reference of ROS 2 Jazzy documents it."""
 
@@ -170,12 +173,22 @@ def assigned(tree: ast.Module) -> dict[str, ast.expr]:
 
 
 def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
-    """Return what a parameter of a node may become; launch reads substituted text as YAML."""
+    """Return what a parameter of a node may become; launch reads substituted text as YAML, unless
+    it is told to be text."""
     if isinstance(value, ast.Name):
         value = assigned(tree)[value.id]
     if not isinstance(value, ast.Call):
         return [ast.literal_eval(value)]
     assert isinstance(value.func, ast.Name)
+    if value.func.id == "EqualsSubstitution":
+        return [True, False]
+    is_text = value.func.id == "ParameterValue"
+    if is_text:
+        assert ast.unparse(keywords(value)["value_type"]) == "str"
+        inner = value.args[0]
+        value = assigned(tree)[inner.id] if isinstance(inner, ast.Name) else inner
+        assert isinstance(value, ast.Call)
+        assert isinstance(value.func, ast.Name)
     if value.func.id == "LaunchConfiguration":
         texts = launch_arguments(tree)[ast.literal_eval(value.args[0])]
     else:
@@ -183,7 +196,7 @@ def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
         given = keywords(value)
         texts = [ast.literal_eval(given[name]) for name in ("if_value", "else_value")]
     assert texts, f"nothing is known of {ast.unparse(value)}"
-    return [yaml.safe_load(text) for text in texts]
+    return texts if is_text else [yaml.safe_load(text) for text in texts]
 
 
 def test_version_is_the_same_everywhere() -> None:
@@ -283,7 +296,11 @@ def test_launch_arguments_are_declared_described_and_used(path: Path) -> None:
 @each_launch_file
 def test_launch_conditions_are_booleans(path: Path) -> None:
     tree = tree_of(path)
-    for call in [*calls(tree, "IfCondition"), *calls(tree, "IfElseSubstitution")]:
+    for call in [
+        found
+        for name in ("IfCondition", "UnlessCondition", "IfElseSubstitution")
+        for found in calls(tree, name)
+    ]:
         assert set(map(type, parameter_values(tree, call.args[0]))) == {bool}
 
 

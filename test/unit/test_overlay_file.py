@@ -97,7 +97,7 @@ def name_an_unknown_effect(record: dict) -> None:
 
 def name_an_unknown_parameter(record: dict) -> None:
     scale = record["effects"][1]["parameters"].pop("scale")
-    record["effects"][1]["parameters"] = {"gain": scale, "scale": scale}
+    record["effects"][1]["parameters"] = {"gain": scale}
 
 
 def leave_a_parameter_out(record: dict) -> None:

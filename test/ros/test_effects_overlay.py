@@ -1,0 +1,147 @@
+"""Found effects at work in the live node: its frames change as the overlay says."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import APEX_M, LockstepPress, TactileFrame, running, sensor
+
+import msg_adapters
+from dotsim_ros.gap.findings import Estimate
+from dotsim_ros.gap.overlay import FoundEffect, Overlay, write_overlay
+
+PARAMETERS = {"clock": "lockstep", "diagnostics_period_s": 0.1}
+SLIDE = ((0.0, 1.2), (0.3, 1.2), (0.6, 1.2), (0.9, 1.2), (1.2, 1.2))
+"""Shift and depth of the indenter, mm: long enough to slip."""
+
+
+def overlay_at(path: Path, effects: Mapping[str, Mapping[str, float]]) -> Path:
+    """Write an overlay of effects with their values, without intervals."""
+    found = tuple(
+        FoundEffect(name, tuple(Estimate(p, "", v, v, v) for p, v in values.items()))
+        for name, values in effects.items()
+    )
+    write_overlay(path, Overlay("densetact2", "0123456789abcdef", found))
+    return path
+
+
+def slide(press: LockstepPress) -> list[TactileFrame]:
+    """Press from afar and slide."""
+    press.frame_at((0.0, 0.0, APEX_M + 0.05))
+    press.frame_at((0.0, 0.0, APEX_M + 0.002))
+    return [press.frame_at((1e-3 * x, 0.0, APEX_M - 1e-3 * depth)) for x, depth in SLIDE]
+
+
+@pytest.fixture(scope="module")
+def plain() -> tuple[list[TactileFrame], list[TactileFrame]]:
+    """Return the press and the slide without effects."""
+    with sensor(**PARAMETERS) as (_, client):
+        assert client.state("gel").values["effects"] == "none"
+        press = LockstepPress(client)
+        return press.run(), slide(press)
+
+
+def test_effects_change_the_frames_and_are_named(
+    tmp_path: Path, plain: tuple[list[TactileFrame], list[TactileFrame]]
+) -> None:
+    path = overlay_at(
+        tmp_path / "effects_overlay.yaml",
+        {"force_scale": {"scale": 1.1}, "led_imbalance_red": {"loss_share": 0.2}},
+    )
+    with sensor(effects=path, **PARAMETERS) as (executable, client):
+        named = "force_scale (scale 1.1), led_imbalance_red (loss_share 0.2)"
+        assert client.state("gel").values["effects"] == named
+        assert f"effects: {named}" in executable.log
+        press = LockstepPress(client)
+        first, again = press.run(), press.run()
+    assert [a.is_same(b) for a, b in zip(first, again, strict=True)] == [True] * len(first)
+    for frame, other in zip(first, plain[0], strict=True):
+        assert frame.force_n() == pytest.approx(1.1 * other.force_n(), rel=1e-12)
+        torque_nm, plain_nm = (
+            msg_adapters.decode_wrench_stamped(each.messages["wrench"])[1]
+            for each in (frame, other)
+        )
+        assert torque_nm == pytest.approx(1.1 * plain_nm, rel=1e-9, abs=1e-12)
+        assert np.array_equal(frame.depth_m(), other.depth_m(), equal_nan=True)
+        red, own = frame.image(), other.image()
+        assert np.array_equal(red[..., 0], np.rint(0.8 * own[..., 0]))
+        assert np.array_equal(red[..., 1:], own[..., 1:])
+
+
+def test_a_slippery_skin_drags_less(
+    tmp_path: Path, plain: tuple[list[TactileFrame], list[TactileFrame]]
+) -> None:
+    path = overlay_at(tmp_path / "effects_overlay.yaml", {"coulomb_slip": {"friction_ratio": 0.3}})
+    with sensor(effects=path, **PARAMETERS) as (_, client):
+        slippery = slide(LockstepPress(client))
+    drags = [
+        abs(frames[-1].force_n()[0]) / frames[-1].force_n()[2] for frames in (slippery, plain[1])
+    ]
+    assert drags[0] < 0.6 * drags[1]
+
+
+def test_a_pose_offset_presses_deeper_and_says_where_the_indenter_is(
+    tmp_path: Path, plain: tuple[list[TactileFrame], list[TactileFrame]]
+) -> None:
+    path = overlay_at(tmp_path / "effects_overlay.yaml", {"pose_offset": {"z_m": -2e-4}})
+    with sensor(effects=path, **PARAMETERS) as (_, client):
+        first = LockstepPress(client).run()
+    for frame, other in zip(first[1:], plain[0][1:], strict=True):
+        assert frame.force_n()[2] > other.force_n()[2]
+        place, told = frame.indenter_m(), other.indenter_m()
+        assert place is not None
+        assert told is not None
+        assert place[2] == pytest.approx(told[2] - 2e-4)
+
+
+def test_a_gel_that_relaxes_only_by_the_overlay_goes_on_in_real_time(tmp_path: Path) -> None:
+    path = overlay_at(
+        tmp_path / "effects_overlay.yaml",
+        {"viscoelastic_relaxation": {"share": 0.4, "time_s": 0.3}},
+    )
+    with sensor(effects=path, diagnostics_period_s=0.1, rate_hz=10.0) as (_, client):
+        deep = [0.0, 0.0, APEX_M - 1e-3]
+        client.send(deep)
+        arrived = client.next_frame(lambda frame: frame.indenter_m() == pytest.approx(deep))
+        peak_n = arrived.force_n()[2]
+        client.next_frame(lambda frame: 0.0 < frame.force_n()[2] < 0.9 * peak_n)
+
+
+BROKEN = {
+    "no file": (None, "cannot start: no overlay of effects at"),
+    "an unknown effect": ({"ghost": {"size": 1.0}}, "unknown effect 'ghost'; known are"),
+    "out of range": ({"force_scale": {"scale": 3.0}}, "force_scale.scale is 3, expected 0.8"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_overlay_ends_the_node_with_the_reason(tmp_path: Path, name: str) -> None:
+    effects, reason = BROKEN[name]
+    path = tmp_path / "effects_overlay.yaml"
+    if effects is not None:
+        overlay_at(path, effects)
+    with running(ready=reason, parameters={"effects": path}) as executable:
+        assert executable.exit_status() != 0
+
+
+def test_an_effect_of_ones_own_is_found_in_its_folder(tmp_path: Path) -> None:
+    folder = tmp_path / "effects"
+    folder.mkdir()
+    (folder / "pull.py").write_text(
+        "from dataclasses import replace\n"
+        "from dotsim_ros.gap.effect import FORCE, Effect, EffectParameter\n"
+        "EFFECT = Effect(\n"
+        "    name='pull', title='A constant pull', channels=(FORCE,), protocol='any',\n"
+        "    parameters=(EffectParameter('force_n', 'N', 0.0, 0.0, 9.0, (1.0,)),),\n"
+        "    excited_by=lambda recording: True,\n"
+        "    response=lambda values: lambda r: replace(\n"
+        "        r, force_n=r.force_n + [0.0, 0.0, values['force_n']]),\n"
+        ")\n"
+    )
+    path = overlay_at(tmp_path / "effects_overlay.yaml", {"pull": {"force_n": 7.0}})
+    with sensor(effects=path, effects_folder=folder, **PARAMETERS) as (_, client):
+        frame = LockstepPress(client).frame_at((0.0, 0.0, APEX_M + 0.01))
+    assert frame.force_n().tolist() == [0.0, 0.0, 7.0]
