@@ -180,7 +180,7 @@ def as_markdown(page: Page) -> str:
     parts = [f"# {_plain(page.title)}", f"{label}{_plain(page.lead)}"]
     for section in page.sections:
         parts.append(f"## {_plain(section.title)}")
-        parts += [_block_markdown(block) for block in section.blocks]
+        parts += [block_markdown(block) for block in section.blocks]
     return "\n\n".join(parts) + "\n"
 
 
@@ -224,7 +224,8 @@ def _picture_html(picture: Picture) -> str:
     )
 
 
-def _block_markdown(block: Block) -> str:
+def block_markdown(block: Block) -> str:
+    """Return a block as Markdown."""
     match block:
         case Paragraph(text):
             return _plain(text)

@@ -15,11 +15,14 @@ import pytest
 from gap_findings import EXAMPLES, named, no_gap, of_set, places, unknown
 from PIL import Image
 
+from dotsim_ros.gap.effect import Active, Response, response_filters
 from dotsim_ros.gap.findings import Findings, Place, Verdict, as_record, findings_of
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.report import write_report
+from dotsim_ros.gap.report_effects import effects_table
 from dotsim_ros.gap.report_places import by_phase, by_trajectory
 from dotsim_ros.gap.report_sections import page_of
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.view.page import (
     Bullets,
     Page,
@@ -27,6 +30,7 @@ from dotsim_ros.view.page import (
     Table,
     as_html,
     as_markdown,
+    block_markdown,
     page_figure,
     pictures_of,
 )
@@ -184,3 +188,24 @@ def test_text_is_never_taken_for_markup() -> None:
 def test_a_figure_too_wide_for_a_phone_is_refused() -> None:
     with pytest.raises(ValueError, match=r"expected at most 3\.6"), page_figure(9.0, 3.0):
         pass
+
+
+GUIDE = Path(__file__).parents[2] / "docs" / "gap_finder.md"
+
+
+def test_the_guide_lists_the_effects_that_there_are() -> None:
+    written = GUIDE.read_text(encoding="utf-8").split("compares them. -->\n")[1]
+    assert written.split("\n<!-- End of the table")[0] == block_markdown(effects_table()), (
+        "put what block_markdown(effects_table()) gives between the two comments of the guide"
+    )
+
+
+def test_the_guides_example_of_an_effect_works(tmp_path: Path) -> None:
+    code = GUIDE.read_text(encoding="utf-8").split("```python\n")[1].split("```")[0]
+    (tmp_path / "crosstalk.py").write_text(code, encoding="utf-8")
+    effect = load_effects([tmp_path])["crosstalk"]
+    mixed = response_filters([Active(effect, effect.checked({}))])
+    nowhere = np.zeros((1, 3))
+    given = Response(0.0, 0.0, Pose(np.zeros(3)), 1e-3, nowhere, nowhere, np.array([0.1, 0.0, 2.0]))
+    assert mixed(given).force_n == pytest.approx([0.16, 0.0, 2.0])
+    assert not effect.needs_solve
