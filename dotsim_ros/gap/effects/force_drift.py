@@ -21,8 +21,8 @@ def _response(values: Values) -> ResponseFilter:
 EFFECT = Effect(
     name="force_drift",
     title="Drift of the force",
-    # A fifth in 40 s, which is a session of eight short presses.
-    parameters=(EffectParameter("share_per_s", "1/s", 0.0, -5e-3, 5e-3, (2e-3, -2e-3)),),
+    # A fifth in 10 s, which is a session of eight short presses.
+    parameters=(EffectParameter("share_per_s", "1/s", 0.0, -2e-2, 2e-2, (5e-3, -5e-3)),),
     channels=(FORCE,),
     protocol="the same press at the start, in the middle and at the end of the session",
     excited_by=presses_late,
