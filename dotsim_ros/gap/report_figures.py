@@ -8,7 +8,7 @@ from matplotlib.colors import LogNorm
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.gap.findings import ChannelGap, Findings, WorstFrame
-from dotsim_ros.gap.report_places import PlaceTable
+from dotsim_ros.gap.report_places import PlaceTable, strongest
 from dotsim_ros.gap.report_text import shown, shown_unit
 from dotsim_ros.view.page import LARGEST_WIDTH_INCHES, Picture, page_figure, picture_of
 from dotsim_ros.view.pictures import SKIN_COLOURS
@@ -26,7 +26,7 @@ NAMED_COLOUR, ALTERNATIVE_COLOUR, OTHER_COLOUR = "#1763b6", "#d98a1f", "#b9c2cc"
 MISFIT_COLOURS = "viridis"
 HEAT_COLOURS = "YlOrRd"
 MOST_CANDIDATES = 12
-MOST_TRAJECTORIES = 30
+MOST_ROWS = 30
 _MAP_PX = 320
 _MAP_INCHES = (1.75, 2.3)
 _LONGEST_LABEL = 22
@@ -58,8 +58,11 @@ def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> Picture:
         name: of the file.
         title: above it.
     """
-    values = (table.before if stage == "before" else table.after)[:MOST_TRAJECTORIES]
-    rows = [_short(row) for row in table.rows[:MOST_TRAJECTORIES]]
+    if len(table.rows) > MOST_ROWS:
+        title = f"{title}: the {MOST_ROWS} strongest of {len(table.rows)}"
+        table = strongest(table, MOST_ROWS)
+    values = table.before if stage == "before" else table.after
+    rows = [_short(row) for row in table.rows]
     largest = max(4.0, float(np.nanmax(table.before, initial=0.0)))
     # The column labels hang below, as long as they are.
     label_inches = 0.075 * max(len(column) for column in table.columns)

@@ -14,6 +14,7 @@ from dotsim_ros.gap.recording import Phase
 Array = NDArray[np.float64]
 
 ALL = "all"
+MOST_COLUMNS = 8
 _FIELDS = ("channel", "trajectory", "phase", "region")
 
 
@@ -39,17 +40,33 @@ def by_phase(places: Sequence[Place]) -> PlaceTable:
     phases = sorted(_named(places, "phase"), key=lambda p: order.index(p) if p in order else 99)
     return _table(
         places,
-        {_where_label(*one): {"channel": one[0], "region": one[1]} for one in where},
+        {_where_label(*one): _wanted(*one) for one in where},
         {phase: {"phase": phase} for phase in phases},
     )
 
 
 def by_trajectory(places: Sequence[Place]) -> PlaceTable:
-    """Return residuals of each trajectory, by channel and region."""
+    """Return residuals of each trajectory, by channel and region; by channel alone where there are
+    more regions than a narrow picture can show."""
+    where = _wheres(places)
+    if len(where) > MOST_COLUMNS:
+        where = [(channel, ALL) for channel in dict.fromkeys(channel for channel, _ in where)]
     return _table(
         places,
         {name: {"trajectory": name} for name in _named(places, "trajectory")},
-        {_where_label(*one): {"channel": one[0], "region": one[1]} for one in _wheres(places)},
+        {_where_label(*one): _wanted(*one) for one in where},
+    )
+
+
+def strongest(table: PlaceTable, count: int) -> PlaceTable:
+    """Return the rows whose largest residual before is largest, in their order."""
+    peak = np.nan_to_num(table.before, nan=0.0).max(axis=1)
+    kept = np.sort(np.argsort(-peak, kind="stable")[:count])
+    return PlaceTable(
+        tuple(table.rows[k] for k in kept),
+        table.columns,
+        table.before[kept],
+        table.after[kept],
     )
 
 
@@ -66,6 +83,10 @@ def _wheres(places: Sequence[Place]) -> list[tuple[str, str]]:
         regions = _named([place for place in places if place.channel == channel], "region")
         found += [(channel, region) for region in regions or [ALL]]
     return found
+
+
+def _wanted(channel: str, region: str) -> dict[str, str]:
+    return {"channel": channel} if region == ALL else {"channel": channel, "region": region}
 
 
 def _where_label(channel: str, region: str) -> str:

@@ -31,6 +31,7 @@ STABLE_SHARE = 0.9
 CLOSED_RATIO = 1.2
 """A channel whose RMS is at most this many floors has no gap left that can be seen."""
 _STRONGEST_PLACES = 6
+_MOST_WARNINGS_FIRST = 5
 
 
 def page_of(
@@ -45,15 +46,18 @@ def page_of(
             that it does not hold are shown without.
     """
     label, colour = LABELS[findings.verdict]
+    # Many warnings would push what was found off the first screen, which then counts them.
+    warns_first = len(findings.warnings) <= _MOST_WARNINGS_FIRST or not findings.candidates
     sections = [
-        _at_a_glance(findings),
-        _warnings(findings),
+        _at_a_glance(findings, warns_first),
+        _warnings(findings) if warns_first else None,
         _gaps(findings),
         _where_and_when(findings),
         _worst(findings),
         _candidates(findings, effects),
         _not_apart(findings, effects),
         _remains(findings),
+        None if warns_first else _warnings(findings),
         _not_excited(findings, effects),
         _calibrated(findings),
         _cost(findings, provenance),
@@ -67,7 +71,7 @@ def page_of(
     )
 
 
-def _at_a_glance(f: Findings) -> Section | None:
+def _at_a_glance(f: Findings, warns_first: bool) -> Section | None:
     items = []
     if f.candidates:
         items.append(
@@ -100,14 +104,19 @@ def _at_a_glance(f: Findings) -> Section | None:
             "differential": "these data against those of the reference",
         }
         items.append(f"Mode: {f.mode}, {against.get(f.mode, '')}.".replace(", .", "."))
-    return Section("At a glance", (Bullets(tuple(items)),), is_half=True) if items else None
+    if not warns_first:
+        items.append(f"{len(f.warnings)} warnings limit what can be concluded: see below.")
+    if not items:
+        return None
+    return Section("At a glance", (Bullets(tuple(items)),), is_half=warns_first)
 
 
 def _warnings(f: Findings) -> Section | None:
     title = "Warnings: what cannot be concluded"
     if not f.warnings:
         return Section(title, (Paragraph("None."),), is_half=True)
-    return Section(title, (Bullets(f.warnings),), is_half=f.verdict is not Verdict.UNUSABLE)
+    is_beside = f.verdict is not Verdict.UNUSABLE and len(f.warnings) <= _MOST_WARNINGS_FIRST
+    return Section(title, (Bullets(f.warnings),), is_half=is_beside)
 
 
 def _gaps(f: Findings) -> Section | None:

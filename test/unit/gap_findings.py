@@ -118,6 +118,7 @@ def of_set() -> Findings:
         sentence="Coulomb slip or a pose offset is missing: these data do not tell them apart.",
         alternatives=("pose_offset",),
         stability=0.6,
+        worst=None,
         pairs=(
             Pair("coulomb_slip", "pose_offset", -0.98, 1.4, "slides in two opposite directions"),
         ),

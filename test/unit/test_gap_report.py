@@ -20,6 +20,7 @@ from dotsim_ros.gap.findings import Findings, Place, Verdict, as_record, finding
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.report import write_report
 from dotsim_ros.gap.report_effects import effects_table
+from dotsim_ros.gap.report_figures import heatmap
 from dotsim_ros.gap.report_places import by_phase, by_trajectory
 from dotsim_ros.gap.report_sections import page_of
 from dotsim_ros.geometry.pose import Pose
@@ -132,7 +133,7 @@ def test_a_named_effect_is_reported_with_its_numbers() -> None:
 
 
 def test_a_set_comes_with_what_would_separate_it() -> None:
-    text = text_of(replace(of_set(), worst=None, places=()))
+    text = text_of(replace(of_set(), places=()))
     assert "slides in two opposite directions" in text
     assert "do not tell Coulomb slip at another friction from: Pose offset" in text
     assert "60 % of bootstrap repetitions" in text
@@ -172,6 +173,27 @@ def test_a_stated_sum_is_used_and_not_counted_again() -> None:
     assert by_phase(parts).before.item() == pytest.approx(math.sqrt(5.0))
     # By trajectory, the sum over phases is not stated: it comes from the phases.
     assert by_trajectory(stated).before.ravel().tolist() == [1.0, 3.0]
+
+
+def test_many_regions_and_trajectories_are_summed_up_for_a_narrow_picture() -> None:
+    def place(number: int, region: int) -> Place:
+        size = float(number)
+        return Place("image", f"t{number}", "idle", f"tile {region}", size, size, 0.0, 0.0, 5)
+
+    table = by_trajectory([place(number, region) for number in range(40) for region in range(9)])
+    assert table.columns == ("image",)
+    assert table.before[:, 0].tolist() == pytest.approx(list(range(40)))
+    picture = heatmap(table, "before", name="a", title="By trajectory")
+    assert picture.alt == "By trajectory: the 30 strongest of 40: largest 39 at t39, image"
+
+
+def test_many_warnings_are_counted_first_and_listed_later() -> None:
+    warnings = tuple(f"Warning number {k}." for k in range(20))
+    page = page_of(replace(named(), worst=None, places=(), warnings=warnings), {}, {})
+    titles = [section.title for section in page.sections]
+    assert "20 warnings limit what can be concluded" in as_markdown(page).split("## Locked")[0]
+    assert titles.index("Warnings: what cannot be concluded") > titles.index("What remains")
+    assert all(warning in as_html(page) for warning in warnings)
 
 
 def test_text_is_never_taken_for_markup() -> None:
