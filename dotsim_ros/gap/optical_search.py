@@ -2,15 +2,25 @@
 
 Observables, signatures and nuisances are whitened by the covariance of tiles (`TileNoise`) and
 freed from the nuisances: those without a prior are projected out, those with one weigh as a normal
-distribution of their size. The score of an effect is how much of the squared residual its
-signature takes away, each of its parameters kept within its range; the penalty of a parameter
-and of a choice between probes is that of Akaike ("A new look at the statistical model
-identification", IEEE Transactions on Automatic Control 19(6), 1974). Noise alone is normal then,
-and its scores need no more than the products of the signatures, so null draws are cheap.
+distribution of their size. Effects are ranked by how much of the squared residual their signature
+takes away, each parameter kept within its range; the penalty of a parameter and of a choice between
+probes is that of Akaike ("A new look at the statistical model identification", IEEE Transactions on
+Automatic Control 19(6), 1974).
+
+Whether the first is more than the model's own error is another question: a small error that all
+tiles share looks like a small effect, and many frames make it significant. So each effect is fitted
+to trajectories in which nothing is wrong, one by one. The variance of these spurious sizes beyond
+their sampling error (by the estimator of Paule and Mandel, "Consensus values and weighting
+factors", Journal of Research of the National Bureau of Standards 87(5), 1982) is added to that of
+the size found, as if the error were the same in all trajectories. It is told from a few
+trajectories: the statistic's threshold is that of Student's distribution, drawn with the
+signatures' products alone.
 """
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
@@ -28,6 +38,15 @@ Array = NDArray[np.float64]
 
 OFFSET_LEVELS = 0.5
 """Deviation of the camera's black level, grey levels: its prior. Ambient light is more."""
+
+Spurious = Mapping[str, Sequence[Array]]
+"""Variance of the spurious size along each direction of each signature, by effect."""
+
+LEAST_SPURIOUS = 0.002
+"""The model's error of a size deviates by no less than this share of the parameter's range, however
+little a few trajectories show: smaller effects are of no interest."""
+
+_TINY = 1e-12
 
 LEAST_NORM = 1.0
 """A signature that is shorter, whitened, at its probe, is not excited by the data."""
@@ -95,16 +114,22 @@ class Score:
 
     Attributes:
         name: of the effect.
-        statistic: what it takes off the squared, whitened residual, less the penalty of its
-            freedom; 0 where the data do not excite it.
-        norm: whitened length of what it explains, delta.
+        fit: what it takes off the squared, whitened residual, less the penalty of its freedom; 0
+            where the data do not excite it.
+        statistic: the square of its size over what noise and the model's error leave of it, less
+            the penalty; compare it with `OpticalSearch.threshold`.
+        norm: its size over what noise and the model's error leave of it, delta.
+        explained: share that it takes off the squared residual beyond what noise leaves: 1 where
+            no more than noise is left.
         values: of all its parameters, at the best probe.
         is_excited: whether the data show it at all.
     """
 
     name: str
+    fit: float
     statistic: float
     norm: float
+    explained: float
     values: Mapping[str, float]
     is_excited: bool
 
@@ -228,7 +253,9 @@ class OpticalSearch:
         signatures: of the effects by name, in blocks of the trajectories' order.
         noise: covariance of the observables.
         nuisances: that explain nothing.
-        changes: (F, T) of each trajectory, `change_levels` of its prediction.
+        changes: (F, T, 6) of each trajectory, `contact_change` of its prediction.
+        spurious: variances of the sizes that the model's error gives effects, as
+            `spurious_variances` of trajectories without any effect returns them; None for none.
 
     Raises:
         ValueError: no effect, or blocks that are not one for each trajectory.
@@ -240,6 +267,7 @@ class OpticalSearch:
         noise: TileNoise,
         nuisances: Sequence[Nuisance],
         changes: Sequence[Array],
+        spurious: Spurious | None = None,
     ) -> None:
         listed = [(name, one) for name, several in signatures.items() for one in several]
         if not listed:
@@ -260,20 +288,26 @@ class OpticalSearch:
         self._slices = tuple(slice(a, b) for a, b in zip(starts, ends, strict=True))
         self._names = tuple(signatures)
         self._probe_count = {name: len(several) for name, several in signatures.items()}
-        columns = self._whitened([one.blocks for one in self._signatures])
-        self._free = _without(
-            self._whitened([tuple(b[..., None] for b in n.blocks) for n in nuisances]),
-            np.array([n.deviation for n in nuisances]),
-        )
-        self._columns = self._free(columns)
+        self._raw = self._whitened([one.blocks for one in self._signatures])
+        self._nuisances = self._whitened([tuple(b[..., None] for b in n.blocks) for n in nuisances])
+        self._deviations = np.array([n.deviation for n in nuisances])
+        self._ends = np.concatenate([[0], np.cumsum([change.size for change in self._changes])])
+        self._free = _without(self._nuisances, self._deviations)
+        self._columns = self._free(self._raw)
         self._gram = self._columns.T @ self._columns
+        numbers = Counter[str]()
+        self._spurious = []
+        for name, one in zip(self._owners, self._signatures, strict=True):
+            known = None if spurious is None else spurious[name][numbers[name]]
+            self._spurious.append(np.zeros(len(one.directions)) if known is None else known)
+            numbers[name] += 1
 
     def _whitened(self, blocks: Sequence[Sequence[Array]]) -> Array:
         """Return (N, P) of several sets of blocks (F, T, 6, p), side by side."""
         rows = []
         for number, change in enumerate(self._changes):
             if not blocks:
-                rows.append(np.empty((change.size * len(NAMES), 0)))
+                rows.append(np.empty((change.size, 0)))
                 continue
             values = np.concatenate([one[number] for one in blocks], axis=-1)
             rows.append(self._noise.whiten(values, change))
@@ -289,15 +323,53 @@ class OpticalSearch:
         Args:
             residual: (F, T, 6) of each trajectory, measured against predicted.
         """
-        return self._scores(self._columns.T @ self.whitened(residual))
+        whitened = self.whitened(residual)
+        beyond = float(whitened @ whitened) - len(whitened)
+        return self._scores(self._columns.T @ whitened, beyond, self._spurious)
+
+    def spurious_variances(self, residuals: Sequence[Array]) -> Spurious:
+        """Return the variances of the sizes that effects seem to have where there is none.
+
+        Args:
+            residuals: (F, T, 6) of each trajectory, in which nothing is wrong.
+        """
+        alone = [self._alone(number, residuals) for number in range(len(self._changes))]
+        whole = (self._columns.T @ self.whitened(residuals), np.diag(self._gram))
+        # Each trajectory by itself, and all together: an error that all share shows there.
+        right, square = map(np.array, zip(*alone, whole, strict=True))
+        variance = _variance_beyond(right, square)
+        found: dict[str, list[Array]] = {name: [] for name in self._names}
+        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
+            least = [LEAST_SPURIOUS * (d.high - d.low) / d.step for d in signature.directions]
+            found[name].append(np.maximum(variance[part], np.square(least)))
+        return {name: tuple(several) for name, several in found.items()}
+
+    def _alone(self, number: int, residuals: Sequence[Array]) -> tuple[Array, Array]:
+        """Return the products of the columns with one trajectory's residual, and their squares,
+        freed from the nuisances of this trajectory."""
+        part = slice(self._ends[number], self._ends[number + 1])
+        free = _without(self._nuisances[part], self._deviations)
+        columns = free(self._raw[part])
+        change = self._changes[number]
+        residual = free(self._noise.whiten(residuals[number][..., None], change))[:, 0]
+        return columns.T @ residual, np.sum(columns**2, axis=0)
 
     def null_statistics(self, count: int, seed: int) -> Array:
-        """Return (count,) the best score of each of so many residuals of noise alone."""
+        """Return (count,) the largest statistic of each of so many residuals without any effect."""
         random = np.random.default_rng(seed)
         value, vector = np.linalg.eigh(self._gram)
         root = vector * np.sqrt(np.maximum(value, 0.0))
         draws = random.standard_normal((count, len(value))) @ root.T
-        return np.array([self._scores(draw)[0].statistic for draw in draws])
+        # Student's: the variances are told from so many trajectories.
+        freedom = self._noise.trajectory_count
+        draws /= np.sqrt(random.chisquare(freedom, (count, 1)) / freedom)
+        # Noise over its own deviation has this distribution whatever part of it is the model's.
+        none = [np.zeros_like(one) for one in self._spurious]
+        return np.array([max(s.statistic for s in self._scores(draw, 0.0, none)) for draw in draws])
+
+    def threshold(self, alpha: float, *, count: int = 2000, seed: int = 0) -> float:
+        """Return the statistic that a share alpha of data sets without any effect exceeds."""
+        return float(np.quantile(self.null_statistics(count, seed), 1.0 - alpha))
 
     def likeness(self) -> list[Likeness]:
         """Return how alike each two effects look, the most alike first; of excited ones alone."""
@@ -325,28 +397,57 @@ class OpticalSearch:
         left, value, _ = np.linalg.svd(columns, full_matrices=False)
         return np.asarray(left[:, value > LEAST_NORM])
 
-    def _scores(self, product_: Array) -> list[Score]:
-        """Return scores from the columns' products (P,) with a residual."""
-        best: dict[str, Score] = {}
-        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
-            score = self._score(name, signature, self._gram[part, part], product_[part])
-            if name not in best or score.statistic > best[name].statistic:
-                best[name] = score
-        return sorted(best.values(), key=lambda one: -one.statistic)
+    def _scores(self, right: Array, beyond: float, spurious: Sequence[Array]) -> list[Score]:
+        """Return scores, best fit first.
 
-    def _score(self, name: str, signature: Signature, gram: Array, right: Array) -> Score:
+        Args:
+            right: (P,) products of the columns with a residual.
+            beyond: how much the residual's square exceeds that of noise.
+            spurious: variances of the spurious sizes, of each signature.
+        """
+        best: dict[str, Score] = {}
+        for name, signature, part, variance in zip(
+            self._owners, self._signatures, self._slices, spurious, strict=True
+        ):
+            score = self._score(
+                name, signature, self._gram[part, part], right[part], beyond, variance
+            )
+            if name not in best or score.fit > best[name].fit:
+                best[name] = score
+        return sorted(best.values(), key=lambda one: -one.fit)
+
+    def _score(
+        self,
+        name: str,
+        signature: Signature,
+        gram: Array,
+        right: Array,
+        beyond: float,
+        variance: Array,
+    ) -> Score:
         directions = signature.directions
         values = {**signature.shape, **{d.name: d.none for d in directions}}
         if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
-            return Score(name, 0.0, 0.0, values, False)
+            return Score(name, 0.0, 0.0, 0.0, 0.0, values, False)
         size = _bounded(gram, right, [d.bounds() for d in directions])
         gain = float(2.0 * size @ right - size @ gram @ size)
         penalty = 2.0 * len(directions) + 2.0 * np.log(self._probe_count[name])
         values |= {
             d.name: d.none + float(s) * d.step for d, s in zip(directions, size, strict=True)
         }
-        norm = float(np.sqrt(np.maximum(size @ gram @ size, 0.0)))
-        return Score(name, max(gain - penalty, 0.0), norm, values, True)
+        # The size varies by its sampling error, the inverse of gram, and by the model's error.
+        weight = np.linalg.solve(np.eye(len(gram)) + gram * variance, gram)
+        square = float(size @ weight @ size)
+        explained = gain / max(beyond, gain, _TINY)
+        return Score(
+            name,
+            max(gain - penalty, 0.0),
+            max(square - penalty, 0.0),
+            math.sqrt(max(square, 0.0)),
+            explained,
+            values,
+            True,
+        )
 
 
 def score_optical(
@@ -355,17 +456,19 @@ def score_optical(
     noise: TileNoise,
     nuisances: Sequence[Nuisance],
     changes: Sequence[Array],
+    spurious: Spurious | None = None,
 ) -> list[Score]:
     """Return the scores of optical effects, best first.
 
     Args:
         residual: (F, T, 6) of each trajectory, measured against predicted.
-        signatures, noise, nuisances, changes: as `OpticalSearch`, which scores many residuals.
+        signatures, noise, nuisances, changes, spurious: as `OpticalSearch`, which scores many
+            residuals.
 
     Raises:
         ValueError: as `OpticalSearch`.
     """
-    return OpticalSearch(signatures, noise, nuisances, changes).score(residual)
+    return OpticalSearch(signatures, noise, nuisances, changes, spurious).score(residual)
 
 
 def alike(scores: Sequence[Score], likeness: Iterable[Likeness]) -> list[str]:
@@ -383,6 +486,26 @@ def alike(scores: Sequence[Score], likeness: Iterable[Likeness]) -> list[str]:
         if mine == best.name and one.separation(best.norm) < APART
     }
     return [best.name, *(score.name for score in scores[1:] if score.name in near)]
+
+
+def _variance_beyond(right: Array, square: Array) -> Array:
+    """Return (P,) the variance v of sizes beyond their sampling error.
+
+    Sizes x_j = right_j / square_j have the sampling variance 1 / square_j; v solves
+    sum_j x_j^2 / (v + 1 / square_j) = J, and is 0 where they vary less.
+
+    Args:
+        right, square: (J, P).
+    """
+    size = right / np.maximum(square, _TINY)
+    sampling = 1.0 / np.maximum(square, _TINY)
+    count = len(right)
+    low, high = np.zeros(right.shape[1]), np.sum(size**2, axis=0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        too_small = np.sum(size**2 / (middle + sampling), axis=0) > count
+        low, high = np.where(too_small, middle, low), np.where(too_small, high, middle)
+    return np.asarray(low)
 
 
 def _without(columns: Array, deviation: Array) -> Callable[[Array], Array]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from dotsim_ros.gap.tiles import COLOURS, NAMES
+from dotsim_ros.gap.tiles import COLOURS, NAMES, SHIFTS
 
 Array = NDArray[np.float64]
 
@@ -61,9 +61,10 @@ class TileNoise:
         centre_px: (T, 2) of the tiles.
         camera: (T, 6) deviation by the camera's noise.
         model: (T, 6) deviation by the model's error where nothing is pressed.
-        growth: (6,) deviation by the model's error, over what the contact changes, a level.
+        growth: (6,) deviation by the model's error, over what the contact changes.
         mixing: (6, 6) symmetric; turns deviations into channels that are not correlated.
         correlations: of those channels.
+        trajectory_count: how many trajectories it was told from.
     """
 
     centre_px: Array
@@ -72,14 +73,15 @@ class TileNoise:
     growth: Array
     mixing: Array
     correlations: tuple[Correlation, ...]
+    trajectory_count: int
 
     def deviation(self, change: Array) -> Array:
         """Return (F, T, 6) the deviation of each observable.
 
         Args:
-            change: (F, T) `change_levels` of the prediction.
+            change: (F, T, 6) `contact_change` of the prediction.
         """
-        growing = (change[..., None] * self.growth) ** 2
+        growing = (change * self.growth) ** 2
         return np.sqrt(self.camera**2 + self.model**2 + growing)
 
     def whiten(self, values: Array, change: Array) -> Array:
@@ -87,7 +89,7 @@ class TileNoise:
 
         Args:
             values: (F, T, 6, P) P sets of observables of one trajectory.
-            change: (F, T) `change_levels` of its prediction.
+            change: (F, T, 6) `contact_change` of its prediction.
         """
         scaled = values / self.deviation(change)[..., None]
         mixed = np.einsum("kc,ftcp->ftkp", self.mixing, scaled)
@@ -99,13 +101,23 @@ class TileNoise:
         return np.asarray(mixed.reshape(-1, values.shape[-1]))
 
 
-def change_levels(change: Array) -> Array:
-    """Return (F, T) how much a contact changes tiles: root mean square of the three colours.
+def contact_change(change: Array) -> Array:
+    """Return (F, T, 6) how much a contact changes what there is to predict for each observable.
+
+    For colours and sharpness, the root mean square of the change of the three colours; for the
+    shifts, that of the two shifts.
 
     Args:
         change: (F, T, 6) observables of predicted pictures against the idle frame.
     """
-    return np.asarray(np.sqrt(np.mean(change[..., COLOURS] ** 2, axis=-1)))
+    result = np.empty_like(change)
+    result[..., : SHIFTS.start] = _rms(change[..., COLOURS])
+    result[..., SHIFTS] = _rms(change[..., SHIFTS])
+    return result
+
+
+def _rms(values: Array) -> Array:
+    return np.asarray(np.sqrt(np.mean(values**2, axis=-1, keepdims=True)))
 
 
 def estimate_noise(
@@ -116,7 +128,7 @@ def estimate_noise(
     Args:
         residuals: (F, T, 6) of each trajectory, measured against predicted, that the model was not
             fitted to.
-        changes: (F, T) of each, `change_levels`.
+        changes: (F, T, 6) of each, `contact_change`.
         camera: (T, 6) deviation by the camera's noise.
         centre_px: (T, 2) of the tiles.
 
@@ -131,7 +143,9 @@ def estimate_noise(
     total, growth = _variances(np.concatenate(residuals), np.concatenate(changes))
     model = np.sqrt(np.maximum(total - camera**2, 0.0))
     identity = tuple(Correlation(1.0, 1.0, 1.0) for _ in NAMES)
-    plain = TileNoise(centre_px, camera, model, growth, np.eye(len(NAMES)), identity)
+    plain = TileNoise(
+        centre_px, camera, model, growth, np.eye(len(NAMES)), identity, len(residuals)
+    )
     scaled = [r / plain.deviation(c) for r, c in zip(residuals, changes, strict=True)]
     every = np.concatenate(scaled).reshape(-1, len(NAMES))
     value, vector = np.linalg.eigh(every.T @ every / len(every))
@@ -142,7 +156,7 @@ def estimate_noise(
         _correlation([one[..., channel] for one in mixed], distance)
         for channel in range(len(NAMES))
     )
-    return TileNoise(centre_px, camera, model, growth, mixing, correlations)
+    return TileNoise(centre_px, camera, model, growth, mixing, correlations, len(residuals))
 
 
 def _distance_px(centre_px: Array) -> Array:
@@ -155,7 +169,7 @@ def _variances(residual: Array, change: Array) -> tuple[Array, Array]:
     Fitted as residual^2 = variance + (growth change)^2 by least squares, weighted by what is
     expected, in turns.
     """
-    square, power = residual**2, change[..., None] ** 2
+    square, power = residual**2, change**2
     pooled = np.maximum(square.mean(axis=(0, 1)), 1e-12)
     rest = np.broadcast_to(pooled, square.shape[1:]).copy()
     growth_square = np.zeros(len(pooled))
@@ -193,11 +207,17 @@ def _correlation(values: Sequence[Array], distance_px: Array) -> Correlation:
             total += float(np.sum(np.log(variance) + along**2 / variance))
         return 0.5 * total
 
+    start = np.array([0.0, 1.0, -1.5])
     found = minimize(
         unlikeliness,
-        np.array([0.0, 1.0, -1.5]),
+        start,
         method="Nelder-Mead",
         bounds=[(-6.0, 6.0), (-3.0, 5.0), (-3.0, 2.0)],
-        options={"xatol": 0.02, "fatol": 0.05},
+        # Steps of a size that matters: the default's vanish about zero.
+        options={
+            "xatol": 0.02,
+            "fatol": 0.05,
+            "initial_simplex": np.vstack([start, start + np.eye(3)]),
+        },
     )
     return of(found.x)

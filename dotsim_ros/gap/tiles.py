@@ -29,9 +29,10 @@ COLOURS = slice(0, 3)
 SHARPNESS = 3
 SHIFTS = slice(4, 6)
 
-RIM_PX_OF_240 = 4
-"""Pixels closer to the rim of the lit disc, in a picture 240 px high, belong to no tile: what is
-beyond the rim is dark."""
+RIM_PX = 4
+"""Pixels closer to the rim of the lit disc belong to no tile, in a picture up to 240 px high: what
+is beyond the rim is dark, and the blur reaches it. In larger ones in proportion."""
+REFERENCE_HEIGHT = 240
 LEAST_SHARE = 0.5
 """A tile of which less is inside has no place in the grid."""
 SMOOTHING_PX = 1.0
@@ -83,7 +84,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
         ValueError: no tile is lit.
     """
     height, width = lit.shape
-    rim = max(1, round(RIM_PX_OF_240 * height / 240.0))
+    rim = RIM_PX * max(height / REFERENCE_HEIGHT, 1.0)
     # Beyond the picture's edge the disc goes on.
     padded = cv2.copyMakeBorder(lit.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]

@@ -1,0 +1,394 @@
+"""The search for optical effects on synthetic films: nulls, power, what cannot be told apart."""
+
+from dataclasses import replace
+from functools import cache
+
+import cv2
+import numpy as np
+import pytest
+
+from dotsim_ros.gap.effect import IMAGE, Effect, EffectParameter
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.optical_model import Film
+from dotsim_ros.gap.optical_search import (
+    OpticalSearch,
+    alike,
+    camera_nuisances,
+    probes_of,
+    score_optical,
+    signatures_of,
+)
+from dotsim_ros.gap.tile_noise import Correlation, TileNoise, contact_change, estimate_noise
+from dotsim_ros.gap.tiles import NAMES, TileMeter, tile_grid
+
+HEIGHT, WIDTH = 60, 80
+FRAMES = 4
+CENTRE, FOCAL = np.array([39.5, 29.5]), 20.0
+LIT = np.hypot(*np.meshgrid(np.arange(WIDTH) - 39.5, np.arange(HEIGHT) - 29.5)) < 28.0
+CHOSEN = (
+    "ambient_light",
+    "auto_exposure",
+    "camera_intrinsics",
+    "gamma",
+    "led_imbalance_red",
+    "vignetting",
+)
+REFERENCES, NULLS = range(20, 28), 40
+
+
+def idle_frame():
+    """Return a speckled picture (H, W, 3) lit from three sides."""
+    random = np.random.default_rng(1)
+    speckle = cv2.GaussianBlur(random.standard_normal((HEIGHT, WIDTH)), (0, 0), 1.0)
+    level = 100.0 + 40.0 * np.tanh(4.0 * speckle)
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    side = np.stack(
+        [
+            1.0 + 0.4 * np.cos(a) * (x - 40) / 40 + 0.4 * np.sin(a) * (y - 30) / 30
+            for a in (0, 2, 4)
+        ],
+        axis=-1,
+    )
+    return np.where(LIT[..., None], level[..., None] * side, 0.0)
+
+
+IDLE = idle_frame()
+
+
+def film_of(number):
+    """Return a film of a contact that darkens a place of the picture."""
+    random = np.random.default_rng(100 + number)
+    middle = random.uniform([25.0, 20.0], [55.0, 40.0])
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    dent = np.exp(-((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / 60.0)[..., None]
+    depth = np.linspace(0.0, 0.4, FRAMES)[:, None, None, None]
+    return Film(
+        0.1 * np.arange(FRAMES),
+        10.0 * number + 0.1 * np.arange(FRAMES),
+        (IDLE * (1.0 - depth * dent)).astype(np.float32),
+        np.zeros((FRAMES, HEIGHT, WIDTH, 2), dtype=np.float32),
+        IDLE,
+        CENTRE,
+        FOCAL,
+    )
+
+
+def truth():
+    """Return the covariance that the synthetic residuals are drawn from."""
+    tiles = len(METER.grid)
+    scale = np.array([0.5, 0.5, 0.5, 0.02, 0.05, 0.05])
+    mixing = np.eye(6)
+    mixing[:3, :3] = np.linalg.inv(np.linalg.cholesky(0.7 * np.eye(3) + 0.3))
+    return TileNoise(
+        METER.grid.centre_px,
+        np.tile(0.2 * scale, (tiles, 1)),
+        np.tile(scale, (tiles, 1)),
+        0.1 * scale,
+        mixing,
+        tuple(Correlation(0.6, 2.0, 20.0) for _ in NAMES),
+        len(REFERENCES),
+    )
+
+
+METER = TileMeter(tile_grid(LIT, columns=6, rows=4), IDLE)
+FILMS = [film_of(number) for number in range(6)]
+
+
+def changes_of(films):
+    rest = [np.broadcast_to(IDLE, film.pixels.shape) for film in films]
+    return [
+        contact_change(METER.difference(film.pixels, one))
+        for film, one in zip(films, rest, strict=True)
+    ]
+
+
+CHANGES = changes_of(FILMS)
+
+
+@cache
+def roots():
+    """Return what turns normal numbers into correlated ones, of any channel of `truth`."""
+    distance = np.linalg.norm(METER.grid.centre_px[:, None] - METER.grid.centre_px[None], axis=2)
+    lag = np.abs(np.subtract.outer(np.arange(FRAMES), np.arange(FRAMES)))
+    one = truth().correlations[0]
+    shared = np.kron(np.exp(-lag / one.frames), np.exp(-distance / one.length_px))
+    return np.linalg.cholesky(one.white * np.eye(len(shared)) + (1.0 - one.white) * shared)
+
+
+def drawn(change, random):
+    """Return a residual (F, T, 6) of the true covariance, by inverting what whitens it."""
+    noise = truth()
+    values = roots() @ random.standard_normal((len(roots()), 6))
+    unmixed = values @ np.linalg.inv(noise.mixing).T
+    return unmixed.reshape(change.shape) * noise.deviation(change)
+
+
+def null_residual(seed):
+    random = np.random.default_rng(seed)
+    return [drawn(change, random) for change in CHANGES]
+
+
+@pytest.fixture(scope="module")
+def signatures():
+    library = load_effects()
+    return signatures_of([library[name] for name in CHOSEN], FILMS, METER)
+
+
+@pytest.fixture(scope="module")
+def references():
+    """Films, changes and residuals of trajectories in which nothing is wrong."""
+    films = [film_of(number) for number in REFERENCES]
+    changes = changes_of(films)
+    random = np.random.default_rng(7)
+    return films, changes, [drawn(change, random) for change in changes]
+
+
+@pytest.fixture(scope="module")
+def noise(references):
+    """The covariance as estimated from other trajectories, not as it is."""
+    _, changes, residuals = references
+    return estimate_noise(residuals, changes, truth().camera, METER.grid.centre_px)
+
+
+@pytest.fixture(scope="module")
+def nuisances():
+    return camera_nuisances(FILMS, METER)
+
+
+@pytest.fixture(scope="module")
+def spurious(references, noise):
+    films, changes, residuals = references
+    library = load_effects()
+    signatures = signatures_of([library[name] for name in CHOSEN], films, METER)
+    search = OpticalSearch(signatures, noise, camera_nuisances(films, METER), changes)
+    return search.spurious_variances(residuals)
+
+
+@pytest.fixture(scope="module")
+def search(signatures, noise, nuisances, spurious):
+    return OpticalSearch(signatures, noise, nuisances, CHANGES, spurious)
+
+
+def with_law(law, seed):
+    """Return a residual of pictures that a law (H, W, 3) -> (H, W, 3) changed."""
+    noise = null_residual(seed)
+    changed = [np.stack([law(p.astype(np.float64)) for p in film.pixels]) for film in FILMS]
+    return [
+        METER.difference(picture, film.pixels) + one
+        for picture, film, one in zip(changed, FILMS, noise, strict=True)
+    ]
+
+
+def vignetted(pixels):
+    # cos^4 and not r^2: 10 % at half the picture's height from the axis.
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    radius = np.hypot(x - CENTRE[0], y - CENTRE[1]) / (0.5 * HEIGHT)
+    angle = np.arccos(0.9**0.25)
+    return pixels * (np.cos(np.minimum(radius * angle, 1.5)) ** 4)[..., None]
+
+
+def test_the_estimated_noise_is_that_which_was_drawn(noise):
+    true = truth()
+    ratio = noise.deviation(CHANGES[0]) / true.deviation(CHANGES[0])
+    assert 0.85 < np.median(ratio[..., :3]) < 1.15
+    assert 0.85 < np.median(ratio[..., 3:]) < 1.15
+    white = [one.white for one in noise.correlations]
+    assert np.median(white) == pytest.approx(0.6, abs=0.2)
+
+
+def test_whitening_leaves_unit_covariance():
+    true, random = truth(), np.random.default_rng(11)
+    draws = np.stack([drawn(CHANGES[0], random) for _ in range(400)], axis=-1)
+    white = true.whiten(draws, CHANGES[0])
+    covariance = white @ white.T / draws.shape[-1]
+    assert np.diag(covariance).mean() == pytest.approx(1.0, abs=0.02)
+    off = covariance - np.diag(np.diag(covariance))
+    # What 400 draws leave of nothing.
+    assert np.sqrt(np.mean(off**2)) == pytest.approx(1.0 / np.sqrt(400), rel=0.1)
+
+
+def test_noise_takes_several_trajectories(noise):
+    with pytest.raises(ValueError, match="3 trajectories tell nothing of a model's error"):
+        estimate_noise(
+            [np.ones((2, 3, 6))] * 3, [np.ones((2, 3, 6))] * 3, np.ones((3, 6)), np.ones((3, 2))
+        )
+
+
+def largest(scores):
+    return max(score.statistic for score in scores)
+
+
+def test_nulls_get_few_names(search):
+    threshold = search.threshold(0.02)
+    false = [
+        seed for seed in range(NULLS) if largest(search.score(null_residual(seed))) > threshold
+    ]
+    # 2 % of 40 are wanted.
+    assert len(false) <= 2
+
+
+def test_an_error_that_the_model_repeats_is_no_effect(references, signatures, noise, nuisances):
+    # The model draws the edges too bright, by another share in every trajectory.
+    films, changes, residuals = references
+    random = np.random.default_rng(5)
+
+    def erring(films, residuals):
+        slips = [vignetting_error(film, random.normal(0.0, 0.03)) for film in films]
+        return [slip + one for slip, one in zip(slips, residuals, strict=True)]
+
+    wrong = erring(films, residuals)
+    told = estimate_noise(wrong, changes, truth().camera, METER.grid.centre_px)
+    library = load_effects()
+    theirs = signatures_of([library[name] for name in CHOSEN], films, METER)
+    reference = OpticalSearch(theirs, told, camera_nuisances(films, METER), changes)
+    spurious = reference.spurious_variances(wrong)
+    aware = OpticalSearch(signatures, told, nuisances, CHANGES, spurious)
+    unaware = OpticalSearch(signatures, told, nuisances, CHANGES)
+    draws = [erring(FILMS, null_residual(seed)) for seed in range(20)]
+    threshold = aware.threshold(0.02)
+    false = [one for one in draws if largest(aware.score(one)) > threshold]
+    fooled = [one for one in draws if largest(unaware.score(one)) > threshold]
+    assert len(false) <= 1
+    assert len(fooled) > len(false)
+    # Three times as much is still seen.
+    scores = aware.score(with_law(lambda p: p * falling(0.2)[..., None], 0))
+    assert scores[0].name == "vignetting"
+    assert scores[0].statistic > threshold
+
+
+def falling(loss):
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    square = ((x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2) / (0.5 * HEIGHT) ** 2
+    return 1.0 - loss * square
+
+
+def vignetting_error(film, loss):
+    return METER.difference(film.pixels * falling(loss)[None, ..., None], film.pixels)
+
+
+def test_null_draws_are_those_of_whole_residuals(signatures, nuisances):
+    # So many trajectories that Student's distribution is normal.
+    known = replace(truth(), trajectory_count=10**6)
+    search = OpticalSearch(signatures, known, nuisances, CHANGES)
+    whole = [largest(search.score(null_residual(1000 + seed))) for seed in range(400)]
+    cheap = search.null_statistics(2000, seed=1)
+    assert np.mean(whole) == pytest.approx(np.mean(cheap), rel=0.25)
+    assert np.quantile(whole, 0.9) == pytest.approx(np.quantile(cheap, 0.9), rel=0.25)
+
+
+def test_a_variance_from_few_trajectories_takes_a_higher_threshold(signatures, nuisances):
+    few, many = (
+        OpticalSearch(signatures, replace(truth(), trajectory_count=n), nuisances, CHANGES)
+        for n in (4, 100)
+    )
+    assert few.threshold(0.02, count=500) > 1.5 * many.threshold(0.02, count=500)
+
+
+def test_a_vignetting_of_ten_percent_is_found_and_not_called_gamma(search):
+    threshold = search.threshold(0.02)
+    for seed in range(5):
+        scores = search.score(with_law(vignetted, seed))
+        assert scores[0].name == "vignetting"
+        assert scores[0].statistic > threshold
+        assert scores[0].explained > 0.8
+        assert scores[0].values["edge_loss"] == pytest.approx(0.1, rel=0.25)
+        assert "gamma" not in alike(scores, search.likeness())
+
+
+def test_what_no_effect_explains_is_said_to_be_unexplained(search):
+    # A lens out of focus is not among the effects.
+    scores = search.score(with_law(lambda p: cv2.GaussianBlur(p, (0, 0), 1.0), 0))
+    assert scores[0].statistic > search.threshold(0.02)
+    assert scores[0].explained < 0.5
+
+
+def test_other_laws_are_named_by_what_they_are(search):
+    laws = {
+        "led_imbalance_red": lambda p: p * np.array([0.94, 0.995, 1.0]),
+        "auto_exposure": lambda p: p * (IDLE[LIT].mean() / p[LIT].mean()) ** 0.8,
+        "camera_intrinsics": lambda p: np.roll(p, 1, axis=1),
+    }
+    for name, law in laws.items():
+        assert search.score(with_law(law, 3))[0].name == name
+    shift = search.score(with_law(laws["camera_intrinsics"], 3))[0].values
+    assert shift["shift_x_rad"] * FOCAL == pytest.approx(1.0, rel=0.3)
+    assert shift["shift_y_rad"] * FOCAL == pytest.approx(0.0, abs=0.1)
+
+
+def test_ambient_light_and_gamma_are_flagged_as_a_pair(search):
+    pairs = {frozenset((one.first, one.second)): one.cosine for one in search.likeness()}
+    together = pairs[frozenset(("ambient_light", "gamma"))]
+    assert together > 0.85
+    assert together == max(pairs.values())
+    assert pairs[frozenset(("gamma", "vignetting"))] < 0.8
+    scores = search.score(with_law(lambda p: p + 4.0 * LIT[..., None], 5))
+    assert set(alike(scores, search.likeness())[:2]) == {"ambient_light", "gamma"}
+
+
+def test_the_gain_of_the_camera_is_no_effect(search):
+    plain = search.whitened(null_residual(2))
+    dimmed = search.whitened(with_law(lambda p: 0.9 * p, 2))
+    # What saturates nowhere is a gain to the last bit, but in the shift of the pattern.
+    np.testing.assert_allclose(dimmed, plain, atol=1e-6)
+
+
+def test_a_small_offset_is_the_camera_s_and_a_large_one_is_not(signatures, noise, nuisances):
+    gain, level = nuisances
+    free = replace(level, deviation=np.inf)
+    known = OpticalSearch(signatures, noise, nuisances, CHANGES)
+    blind = OpticalSearch(signatures, noise, (gain, free), CHANGES)
+    residual = with_law(lambda p: p + 4.0 * LIT[..., None], 5)
+    found = {score.name: score for score in known.score(residual)}
+    lost = {score.name: score for score in blind.score(residual)}
+    assert found["ambient_light"].fit > 20.0
+    assert not lost["ambient_light"].is_excited
+
+
+def test_a_size_stays_in_its_range(search):
+    scores = {s.name: s for s in search.score(with_law(lambda p: 2.0 * p - vignetted(p), 4))}
+    # Brighter edges are no vignetting.
+    assert scores["vignetting"].values["edge_loss"] == 0.0
+    assert scores["vignetting"].statistic == 0.0
+
+
+def test_what_the_data_do_not_show_is_not_excited(noise, nuisances):
+    library = load_effects()
+    # Nothing moves in these films.
+    signatures = signatures_of([library["motion_blur"], library["gamma"]], FILMS, METER)
+    scores = score_optical(null_residual(0), signatures, noise, nuisances, CHANGES)
+    found = {score.name: score for score in scores}
+    assert not found["motion_blur"].is_excited
+    assert found["gamma"].is_excited
+
+
+def test_probes_keep_the_other_parameters_where_they_do_nothing():
+    library = load_effects()
+    (directions, shape), *_ = probes_of(library["camera_intrinsics"])
+    assert [d.name for d in directions] == ["focal_ratio", "shift_x_rad", "shift_y_rad"]
+    assert all(d.step != 0.0 for d in directions)
+    assert shape == {}
+    spots = probes_of(library["worn_coat"])
+    assert len(spots) == 25
+    assert all(len(directions) == 1 for directions, _ in spots)
+    assert len({tuple(sorted(shape.items())) for _, shape in spots}) == 25
+
+
+def test_a_probe_that_does_nothing_is_refused():
+    effect = Effect(
+        "still",
+        "Still",
+        (EffectParameter("size", "", 1.0, 0.5, 1.5, (1.0,)),),
+        (IMAGE,),
+        "nothing",
+        lambda recording: True,
+        image=lambda values: lambda seen: seen.pixels,
+    )
+    with pytest.raises(ValueError, match="'size' is probed at"):
+        probes_of(effect)
+
+
+def test_blocks_that_are_not_the_trajectories_are_refused(signatures, noise, nuisances):
+    with pytest.raises(ValueError, match="6 trajectories, expected 5 as predicted"):
+        OpticalSearch(signatures, noise, nuisances, CHANGES[:-1])
+    with pytest.raises(ValueError, match="no optical effect"):
+        OpticalSearch({}, noise, nuisances, CHANGES)
