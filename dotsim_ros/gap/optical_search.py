@@ -431,7 +431,7 @@ class OpticalSearch:
             return Score(name, 0.0, 0.0, 0.0, 0.0, values, False)
         size = _bounded(gram, right, [d.bounds() for d in directions])
         gain = float(2.0 * size @ right - size @ gram @ size)
-        penalty = 2.0 * len(directions) + 2.0 * np.log(self._probe_count[name])
+        penalty = 2.0 * len(directions) + 2.0 * math.log(self._probe_count[name])
         values |= {
             d.name: d.none + float(s) * d.step for d, s in zip(directions, size, strict=True)
         }

@@ -1,0 +1,95 @@
+"""The twin's pictures: made from its own idle frame, with what effects need to know of them."""
+
+import numpy as np
+import pytest
+from optical_presses import dented
+
+from dotsim_ros.gap.effect import Active
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.optical_model import IDLE, OpticalMeasurement, PictureModel
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.sensor import skin_of
+
+WIDTH, HEIGHT = 80, 60
+STAMP_S = np.array([1.0, 1.1, 1.3])
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    return load_sensor("sensor_a")
+
+
+@pytest.fixture(scope="module")
+def model(sensor):
+    return PictureModel(sensor, width=WIDTH, height=HEIGHT)
+
+
+@pytest.fixture(scope="module")
+def film(model, sensor):
+    """A skin that stands still, is dented, and is then turned about its axis by 3 degrees."""
+    skin = skin_of(sensor.gel)
+    dent = dented(skin, np.array([0.0, 0.0, 1.0]), 1.0e-3, 3.0e-3)
+    angle = np.radians(3.0)
+    turn = np.array(
+        [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
+    )
+    return model.film(np.stack([skin.rest_position_m, dent, dent @ turn.T]), STAMP_S, 20.0)
+
+
+def test_a_skin_at_rest_shows_the_twin_s_own_idle_frame(model, film):
+    assert film.pixels.shape == (3, HEIGHT, WIDTH, 3)
+    np.testing.assert_allclose(film.pixels[0], model.idle, atol=0.5)
+    np.testing.assert_array_equal(film.idle, model.idle)
+    np.testing.assert_array_equal(model.idle_film().pixels[0], model.idle)
+
+
+def test_a_contact_changes_the_picture_where_it_is(film):
+    change = np.abs(film.pixels[1] - film.pixels[0]).max(axis=2)
+    x, y = np.rint(film.centre_px).astype(int)
+    assert change[y - 5 : y + 6, x - 5 : x + 6].max() > 5.0
+    assert film.pixels.min() >= 0.0
+    assert film.pixels.max() <= 255.0
+    # Not rounded: the network adds shares of a level.
+    assert np.any(film.pixels[1] % 1.0 != 0.0)
+
+
+def test_times_are_those_of_the_frames_and_of_the_session(film):
+    seen = list(film.seen())
+    assert [one.stamp_s for one in seen] == STAMP_S.tolist()
+    assert [one.session_s for one in seen] == pytest.approx([20.0, 20.1, 20.3])
+
+
+def test_the_flow_is_that_of_the_skin(film):
+    assert not film.flow_px_s[0].any()
+    # A turn about an axis nearly that of the camera: pixels move across the radius, by the angle.
+    flow = film.flow_px_s[2]
+    offset_x, offset_y = 10.0, 0.0
+    x, y = np.rint(film.centre_px + np.array([offset_x, offset_y])).astype(int)
+    speed = np.radians(3.0) * offset_x / (STAMP_S[2] - STAMP_S[1])
+    assert flow[y, x, 1] == pytest.approx(speed, rel=0.2)
+    assert abs(flow[y, x, 0]) < 0.2 * speed
+    assert not flow[0, 0].any()
+
+
+def test_effects_act_on_every_frame_with_fresh_filters(film):
+    effect = load_effects()["ambient_light"]
+    active = [Active(effect, {"added_share": 0.02})]
+    expected = np.clip(film.pixels + 5.1, 0.0, 255.0)
+    np.testing.assert_allclose(film.with_effects(active), expected, rtol=1e-5)
+    np.testing.assert_allclose(film.with_effects(active), expected, rtol=1e-5)
+    np.testing.assert_array_equal(film.with_effects([]), film.pixels)
+
+
+def test_the_idle_images_are_a_trajectory_of_their_own(model):
+    images = np.stack([model.idle, model.idle])
+    lit = model.idle.max(axis=2) > 10
+    measured = OpticalMeasurement(model, lit, images, (), ())
+    (idle,) = measured.trajectories()
+    assert idle.name == IDLE
+    np.testing.assert_array_equal(idle.measured[0], model.idle)
+    assert idle.film.session_s.tolist() == [0.0]
+
+
+def test_a_picture_of_another_shape_is_refused(sensor):
+    with pytest.raises(ValueError, match="aspect ratio"):
+        PictureModel(sensor, width=80, height=80)
