@@ -89,6 +89,7 @@ class GelSimulator:
         specification: the sensor; its solver must be implicit and quasi-static.
         skin: the skin's markers.
         progress: told the finished share of each table that is computed.
+        tolerance_m: of the solves.
 
     Raises:
         ValueError: a solver that force is not proportional to Young's modulus for.
@@ -100,6 +101,7 @@ class GelSimulator:
         skin: SkinMesh,
         *,
         progress: Callable[[float], None] | None = None,
+        tolerance_m: float = TOLERANCE_M,
     ) -> None:
         solver = specification.solver
         if solver.method != "implicit" or solver.dynamic:
@@ -110,7 +112,7 @@ class GelSimulator:
         self.specification, self.skin = specification, skin
         self._refined, self._progress = solver.refined, progress
         self._solver = replace(
-            solver, refined=False, tolerance_m=TOLERANCE_M, iterations=ITERATIONS
+            solver, refined=False, tolerance_m=tolerance_m, iterations=ITERATIONS
         )
         self._body = body_of(specification.gel)
         self._gels: OrderedDict[tuple[float, ...], ImplicitGel] = OrderedDict()
