@@ -94,7 +94,9 @@ setup(
         "console_scripts": [
             "calibrate = dotsim_ros.nodes.calibrate:main",
             "dotsim_ros = dotsim_ros.cli.main:main",
+            "find_gap = dotsim_ros.nodes.find_gap:main",
             "indenter_player = dotsim_ros.nodes.indenter_player:main",
+            "plan_gap = dotsim_ros.nodes.plan_gap:main",
             "tactile_record = dotsim_ros.nodes.tactile_record:main",
             "tactile_sim = dotsim_ros.nodes.tactile_sim:main",
         ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +101,49 @@ def read_measurement(
             f"{folder}: no trajectory can be used.\n" + "\n".join(f"- {text}" for text in warnings)
         )
     return Measurement(folder, skin, tuple(recordings), tuple(warnings), digest.hexdigest()[:16])
+
+
+def read_poses(
+    directory: str | Path,
+    *,
+    skin: SkinMesh,
+    indenters: str | Path | None = None,
+    topics: Topics = MEASURED_TOPICS,
+) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
+    """Return the motions of a data set, measured or only planned, and what was left out.
+
+    The recordings have force and skin of zeros, so that their observables are those that would be
+    measured.
+
+    Raises:
+        FileNotFoundError: no data set there.
+        ValueError: no trajectory of it has poses.
+    """
+    data_set = read_data_set(directory)
+    recordings: list[Recording] = []
+    warnings = []
+    session_s = 0.0
+    for entry in data_set.entries:
+        try:
+            trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
+            press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
+            indenter = find_indenter(data_set, entry.indenter, indenters)
+        except (FileNotFoundError, ValueError) as error:
+            warnings.append(f"{entry.name} was left out: {error}")
+            continue
+        count = press.frame_count
+        planned = replace(
+            press,
+            skin_position_m=np.repeat(skin.rest_position_m[None], count, axis=0),
+            force_n=np.zeros((count, 3)),
+        )
+        depth_m = np.asarray(tip_depth_m(skin, press.poses))
+        phase = phases_of(press.poses, press.stamp_s, depth_m)
+        recordings.append(Recording(planned, indenter, session_s, depth_m, phase))
+        session_s += float(press.stamp_s[-1] - press.stamp_s[0])
+    if not recordings:
+        raise ValueError(f"{directory}: no poses.\n" + "\n".join(warnings))
+    return tuple(recordings), tuple(warnings)
 
 
 def _lies_in(folder: Path, name: str) -> bool:

@@ -39,6 +39,10 @@ from dotsim_ros.geometry.specification import SensorSpecification
 
 Array = NDArray[np.float64]
 
+TOLERANCE_M = 5.0e-6
+"""Of the solves: effects are tried at sizes that move the skin by tens of micrometres, and a solve
+to a fifth of this takes more than twice as long."""
+
 Progress = Callable[[int, int], None]
 """Told how many solves are done, and of how many."""
 
@@ -79,7 +83,8 @@ _folders: tuple[str, ...] = ()
 
 def _begin(specification: SensorSpecification, skin: SkinMesh, folders: tuple[str, ...]) -> None:
     global _simulator, _folders
-    _simulator, _folders = GelSimulator(specification, skin), folders
+    _simulator = GelSimulator(specification, skin, tolerance_m=TOLERANCE_M)
+    _folders = folders
 
 
 def _active(request: Request, folders: Sequence[str]) -> list[Active]:
@@ -137,6 +142,15 @@ class Solver:
         Raises:
             SolveError: the gel of one could not be solved; the text names it.
         """
+        results, failures = self.run_each(requests, progress)
+        if failures:
+            raise SolveError(failures[0])
+        return [result for result in results if result is not None]
+
+    def run_each(
+        self, requests: Sequence[Request], progress: Progress | None = None
+    ) -> tuple[list[Simulated | None], list[str]]:
+        """Return as `run`, None for those that could not be solved, and why not."""
         keys = [self._request_key(request) for request in requests]
         waiting: dict[Future[Simulated | str], str] = {}
         for key, request in zip(keys, requests, strict=True):
@@ -158,11 +172,18 @@ class Solver:
                 count += 1
                 if progress is not None:
                     progress(count, total)
-        return [self._finished(r, self._kept[k]) for r, k in zip(requests, keys, strict=True)]
+        results: list[Simulated | None] = []
+        failures = []
+        for request, key in zip(requests, keys, strict=True):
+            found = self._kept[key]
+            if isinstance(found, str):
+                failures.append(f"{request.recording.name}: {found}")
+                results.append(None)
+            else:
+                results.append(self._finished(request, found))
+        return results, failures
 
-    def _finished(self, request: Request, found: Simulated | str) -> Simulated:
-        if isinstance(found, str):
-            raise SolveError(f"{request.recording.name}: {found}")
+    def _finished(self, request: Request, found: Simulated) -> Simulated:
         effects = _active(request, self._folders)
         force = found.force_n * (request.values.youngs_modulus_pa / REFERENCE_MODULUS_PA)
         if not any(active.effect.response for active in effects):
@@ -262,7 +283,7 @@ def open_solver(
         workers: processes.
     """
     names = tuple(str(Path(folder).resolve()) for folder in folders)
-    key = hashlib.sha256(repr((specification.gel, specification.solver)).encode())
+    key = hashlib.sha256(repr((specification.gel, specification.solver, TOLERANCE_M)).encode())
     key.update(skin.rest_position_m.tobytes())
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(

@@ -1,0 +1,131 @@
+"""Find where simulation and measurement disagree, and name the missing effect.
+
+Calibrates the twin within its priors, tries every effect of the library, refits the best, judges
+the answer on trajectories kept locked. Writes OUT/report.html, report.md, findings.json, pictures,
+and, where an effect was named, OUT/effects_overlay.yaml, which tactile_sim loads with its parameter
+`effects`. Solves are kept in OUT/run: a run that was broken off goes on.
+
+exit status: 0 no gap, 10 an effect named, 11 a set of effects that the data do not tell apart,
+12 an unknown effect, 20 the data cannot be used
+
+example:
+  dotsim_ros find-gap --measured measured/after --sensor sensor_a --out report
+  dotsim_ros find-gap --measured measured/after --reference measured/commissioning --out report
+  dotsim_ros find-gap --demo --seed 3 --out demo
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from dotsim_ros.gap.findings import Findings
+    from dotsim_ros.gap.overlay import Overlay
+
+CHANNELS = ("skin", "force")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the verb takes."""
+    add = parser.add_argument
+    add("--measured", type=Path, help="folder of the data set")
+    add("--out", type=Path, default=Path("report"), help="folder of the report (report)")
+    add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
+    add("--reference", type=Path, help="the unit's commissioning: what has changed since?")
+    add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
+    add("--effects", type=Path, nargs="+", default=[], help="folders of your own effects")
+    add("--channels", nargs="+", choices=CHANNELS, default=list(CHANNELS), help="used (all)")
+    add("--alpha", type=float, default=0.02, help="chance of a name without an effect (0.02)")
+    add("--budget", type=int, help="most solves of a trajectory (no limit)")
+    add("--seed", type=int, default=0, help="of all draws (0)")
+    add("--workers", type=int, default=2, help="processes (2)")
+    add("--discrepancy", type=Path, help="file of the model's own error (the shipped one)")
+    add("--json", type=Path, help="write the findings here as well")
+    add("--demo", action="store_true", help="hide an effect drawn by the seed, and find it")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Search, write the report, print the answer."""
+    from dotsim_ros.evaluation.provenance import write_json
+    from dotsim_ros.gap.findings import Findings, Verdict, as_record
+
+    if arguments.demo == (arguments.measured is not None):
+        raise ValueError("name a data set with --measured, or ask for --demo")
+    if arguments.demo:
+        from dotsim_ros.evaluation.gap_demo import run_demo
+
+        return run_demo(arguments.out, seed=arguments.seed, workers=arguments.workers)
+    try:
+        findings = search(arguments)
+    except ValueError as error:
+        findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
+        report(arguments.out, findings, None, effects=arguments.effects)
+    if arguments.json is not None:
+        write_json(arguments.json, as_record(findings))
+    print(f"\n{findings.sentence}")
+    for text in findings.warnings:
+        print(f"- {text}")
+    print(f"{arguments.out / 'report.html'}: {findings.verdict.value}")
+    return findings.verdict.exit_status
+
+
+def search(arguments: argparse.Namespace) -> Findings:
+    """Return the findings of a search, its report written."""
+    from dotsim_ros.gap.search import Request, find_gap
+    from dotsim_ros.geometry.specification import load_sensor
+
+    request = Request(
+        measured=arguments.measured,
+        sensor=load_sensor(arguments.sensor),
+        directory=arguments.out / "run",
+        reference=arguments.reference,
+        indenters=arguments.indenters,
+        effects=tuple(arguments.effects),
+        channels=tuple(arguments.channels),
+        alpha=arguments.alpha,
+        budget=arguments.budget,
+        seed=arguments.seed,
+        workers=arguments.workers,
+        discrepancy=arguments.discrepancy,
+    )
+    findings, overlay = find_gap(request, Progress())
+    report(arguments.out, findings, overlay, effects=arguments.effects)
+    return findings
+
+
+def report(
+    directory: Path,
+    findings: Findings,
+    overlay: Overlay | None,
+    *,
+    effects: Sequence[Path] = (),
+) -> None:
+    """Write a report, and the overlay where there is one."""
+    from dotsim_ros.gap.library import load_effects
+    from dotsim_ros.gap.overlay import FILE_NAME, write_overlay
+    from dotsim_ros.gap.report import write_report
+
+    directory.mkdir(parents=True, exist_ok=True)
+    if overlay is not None:
+        write_overlay(directory / FILE_NAME, overlay)
+    write_report(directory, findings, effects=load_effects(effects))
+
+
+class Progress:
+    """Prints each step's share and the time that is left of it."""
+
+    def __init__(self) -> None:
+        self._step, self._begun_s = "", 0.0
+
+    def __call__(self, step: str, done: int, total: int) -> None:
+        now_s = time.monotonic()
+        if step != self._step:
+            self._step, self._begun_s = step, now_s
+        if done and (done == total or done % max(1, total // 10) == 0):
+            left_s = (now_s - self._begun_s) / done * (total - done)
+            print(f"{step}: {done}/{total}, {left_s:.0f} s left", file=sys.stderr, flush=True)

@@ -1,0 +1,54 @@
+"""Say which effects a set of protocols can tell apart, before anyone measures.
+
+Takes the poses of a data set (no force or skin needed), simulates the twin with each effect along
+them, and prints the isolability matrix: cosines of pairs of signatures once the nuisances are
+projected out; how large each effect must be to be found; the pairs that are too alike, and what to
+add. The poses can be of a trial run in the air, or be written by `indenter_player`.
+
+example:
+  dotsim_ros plan-gap --protocols measured/planned --sensor sensor_a --json plan.json
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the verb takes."""
+    add = parser.add_argument
+    add("--protocols", type=Path, required=True, help="data set whose poses are the protocols")
+    add("--out", type=Path, default=Path("plan"), help="folder of the solves (plan)")
+    add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
+    add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
+    add("--effects", type=Path, nargs="+", default=[], help="folders of your own effects")
+    add("--channels", nargs="+", choices=("skin", "force"), default=["skin", "force"], help="(all)")
+    add("--seed", type=int, default=0, help="of the draws (0)")
+    add("--workers", type=int, default=2, help="processes (2)")
+    add("--json", type=Path, help="write the figures here")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Simulate, and print the matrix."""
+    from dotsim_ros.evaluation.provenance import write_json
+    from dotsim_ros.gap.plan import plan, plan_lines
+    from dotsim_ros.gap.search import Request
+    from dotsim_ros.geometry.specification import load_sensor
+
+    request = Request(
+        measured=arguments.protocols,
+        sensor=load_sensor(arguments.sensor),
+        directory=arguments.out / "run",
+        indenters=arguments.indenters,
+        effects=tuple(arguments.effects),
+        channels=tuple(arguments.channels),
+        seed=arguments.seed,
+        workers=arguments.workers,
+    )
+    planned = plan(request)
+    for line in plan_lines(planned):
+        print(line)
+    if arguments.json is not None:
+        write_json(arguments.json, planned)
+    return 0

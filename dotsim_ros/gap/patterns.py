@@ -1,0 +1,74 @@
+"""Patterns that a residual may have whatever its cause: by channel, phase and region.
+
+They tell how much of a residual could be removed by any model at all, and where it lives, when no
+effect of the library explains it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.gap.covariance import amplitude
+from dotsim_ros.gap.observables import PATCH_COUNT, SIZE, regions_of_observables
+from dotsim_ros.gap.recording import Phase, Recording
+
+Array = NDArray[np.float64]
+
+AXES = ("normal", "along", "across")
+LOOKED_AT = (Phase.LOAD, Phase.HOLD, Phase.SLIDE, Phase.RELEASE)
+
+
+def pattern_names() -> list[str]:
+    """Return the patterns' names: channel, axis, region and phase in words."""
+    names = []
+    for phase in (*LOOKED_AT, Phase.IDLE):
+        for axis in AXES[:2]:
+            names.append(f"force {axis} in {phase.value}")
+            names += [f"skin {axis} at the {region} in {phase.value}" for region in _REGIONS]
+    names += [f"force {axis} over the time of a hold" for axis in AXES[:1]]
+    names += ["skin normal over the time of a hold", "force normal by depth"]
+    return names
+
+
+_REGIONS = ("contact", "rim", "far")
+
+
+def patterns(recording: Recording, predicted: Array) -> Array:
+    """Return (K, F, SIZE) patterns of a trajectory, each of about one percent of the press.
+
+    Args:
+        recording: the trajectory.
+        predicted: (F, SIZE) observables of the twin, whose forces give the sign along a slide.
+    """
+    force = predicted[:, 3 * PATCH_COUNT :]
+    scale = 0.01 * amplitude(recording, force)
+    region = np.array(regions_of_observables())
+    axis = np.arange(SIZE) % 3
+    result = []
+    for phase in (*LOOKED_AT, Phase.IDLE):
+        frames = np.array([p is phase for p in recording.phase], dtype=float)[:, None]
+        for number in range(2):
+            shown = (region == "load") & (axis == number)
+            result.append(frames * scale * shown)
+            for name in _REGIONS:
+                members = (
+                    region == name if name != "contact" else np.isin(region, ("contact", "apex"))
+                )
+                result.append(frames * scale * (members & (axis == number)))
+    time = _time_of_hold(recording)[:, None]
+    result.append(time * scale * ((region == "load") & (axis == 0)))
+    result.append(time * scale * (np.isin(region, ("contact", "apex", "rim")) & (axis == 0)))
+    depth = (recording.depth_m / max(float(recording.depth_m.max()), 1e-6))[:, None]
+    result.append((depth - 0.5) * scale * ((region == "load") & (axis == 0)))
+    return np.stack(result)
+
+
+def _time_of_hold(recording: Recording) -> Array:
+    """Return (F,) from -1/2 to 1/2 over a hold, 0 elsewhere."""
+    held = [k for k, phase in enumerate(recording.phase) if phase is Phase.HOLD]
+    result = np.zeros(len(recording.phase))
+    if len(held) > 1:
+        stamp = recording.press.stamp_s[held]
+        result[held] = (stamp - stamp[0]) / (stamp[-1] - stamp[0]) - 0.5
+    return result

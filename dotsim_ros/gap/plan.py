@@ -1,0 +1,132 @@
+"""What a set of protocols can tell, before anyone measures: sizes that can be found, and effects
+that look alike (step 7 of the method)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.parameters import values_of
+from dotsim_ros.gap.assumptions import ABSOLUTE
+from dotsim_ros.gap.covariance import Noise, load_discrepancy
+from dotsim_ros.gap.evidence import Case, make_trajectories
+from dotsim_ros.gap.inference import cosines, lengths
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.measurement import protocol_of, read_poses
+from dotsim_ros.gap.screening import excited_variants
+from dotsim_ros.gap.search import Request
+from dotsim_ros.gap.simulate import open_solver
+from dotsim_ros.sensor import skin_of
+
+Array = NDArray[np.float64]
+
+FOUND = 5.0
+"""Whitened size from which an effect is found among twenty candidates with 95 % probability."""
+ALIKE = 0.9
+"""Cosine from which two effects need a whitened size of 14 to be told apart."""
+
+
+def plan(request: Request) -> dict[str, Any]:
+    """Return what the protocols of a data set can tell.
+
+    Args:
+        request: whose `measured` holds the poses; what else it holds is not used.
+
+    Returns:
+        `effects`: for each, the whitened size of its first probe, the size that can be found, its
+        unit, and seconds of each protocol; `cosines`: of each pair; `alike`: pairs that are too
+        close, with what to add; `silent`: effects that nothing excites, with what would.
+    """
+    skin = skin_of(request.sensor.gel)
+    recordings, warnings = read_poses(request.measured, skin=skin, indenters=request.indenters)
+    library = load_effects(request.effects)
+    values = values_of(request.sensor)
+    with open_solver(
+        request.sensor,
+        skin,
+        request.directory / "solves",
+        folders=request.effects,
+        workers=request.workers,
+    ) as solver:
+        trajectories, left_out = make_trajectories(
+            recordings,
+            (),
+            values=values,
+            nuisances=ABSOLUTE,
+            library=library,
+            solver=solver,
+            skin=skin,
+            noise=Noise(),
+            discrepancy=load_discrepancy(request.discrepancy),
+            channels=request.channels,
+        )
+        case = Case(trajectories, ABSOLUTE, library, solver, values, skin.rest_position_m)
+        variants, silent = excited_variants(case)
+        wanted = [(v, v.effect.parameters[0].probes[0]) for v in variants]
+        failures = case.extend(wanted)
+    chosen = range(len(trajectories))
+    evidence = case.evidence(chosen)
+    columns, names, probes = [], [], []
+    for variant in variants:
+        if variant.effect.name in names:
+            continue
+        probe = variant.effect.parameters[0].probes[0]
+        columns.append(case.whitened(case.change_at(variant, probe), chosen))
+        names.append(variant.effect.name)
+        probes.append(probe - variant.absent)
+    matrix = np.stack(columns, axis=1)
+    size, rho = lengths(evidence, matrix), cosines(evidence, matrix)
+    alike = [
+        _pair(library, names[i], names[j], float(rho[i, j]))
+        for i in range(len(names))
+        for j in range(i + 1, len(names))
+        if abs(rho[i, j]) > ALIKE
+    ]
+    return {
+        "protocols": {
+            protocol_of(t.recording): float(np.ptp(t.recording.press.stamp_s)) for t in trajectories
+        },
+        "effects": {
+            name: {
+                "whitened_size": float(size[k]),
+                "probe": float(probes[k]),
+                "smallest_found": float(abs(probes[k]) * FOUND / max(size[k], 1e-9)),
+                "unit": library[name].parameters[0].unit,
+            }
+            for k, name in enumerate(names)
+        },
+        "cosines": {
+            name: {other: float(rho[i, j]) for j, other in enumerate(names)}
+            for i, name in enumerate(names)
+        },
+        "alike": alike,
+        "silent": {name: library[name].protocol for name in silent},
+        "warnings": [*warnings, *left_out, *failures],
+    }
+
+
+def _pair(library: Mapping[str, Any], first: str, second: str, cosine: float) -> dict[str, Any]:
+    remedies = dict.fromkeys((library[first].protocol, library[second].protocol))
+    return {"first": first, "second": second, "cosine": cosine, "add": list(remedies)}
+
+
+def plan_lines(planned: Mapping[str, Any]) -> list[str]:
+    """Return a plan as lines of text."""
+    lines = [f"{'effect':<26}{'whitened':>9}{'smallest found':>16}"]
+    for name, found in planned["effects"].items():
+        lines.append(
+            f"{name:<26}{found['whitened_size']:9.1f}{found['smallest_found']:14.3g} "
+            f"{found['unit']}"
+        )
+    lines += [
+        f"{pair['first']} and {pair['second']} look alike (cosine {pair['cosine']:.3f}); add "
+        + "; or ".join(pair["add"])
+        for pair in planned["alike"]
+    ]
+    for name, protocol in planned["silent"].items():
+        lines.append(f"{name}: nothing excites it; add {protocol}")
+    lines += [f"- {text}" for text in planned["warnings"]]
+    return lines

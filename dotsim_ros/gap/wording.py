@@ -1,0 +1,112 @@
+"""The findings in words, and what the data cannot tell."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from dotsim_ros.gap.effect import Effect
+from dotsim_ros.gap.findings import ChannelGap, Estimate, Place, Verdict
+from dotsim_ros.gap.measurement import Measurement, protocol_of
+from dotsim_ros.gap.recording import Phase
+
+FEW = 4
+
+
+def data_warnings(
+    measurement: Measurement, channels: Sequence[str], has_reference: bool
+) -> list[str]:
+    """Return what a data set cannot tell, and what to record for it."""
+    recordings = measurement.recordings
+    texts = []
+    if not any(r.press.force_n is not None for r in recordings) or "force" not in channels:
+        texts.append(
+            "no force: stiffness, force scale and drift cannot be told, and a softer gel looks "
+            "like any other; record the wrench"
+        )
+    if not any(r.press.skin_position_m is not None for r in recordings) or "skin" not in channels:
+        texts.append(
+            "no skin: friction, compressibility and the pose are told by the force alone; record "
+            "the skin's points where you can"
+        )
+    protocols = {protocol_of(r) for r in recordings}
+    if len(protocols) == 1:
+        texts.append(
+            f"one protocol only ({next(iter(protocols))}): effects that it excites alike cannot be "
+            "told apart; add holds, slides and another indenter"
+        )
+    if len(recordings) < FEW:
+        texts.append(f"{len(recordings)} trajectories are few: record {FEW} at least")
+    for phase, effects in (
+        (Phase.HOLD, "relaxation and drift"),
+        (Phase.SLIDE, "friction"),
+        (Phase.RELEASE, "adhesion, backlash, softening and permanent set"),
+    ):
+        if not any(r.has(phase) for r in recordings):
+            texts.append(f"no {phase.value} in the data: nothing is claimed of {effects}")
+    if not has_reference:
+        texts.append(
+            "no reference: what the sensor's file has wrong beyond its priors is taken for an "
+            "effect; --reference with the unit's commissioning tells wear and drift apart from it"
+        )
+    return texts
+
+
+def shown(estimate: Estimate) -> str:
+    """Return a fitted number with its interval."""
+    unit = f" {estimate.unit}" if estimate.unit else ""
+    return f"{estimate.name} = {estimate.value:.3g}{unit} [{estimate.low:.3g}, {estimate.high:.3g}]"
+
+
+def largest_place(places: Sequence[Place]) -> str:
+    """Return where the residual is largest over all trajectories, in words."""
+    every = [p for p in places if p.trajectory == "all"]
+    if not every:
+        return ""
+    worst = max(every, key=lambda p: (p.before**2 - 1.0) * p.count**0.5)
+    return (
+        f"the {worst.channel} at the {worst.region} in {worst.phase} ({worst.before:.1f} times "
+        "what is expected)"
+    )
+
+
+def sentence(
+    verdict: Verdict,
+    named: Sequence[tuple[Effect, Sequence[Estimate]]],
+    alternatives: Sequence[Effect],
+    gaps: Sequence[ChannelGap],
+    *,
+    nearest: Effect | None,
+    place: str,
+) -> str:
+    """Return the answer in one or two sentences.
+
+    Args:
+        verdict: the answer.
+        named: effects that are added, with their estimates.
+        alternatives: effects that the first is not told from.
+        gaps: by channel, on the locked trajectories.
+        nearest: the effect that comes nearest, where none is named.
+        place: where the residual is largest, in words.
+    """
+    if verdict is Verdict.NO_GAP:
+        return "No gap: simulation and measurement agree within noise and discretisation."
+    if verdict is Verdict.UNKNOWN:
+        text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
+        text += f"explains it. It is largest in {place}."
+        if nearest is not None:
+            text += f" Nearest comes: {nearest.title[0].lower()}{nearest.title[1:]}."
+        return text
+    parts = [
+        f"{effect.title} is missing: {', '.join(shown(e) for e in estimates)}"
+        for effect, estimates in named
+    ]
+    closing = "; ".join(
+        f"{gap.channel} {gap.recalibrated:.3g} -> {gap.after:.3g} {gap.unit} (floor "
+        f"{gap.floor:.2g})"
+        for gap in gaps
+    )
+    text = "; and ".join(parts) + (f"; held-out gap: {closing}." if closing else ".")
+    if alternatives:
+        others = ", ".join(effect.title for effect in alternatives)
+        text += f" The data do not tell it from: {others}."
+    return text
