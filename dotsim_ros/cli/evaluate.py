@@ -86,11 +86,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     geometry.add_argument(
         "--from-depth-mm", type=float, default=2.0, help="frames at least so deep are judged (2)"
     )
-    geometry.add_argument(
-        "--keep",
-        action="store_true",
-        help="keep the rows of other models in the table that lies in --out, and add these",
-    )
+    for subject in (geometry, optics):
+        subject.add_argument(
+            "--keep",
+            action="store_true",
+            help="keep the other rows of the table that lies in --out, and add these",
+        )
     _add_optics_arguments(optics)
     gelsight.add_argument(
         "--models", nargs="+", choices=BALL_MODELS, default=list(BALL_MODELS), help="which (all)"
@@ -173,7 +174,7 @@ def _write(
 def _geometry(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.kept_rows import (
         check_judged_alike,
-        read_figures,
+        read_geometry,
         with_kept_rows,
         with_origin,
     )
@@ -188,7 +189,7 @@ def _geometry(arguments: argparse.Namespace) -> int:
     )
     from dotsim_ros.measured.data_set import read_data_set
 
-    before = read_figures(arguments.out / "geometry.json") if arguments.keep else None
+    before = read_geometry(arguments.out / "geometry.json") if arguments.keep else None
     factories = {
         name: factory_of(name, sensor=arguments.sensor, stated=arguments.stated)
         for name in arguments.models
@@ -227,13 +228,24 @@ def _geometry(arguments: argparse.Namespace) -> int:
 
 
 def _optics(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.kept_rows import (
+        check_judged_alike,
+        read_optics,
+        with_kept_image_rows,
+    )
     from dotsim_ros.evaluation.optical_split import WAYS
     from dotsim_ros.evaluation.optics import ceilings, splits_of
     from dotsim_ros.evaluation.optics_models import FitSettings
-    from dotsim_ros.evaluation.optics_report import evaluate_optics, joined, optics_page
+    from dotsim_ros.evaluation.optics_report import (
+        definitions,
+        evaluate_optics,
+        joined,
+        optics_page,
+    )
     from dotsim_ros.evaluation.optics_rows import RowMaker
-    from dotsim_ros.evaluation.optics_sheet import write_sheets
+    from dotsim_ros.evaluation.optics_sheet import known_sheets, write_sheets
     from dotsim_ros.evaluation.optics_source import clipped_presses
+    from dotsim_ros.evaluation.provenance import provenance
     from dotsim_ros.evaluation.registry import sensor_file
     from dotsim_ros.gel.refinement import cache_directory
     from dotsim_ros.geometry.specification import load_sensor
@@ -257,23 +269,33 @@ def _optics(arguments: argparse.Namespace) -> int:
             _say,
         )
 
-    files = {level: sensor_file(level, arguments.sensor) for level in arguments.splits}
-    figures: dict[str, Any] = {}
-    sheets: dict[str, str] = {}
-    for level, file in files.items():
-        maker = maker_of(file)
-        drawn = splits_of(maker.data, seed=arguments.seed)[level]
-        part, rows = evaluate_optics(maker, [drawn[way] for way in WAYS], arguments.models)
-        figures = joined(figures, part)
-        sheets |= write_sheets(arguments.images, maker, rows, seen_from=arguments.out)
-    # The measured images decide these, so that any level's data will do.
-    figures["ceiling"] = ceilings(maker.data, read_idle_images(data_set.idle_images()))
     origin = {
         "sensor": str(arguments.sensor),
         "seed": str(arguments.seed),
         "budget_minutes": str(arguments.budget_minutes),
         "network_width": str(arguments.network_width),
     }
+    source = provenance() | {"data": arguments.data.name} | origin
+    before = read_optics(arguments.out / "optics.json") if arguments.keep else None
+    if before is not None:
+        check_judged_alike({"definitions": definitions(), "provenance": source}, before)
+    files = {level: sensor_file(level, arguments.sensor) for level in arguments.splits}
+    figures: dict[str, Any] = {}
+    sheets: dict[str, str] = {}
+    for level, file in files.items():
+        maker = maker_of(file)
+        drawn = splits_of(maker.data, seed=arguments.seed)[level]
+        part, rows = evaluate_optics(
+            maker, [drawn[way] for way in WAYS], arguments.models, sensor=str(file)
+        )
+        figures = joined(figures, part)
+        sheets |= write_sheets(arguments.images, maker, rows, seen_from=arguments.out)
+    # The measured images decide these, so that any level's data will do.
+    figures["ceiling"] = ceilings(maker.data, read_idle_images(data_set.idle_images()))
+    figures["provenance"] = source
+    if before is not None:
+        figures = with_kept_image_rows(figures, before, IMAGE_MODELS)
+        sheets = known_sheets(arguments.images, LEVELS, seen_from=arguments.out) | sheets
     return _write(arguments, figures, origin, lambda f: optics_page(f, sheets))
 
 

@@ -1,13 +1,13 @@
-"""Rows of a geometry table that were made before, beside new ones.
+"""Rows of a table that were made before, beside new ones.
 
-Models take from minutes to an hour to fit, and their rows do not depend on each other: one model
-can be added to a table without fitting the others anew, where both judge the same presses alike.
+Models take from minutes to hours to fit, and their rows do not depend on each other: one model can
+be added to a table without fitting the others anew, where both judge the same presses alike.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,26 @@ ORIGIN = ("commit", "date", "machine", "sensor", "command")
 """What each row keeps of the provenance of the run that made it."""
 _SAME = ("definitions", "left_out_presses")
 _JOINED = ("splits", "judged_frames")
+_GEOMETRY_KEYS = ("provenance", "floor", *_SAME, *_JOINED)
+_OPTICS_KEYS = ("provenance", "splits", "definitions", "ceiling", "failures")
 
 
-def read_figures(path: Path) -> dict[str, Any]:
-    """Return the figures of a geometry table.
+def read_geometry(path: Path) -> dict[str, Any]:
+    """Return the figures of a geometry table; errors as `_read`."""
+    return _read(path, _GEOMETRY_KEYS)
+
+
+def read_optics(path: Path) -> dict[str, Any]:
+    """Return the figures of an optics table; errors as `_read`."""
+    return _read(path, _OPTICS_KEYS)
+
+
+def _read(path: Path, keys: Sequence[str]) -> dict[str, Any]:
+    """Return the figures of a table.
 
     Raises:
         FileNotFoundError: there is none yet.
-        ValueError: it is none.
+        ValueError: it is none, or of another kind.
     """
     if not path.is_file():
         raise FileNotFoundError(
@@ -32,10 +44,11 @@ def read_figures(path: Path) -> dict[str, Any]:
         figures = json.loads(path.read_text(encoding="utf-8"))
     except (UnicodeDecodeError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} cannot be read: {error}") from error
-    if not isinstance(figures, dict) or not {"provenance", "floor", *_SAME, *_JOINED} <= set(
-        figures
-    ):
-        raise ValueError(f"{path} holds no geometry table; remove it or leave --keep out")
+    if not isinstance(figures, dict) or not set(keys) <= set(figures):
+        raise ValueError(
+            f"{path} holds no such table (it needs {', '.join(keys)}); remove it, or leave --keep "
+            "out"
+        )
     return figures
 
 
@@ -81,11 +94,46 @@ def with_kept_rows(
     }
 
 
+def with_kept_image_rows(
+    figures: Mapping[str, Any], before: Mapping[str, Any], models: Sequence[str]
+) -> dict[str, Any]:
+    """Return new figures of images and, beside them, the rows that were made before.
+
+    A row of a level, a way and a model in both is the new one's.
+
+    Args:
+        figures: of `evaluate_optics`, with its provenance.
+        before: the same of an earlier run.
+        models: names of all models there are, in the order of the rows.
+
+    Raises:
+        ValueError: as `check_judged_alike`.
+    """
+    check_judged_alike(figures, before)
+    joined = dict(figures)
+    joined["splits"] = {**before["splits"], **figures["splits"]}
+    joined["failures"] = list(figures["failures"])
+    for name in joined["splits"]:
+        level, way = name.split(".")
+        old = before.get(level, {}).get(way, {})
+        sensor = before["provenance"]["sensor"]
+        rows = {model: {"sensor": sensor, **row} for model, row in old.items()}
+        rows |= figures.get(level, {}).get(way, {})
+        ordered = {model: rows[model] for model in models if model in rows}
+        joined[level] = {**joined.get(level, {}), way: ordered}
+        joined["failures"] += [
+            failure
+            for failure in before["failures"]
+            if (failure["split"], failure["way"]) == (level, way) and failure["model"] not in rows
+        ]
+    return joined
+
+
 def check_judged_alike(figures: Mapping[str, Any], before: Mapping[str, Any]) -> None:
     """Refuse rows that were judged on other presses, frames or draws.
 
     Args:
-        figures: of `evaluate_geometry` with provenance, or as much of it as is known.
+        figures: with provenance, or as much of them as is known.
         before: of an earlier run.
 
     Raises:

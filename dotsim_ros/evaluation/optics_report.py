@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.evaluation.image_metrics import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
-from dotsim_ros.evaluation.optical_split import WAYS, FrameKey, OpticalSplit
+from dotsim_ros.evaluation.optical_split import LEVELS, WAYS, FrameKey, OpticalSplit
 from dotsim_ros.evaluation.optics import DEEP_M, depth_ranges, is_single_press, summarize
+from dotsim_ros.evaluation.optics_models import NETWORKS
 from dotsim_ros.evaluation.optics_rows import Row, RowMaker
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.optics.frames import OpticalPress
@@ -58,6 +59,8 @@ def evaluate_optics(
     maker: RowMaker,
     splits: Sequence[OpticalSplit],
     models: Sequence[str],
+    *,
+    sensor: str,
 ) -> tuple[dict[str, Any], dict[str, dict[str, Row]]]:
     """Return the figures as the JSON file holds them, and the rows of the splits by trajectory.
 
@@ -67,6 +70,7 @@ def evaluate_optics(
         maker: makes the rows.
         splits: which.
         models: names, in the order of the rows.
+        sensor: what the maker's sensor is called in the rows.
     """
     figures: dict[str, Any] = {}
     shown_rows: dict[str, dict[str, Row]] = {}
@@ -91,6 +95,7 @@ def evaluate_optics(
                 "predict_s": row.predict_s,
                 "commit": row.commit,
                 "date": row.date,
+                "sensor": sensor,
                 "training": None if row.training is None else asdict(row.training),
             }
         if split.way == "by_trajectory":
@@ -173,7 +178,7 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
     """
     origin = figures["provenance"]
     parts = [f"# Images of {origin['data']}\n"]
-    for level in dict.fromkeys(name.split(".")[0] for name in figures["splits"]):
+    for level in LEVELS:
         for way in WAYS:
             rows = figures.get(level, {}).get(way)
             if not rows:
@@ -206,16 +211,35 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
         )
     parts.append("## What the figures mean\n")
     parts.append(entry_list(figures["definitions"]))
+    parts.append("## Where the rows come from\n")
+    parts.append(entry_list(_origins(figures)))
+    parts.append("The page:\n")
     parts.append(entry_list(origin))
     return "\n".join(parts)
+
+
+def _origins(figures: Mapping[str, Any]) -> dict[str, str]:
+    """Return commit, date and sensor of the rows of each split, those made alike together."""
+    words = {}
+    for name in figures["splits"]:
+        level, way = name.split(".")
+        made: dict[str, list[str]] = {}
+        for model, row in figures.get(level, {}).get(way, {}).items():
+            source = f"{row['commit']}, {row['date'][:10]}, sensor {row['sensor']}"
+            made.setdefault(source, []).append(model)
+        words[name] = "; ".join(f"{', '.join(names)} ({source})" for source, names in made.items())
+    return words
 
 
 def _trainings(rows: Mapping[str, Any]) -> dict[str, str]:
     """Return what to know of each network's training before its row is compared."""
     words = {}
     for model, row in rows.items():
+        if model not in NETWORKS:
+            continue
         training = row.get("training")
         if training is None:
+            words[model] = f"{row['fit_s'] / 60.0:.1f} minutes, its epochs were not counted"
             continue
         ended = ", **broken off by the time allowed**" if training["cut_short"] else ""
         words[model] = (

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import matplotlib
@@ -101,7 +101,7 @@ def write_sheets(
         if not models:
             continue
         keys = sorted(by_model[models[0]].images)
-        path = directory / f"optics_{level}.jpg"
+        path = _sheet(directory, level)
         write_optics_sheet(
             path,
             {key: maker.presses[key[0]].measured[key[1]] for key in keys},
@@ -111,3 +111,15 @@ def write_sheets(
         )
         sheets[level] = os.path.relpath(path, seen_from)
     return sheets
+
+
+def known_sheets(directory: Path, levels: Iterable[str], *, seen_from: Path) -> dict[str, str]:
+    """Return the sheets of levels that lie in a folder already, as `write_sheets` does."""
+    paths = {level: _sheet(directory, level) for level in levels}
+    return {
+        level: os.path.relpath(path, seen_from) for level, path in paths.items() if path.is_file()
+    }
+
+
+def _sheet(directory: Path, level: str) -> Path:
+    return directory / f"optics_{level}.jpg"

@@ -135,10 +135,18 @@ def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
     assert training["cut_short"]
     page = (tmp_path / "out" / "optics.md").read_text()
     assert "images of 64x48, **broken off by the time allowed**" in page
-    # Each level with its own camera, in one page.
-    other = [*command, "--splits", "hard", "--models", "carried"]
+    # One row anew, with another camera; the others stay.
+    other = [*command, "--splits", "hard", "--models", "carried", "--keep"]
     other[other.index(str(calibrated))] = str(calibrated / "easy.yaml")
-    carried = figures["hard"]["by_frame"]["carried"]
     assert main(other) == 0
-    figures = json.loads((tmp_path / "out" / "optics.json").read_text())
-    assert figures["hard"]["by_frame"]["carried"]["psnr_db"] != carried["psnr_db"]
+    added = json.loads((tmp_path / "out" / "optics.json").read_text())
+    assert added["easy"] == figures["easy"]
+    assert added["splits"] == figures["splits"]
+    assert added["hard"]["by_frame"]["paper"] == figures["hard"]["by_frame"]["paper"]
+    anew = added["hard"]["by_frame"]["carried"]
+    assert anew["psnr_db"] != figures["hard"]["by_frame"]["carried"]["psnr_db"]
+    assert anew["sensor"].endswith("easy.yaml")
+    page = (tmp_path / "out" / "optics.md").read_text()
+    assert page.index("## Easy") < page.index("optics_easy.jpg") < page.index("## Hard")
+    assert main([*other, "--seed", "1"]) == 1
+    assert "the rows to keep were judged otherwise (seed 0, now 1)" in capsys.readouterr().err

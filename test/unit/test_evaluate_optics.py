@@ -285,7 +285,7 @@ def test_page_and_figures(tmp_path: Path) -> None:
     drawn = splits_of(DATA)
     splits = [drawn[level][way] for level in ("easy", "hard") for way in drawn[level]]
     rows_of = maker(tmp_path / "rows")
-    figures, rows = evaluate_optics(rows_of, splits, ["idle", "carried"])
+    figures, rows = evaluate_optics(rows_of, splits, ["idle", "carried"], sensor="made_up.yaml")
     figures["ceiling"] = {"camera_noise_db": 47.0}
     figures["provenance"] = {"data": "made_up", "commit": "abc"}
     for level in ("easy", "hard"):
@@ -321,7 +321,9 @@ def test_a_model_that_fails_is_named(tmp_path: Path) -> None:
             return super().make(model, split, shown)
 
     split = splits_of(DATA)["easy"]["by_frame"]
-    figures, _ = evaluate_optics(Failing(DATA, no_clipping), [split], ["taxim", "idle"])
+    figures, _ = evaluate_optics(
+        Failing(DATA, no_clipping), [split], ["taxim", "idle"], sensor="made_up.yaml"
+    )
     assert list(figures["easy"]["by_frame"]) == ["idle"]
     assert figures["failures"] == [
         {"split": "easy", "way": "by_frame", "model": "taxim", "reason": "no table"}
