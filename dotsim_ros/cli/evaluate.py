@@ -6,8 +6,9 @@ implicit and the explicit gel follow a few presses at several resolutions; it wr
 runtime.json. `optics` fits every model of the image on the frames of six splits and judges it on
 their others; it writes optics.md, optics.json and sheets of images. A row that was made before is
 not made again, so a run that was broken off goes on. `gelsight` does the same on real presses of a
-ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. docs/evaluation.md
-says what the figures mean.
+ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. `gap` hides
+effects in measured presses and lets the gap finder look for them; it writes gap.md and gap.json.
+docs/evaluation.md says what the figures mean.
 
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
@@ -17,6 +18,7 @@ examples:
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
   dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
   dotsim_ros evaluate real_pair --data ../shared/real/densetact --out docs/results
+  dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
 """
 
@@ -56,20 +58,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     runtime = subjects.add_parser("runtime", help="frames a second against the error")
     gelsight = subjects.add_parser("gelsight", help="images of a real flat sensor")
     real_pair = subjects.add_parser("real_pair", help="one real image, explained by a press")
-    for subject in (geometry, optics, gelsight, real_pair, runtime):
+    gap = subjects.add_parser("gap", help="the gap finder on hidden effects")
+    for subject in (geometry, optics, gelsight, real_pair, runtime, gap):
         subject.add_argument("--data", type=Path, required=True, help="folder of a data set")
         subject.add_argument(
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
         )
         subject.add_argument("--json", type=Path, help="write the figures here as well")
         subject.add_argument("--seed", type=int, default=0, help="of the draws (0)")
-    for subject in (geometry, optics, real_pair, runtime):
+    for subject in (geometry, optics, real_pair, runtime, gap):
         subject.add_argument(
             "--sensor",
             default="densetact2",
             help="name or file of the sensor (densetact2), or a folder with a file for each split: "
             "held_out.yaml and INDENTER.yaml for geometry, LEVEL.yaml for optics",
         )
+    gap.add_argument("--nulls", type=int, default=200, help="cases without an effect (200)")
+    gap.add_argument("--repeats", type=int, default=6, help="cases of each law and size (6)")
+    gap.add_argument("--laws", nargs="+", help="hidden laws (all)")
+    gap.add_argument("--workers", type=int, default=2, help="processes (2)")
+    gap.add_argument("--run", type=Path, help="folder of the solves (the user's cache)")
+    gap.add_argument(
+        "--fit-discrepancy",
+        type=Path,
+        metavar="FILE",
+        help="only fit the model's own error on all presses, and write it here",
+    )
     geometry.add_argument(
         "--models", nargs="+", choices=MODELS, default=list(MODELS), help="which (all)"
     )
@@ -321,6 +335,48 @@ def _gelsight(arguments: argparse.Namespace) -> int:
     return _write(arguments, figures, origin, gelsight_page)
 
 
+def _gap(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.cli.find_gap import Progress
+    from dotsim_ros.evaluation.gap_null import discrepancy_of
+    from dotsim_ros.evaluation.gap_page import gap_page
+    from dotsim_ros.evaluation.gap_study import run_study
+    from dotsim_ros.gap.covariance import save_discrepancy
+    from dotsim_ros.gel.refinement import cache_directory
+    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.hidden.laws import LAWS
+
+    sensor = load_sensor(arguments.sensor)
+    run = arguments.run or cache_directory() / "gap"
+    progress = Progress()
+    if arguments.fit_discrepancy is not None:
+        found = discrepancy_of(
+            arguments.data,
+            sensor,
+            run,
+            workers=arguments.workers,
+            progress=lambda done, total: progress("discrepancy", done, total),
+        )
+        save_discrepancy(found, arguments.fit_discrepancy)
+        print(f"{arguments.fit_discrepancy}: {found.source}")
+        return 0
+    unknown = sorted(set(arguments.laws or ()) - set(LAWS))
+    if unknown:
+        raise ValueError(f"no law {', '.join(unknown)}; known are {', '.join(LAWS)}")
+    run.mkdir(parents=True, exist_ok=True)
+    figures = run_study(
+        arguments.data,
+        sensor,
+        run,
+        nulls=arguments.nulls,
+        repeats=arguments.repeats,
+        seed=arguments.seed,
+        laws=tuple(arguments.laws or LAWS),
+        workers=arguments.workers,
+        progress=progress,
+    )
+    return _write(arguments, figures, {"sensor": str(arguments.sensor)}, gap_page)
+
+
 def _real_pair(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.real_pair import (
         evaluate_real_pair,
@@ -379,5 +435,6 @@ _SUBJECTS = {
     "optics": _optics,
     "gelsight": _gelsight,
     "real_pair": _real_pair,
+    "gap": _gap,
     "runtime": _runtime,
 }

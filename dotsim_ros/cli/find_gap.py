@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
     add("--effects", type=Path, nargs="+", default=[], help="folders of your own effects")
     add("--channels", nargs="+", choices=CHANNELS, default=list(CHANNELS), help="used (all)")
+    add("--candidates", nargs="+", default=[], help="effects to look for (all)")
     add("--alpha", type=float, default=0.02, help="chance of a name without an effect (0.02)")
     add("--budget", type=int, help="most solves of a trajectory (no limit)")
     add("--seed", type=int, default=0, help="of all draws (0)")
@@ -87,6 +88,7 @@ def search(arguments: argparse.Namespace) -> Findings:
         indenters=arguments.indenters,
         effects=tuple(arguments.effects),
         channels=tuple(arguments.channels),
+        candidates=tuple(arguments.candidates),
         alpha=arguments.alpha,
         budget=arguments.budget,
         seed=arguments.seed,

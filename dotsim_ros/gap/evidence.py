@@ -127,8 +127,14 @@ class Case:
         rest_m: Array,
     ) -> None:
         self.trajectories, self.nuisances = tuple(trajectories), tuple(nuisances)
-        self.library, self._solver, self.values = library, solver, values
+        self.library, self.solver, self.values = library, solver, values
         self._rest_m = rest_m
+
+    def with_trajectories(self, trajectories: Sequence[Trajectory]) -> Case:
+        """Return the same case with other trajectories, as many."""
+        return Case(
+            trajectories, self.nuisances, self.library, self.solver, self.values, self._rest_m
+        )
 
     def evidence(self, chosen: Sequence[int]) -> Evidence:
         """Return the evidence of some trajectories."""
@@ -238,7 +244,7 @@ class Case:
                 if not t.is_reference:
                     requests.append(request_of(t.recording, self.values, effects=[*others, active]))
                     owners.append((id(variant), size, number))
-        results, failures = self._solver.run_each(requests, progress)
+        results, failures = self.solver.run_each(requests, progress)
         found: dict[tuple[int, float, int], Array] = {}
         for owner, result in zip(owners, results, strict=True):
             t = self.trajectories[owner[2]]

@@ -20,6 +20,8 @@ BoolArray = NDArray[np.bool_]
 CHANNELS = {"skin": slice(0, 3 * PATCH_COUNT), "force": slice(3 * PATCH_COUNT, SIZE)}
 UNITS = {"skin": "m", "force": "N"}
 RESAMPLED = 200
+FOOTPRINT = 0.3
+"""Effects that move an observable by fewer of its deviations hardly act on it."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,8 @@ def share_closed(
     """Return the share of the gap that the effects close, (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2) in
     units of the expected deviation, and its interval of 95 % by a bootstrap over trajectories.
 
-    RMS0 is that of the recalibrated twin. NaN where there was nothing to close.
+    RMS0 is that of the recalibrated twin. Observables that the effects hardly move are left out:
+    they say nothing of the effects. NaN where there was nothing to close.
     """
     sums = np.array([_squares(residuals, t) for t in chosen])
     drawn = random.integers(len(chosen), size=(RESAMPLED, len(chosen)))
@@ -124,9 +127,10 @@ def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:
     result = np.zeros(3)
     for part in CHANNELS.values():
         deviation = residuals.deviation[t][:, part]
+        # NaN, where nothing was observed, is no part of a footprint.
         before = residuals.recalibrated[t][:, part] / deviation
         after = residuals.after[t][:, part] / deviation
-        there = np.isfinite(before)
+        there = np.abs(before - after) > FOOTPRINT
         if there.any():
             result += np.array([np.mean(before[there] ** 2), np.mean(after[there] ** 2), 1.0])
     return float(result[0]), float(result[1]), float(result[2])

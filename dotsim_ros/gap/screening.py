@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.gap.effect import FORCE, SKIN
 from dotsim_ros.gap.evidence import Case, Segment, Variant
 from dotsim_ros.gap.inference import Evidence, Fit, fit
 
@@ -58,38 +59,18 @@ def best_trial(evidence: Evidence, segments: Sequence[Segment], base: float) -> 
     return max((try_segment(evidence, s, base) for s in segments), key=lambda trial: trial.gain)
 
 
-def null_gains(
-    evidence: Evidence,
-    segments: Sequence[Sequence[Segment]],
-    draw: Callable[[np.random.Generator], Array],
-    *,
-    count: int,
-    seed: int,
-) -> Array:
-    """Return (count,) the largest gain of any effect on data without one.
+def excited_variants(case: Case, candidates: Sequence[str] = ()) -> tuple[list[Variant], list[str]]:
+    """Return the variants of the effects that the data excite, and the names of the others.
 
     Args:
-        evidence: whose nuisances are refitted each time.
-        segments: of each effect.
-        draw: makes a residual (n,) of data without any effect.
-        count: how many.
-        seed: of the draws.
+        case: the data.
+        candidates: names of the effects to look at; none for all.
     """
-    random = np.random.default_rng(seed)
-    gains = np.zeros(count)
-    nothing = np.zeros((len(evidence.residual), 0))
-    for k in range(count):
-        drawn = evidence.with_residual(draw(random))
-        base = fit(drawn, nothing).objective
-        gains[k] = max(best_trial(drawn, group, base).gain for group in segments)
-    return gains
-
-
-def excited_variants(case: Case) -> tuple[list[Variant], list[str]]:
-    """Return the variants of the effects that the data excite, and the names of the others."""
     variants, silent = [], []
     for effect in case.library.values():
-        if not ({"skin", "force"} & set(effect.channels)):
+        if candidates and effect.name not in candidates:
+            continue
+        if not ({SKIN, FORCE} & set(effect.channels)):
             continue
         if case.excited(effect):
             variants += case.variants(effect)

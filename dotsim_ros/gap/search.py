@@ -47,7 +47,7 @@ BOOTSTRAPS = 20
 INTERVAL_DRAWS = 100
 SMALL_SHARE = 0.08
 """A size that is nearer to a node than this share of it needs no solve of its own."""
-LOCKED_SHARE = 0.34
+LOCKED_SHARE = 0.4
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,7 @@ class Request:
         indenters: folder of the meshes; None looks beside the data.
         effects: folders of the user's effects.
         channels: that are used.
+        candidates: names of the effects to look for; empty for all of the library.
         alpha: probability of a name on data without any effect.
         budget: most solves of a trajectory; None for no limit.
         seed: of all draws.
@@ -76,6 +77,7 @@ class Request:
     indenters: Path | None = None
     effects: tuple[Path, ...] = ()
     channels: tuple[str, ...] = ("skin", "force")
+    candidates: tuple[str, ...] = ()
     alpha: float = 0.02
     budget: int | None = None
     seed: int = 0
@@ -84,7 +86,7 @@ class Request:
 
 
 @dataclass
-class _Ranked:
+class Ranked:
     """An effect during the search."""
 
     effect: Effect
@@ -97,7 +99,7 @@ class _Ranked:
 
 
 @dataclass
-class _Search:
+class Search:
     """What the steps share."""
 
     request: Request
@@ -137,6 +139,9 @@ def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | 
         raise ValueError(f"alpha is {request.alpha}, expected between 0 and 1")
     measurement, reference = _read(request)
     library = load_effects(request.effects)
+    unknown = sorted(set(request.candidates) - set(library))
+    if unknown:
+        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
     noise = noise_from_idle(measurement.recordings, measurement.skin.rest_position_m, Noise())
     discrepancy = load_discrepancy(request.discrepancy)
     values = values_of(request.sensor)
@@ -180,7 +185,7 @@ def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | 
             )
         evidence = case.evidence(chosen)
         base = fit(evidence, _nothing(evidence))
-        search = _Search(
+        search = Search(
             request, case, chosen, locked, evidence, base, noise, discrepancy, random, progress,
             solver, warnings,
         )  # fmt: skip
@@ -223,53 +228,79 @@ def _nothing(evidence: Evidence) -> Array:
     return np.zeros((len(evidence.residual), 0))
 
 
-def _run(
-    search: _Search, measurement: Measurement, reference: Measurement | None
-) -> tuple[Findings, Overlay | None]:
-    ranked, silent = _screen(search)
-    gains, pattern_gains = _nulls(search, ranked)
+@dataclass(frozen=True)
+class Answer:
+    """What the rule makes of a case.
+
+    Attributes:
+        verdict: the answer.
+        named, alternatives: effects.
+        ranked: every effect that was tried, the best first.
+        statistic, threshold, p_value: of the best effect.
+    """
+
+    verdict: Verdict
+    named: list[Ranked]
+    alternatives: list[Ranked]
+    ranked: list[Ranked]
+    statistic: float
+    threshold: float
+    p_value: float
+
+
+def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains: Array) -> Answer:
+    """Apply the rule to a case.
+
+    Args:
+        search: the case.
+        ranked: its effects, screened.
+        gains, pattern_gains: of data without any effect, as `null_gains` returns them.
+    """
     alpha = search.request.alpha
     threshold = decision.threshold_of(gains.tolist(), alpha, heavier=decision.HEAVIER)
     pattern_threshold = decision.threshold_of(
         pattern_gains.tolist(), alpha, heavier=decision.HEAVIER
     )
-    best = ranked[0]
-    statistic = best.trial.gain
+    statistic = ranked[0].trial.gain
     p_value = float(np.mean(decision.HEAVIER * gains >= statistic))
     search.pattern_chance = float(np.median(pattern_gains))
     is_effect = statistic > threshold
     is_gap = is_effect or _pattern_gain(search, search.evidence) > pattern_threshold
     if is_effect:
         ranked = _refit(search, ranked)
-    named: list[_Ranked] = []
-    alternatives: list[_Ranked] = []
     verdict = Verdict.NO_GAP
+    named: list[Ranked] = []
+    alternatives: list[Ranked] = []
     if is_gap:
         verdict, named, alternatives = _decide(search, ranked, threshold if is_effect else np.inf)
+    statistic = max(statistic, ranked[0].trial.gain)
+    return Answer(verdict, named, alternatives, ranked, statistic, threshold, p_value)
+
+
+def _run(
+    search: Search, measurement: Measurement, reference: Measurement | None
+) -> tuple[Findings, Overlay | None]:
+    variants, silent = simulate_effects(search)
+    ranked = screen(search, variants)
+    gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
+    answer = answer_of(search, ranked, gains, pattern_gains)
+    named = answer.named
     for entry in named:
-        entry.estimates = _estimates(
-            search, entry, [other for other in named if other is not entry]
-        )
-    stability = _stability(search, ranked, named[0].effect.name) if named else None
+        others = [other for other in named if other is not entry]
+        entry.estimates = _estimates(search, entry, others)
+    stability = _stability(search, answer.ranked, named[0].effect.name) if named else None
     return _findings(
-        search,
-        measurement,
-        reference,
-        ranked=ranked,
-        silent=silent,
-        named=named,
-        alternatives=alternatives,
-        verdict=verdict,
-        statistic=statistic,
-        threshold=threshold,
-        p_value=p_value,
-        stability=stability,
+        search, measurement, reference, answer=answer, silent=silent, stability=stability
     )
 
 
-def _screen(search: _Search) -> tuple[list[_Ranked], list[str]]:
-    """Simulate every effect at its probes; return the effects by their gain."""
-    variants, silent = excited_variants(search.case)
+def simulate_effects(search: Search) -> tuple[list[Variant], list[str]]:
+    """Simulate every effect that is excited at its probes; return them, and the others' names.
+
+    Raises:
+        ValueError: nothing is excited.
+    """
+    variants, silent = excited_variants(search.case, search.request.candidates)
     if not variants:
         raise ValueError(
             "no trajectory excites any effect of the library: nothing can be concluded; record "
@@ -282,18 +313,22 @@ def _screen(search: _Search) -> tuple[list[_Ranked], list[str]]:
         wanted, progress=lambda done, total: search.progress("screen", done, total)
     )
     search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
+    return variants, silent
+
+
+def screen(search: Search, variants: Sequence[Variant]) -> list[Ranked]:
+    """Return the effects by their gain."""
     groups: dict[str, list[Variant]] = {}
     for variant in variants:
         groups.setdefault(variant.effect.name, []).append(variant)
     ranked = []
     for name, members in groups.items():
         trial = best_trial(search.evidence, search.segments(members), search.base.objective)
-        ranked.append(_Ranked(search.case.library[name], members, trial, trial.gain))
-    ranked.sort(key=lambda entry: entry.trial.gain, reverse=True)
-    return ranked, silent
+        ranked.append(Ranked(search.case.library[name], members, trial, trial.gain))
+    return sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
 
 
-def _pattern_gain(search: _Search, evidence: Evidence) -> float:
+def _pattern_gain(search: Search, evidence: Evidence) -> float:
     """Return what all patterns together gain."""
     columns = PATTERN_DEVIATION * search.case.pattern_columns(search.chosen)
     widened = Evidence(
@@ -305,21 +340,21 @@ def _pattern_gain(search: _Search, evidence: Evidence) -> float:
     return base - fit(widened, _nothing(evidence)).objective
 
 
-def _nulls(search: _Search, ranked: Sequence[_Ranked]) -> tuple[Array, Array]:
-    """Return, of data without an effect, the largest gain of any effect, and that of patterns."""
+def null_gains(search: Search, ranked: Sequence[Ranked], count: int) -> tuple[Array, Array]:
+    """Return, of `count` data without an effect, the largest gain of any, and that of patterns."""
     evidence = search.evidence
     groups = [search.segments(entry.variants) for entry in ranked]
-    gains, patterns = np.zeros(decision.NULL_DRAWS), np.zeros(decision.NULL_DRAWS)
-    for k in range(decision.NULL_DRAWS):
+    gains, patterns = np.zeros(count), np.zeros(count)
+    for k in range(count):
         drawn = evidence.with_residual(draw_null(evidence, search.random))
         base = fit(drawn, _nothing(drawn)).objective
         gains[k] = max(best_trial(drawn, group, base).gain for group in groups)
         patterns[k] = _pattern_gain(search, drawn)
-        search.progress("nulls", k + 1, decision.NULL_DRAWS)
+        search.progress("nulls", k + 1, count)
     return gains, patterns
 
 
-def _refit(search: _Search, ranked: list[_Ranked]) -> list[_Ranked]:
+def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
     """Simulate the best effects at the sizes found, again and again; return them in order."""
     for _ in range(ROUNDS):
         close = [
@@ -347,7 +382,7 @@ def _refit(search: _Search, ranked: list[_Ranked]) -> list[_Ranked]:
     return ranked
 
 
-def _better_variant(search: _Search, entry: _Ranked) -> Variant:
+def _better_variant(search: Search, entry: Ranked) -> Variant:
     """Return the variant to simulate next: between the shapes tried, where a parabola through their
     gains has its top; the best one tried where there is no such place."""
     best = entry.trial.variant
@@ -379,8 +414,8 @@ def _better_variant(search: _Search, entry: _Ranked) -> Variant:
 
 
 def _decide(
-    search: _Search, ranked: list[_Ranked], threshold: float
-) -> tuple[Verdict, list[_Ranked], list[_Ranked]]:
+    search: Search, ranked: list[Ranked], threshold: float
+) -> tuple[Verdict, list[Ranked], list[Ranked]]:
     """Return the verdict, the effects to add, and those that the first is not told from."""
     for entry in ranked[: decision.SCREENED]:
         entry.explained = _explained(search, [entry])
@@ -408,7 +443,7 @@ def _decide(
     return (Verdict.SET if alternatives else Verdict.NAMED), named, alternatives
 
 
-def _explained(search: _Search, entries: Sequence[_Ranked]) -> float:
+def _explained(search: Search, entries: Sequence[Ranked]) -> float:
     """Return the share that effects have of what patterns and they together could remove."""
     evidence = search.evidence
     columns = np.stack([entry.trial.change for entry in entries], axis=1)
@@ -428,22 +463,22 @@ def _explained(search: _Search, entries: Sequence[_Ranked]) -> float:
 
 
 def _second(
-    search: _Search, best: _Ranked, others: Sequence[_Ranked], threshold: float
-) -> _Ranked | None:
+    search: Search, best: Ranked, others: Sequence[Ranked], threshold: float
+) -> Ranked | None:
     """Return the effect that gains most beside the best one, if it gains enough."""
     evidence = search.evidence.with_residual(search.evidence.residual - best.trial.change)
     base = fit(evidence, _nothing(evidence)).objective
-    found: list[tuple[float, _Ranked]] = []
+    found: list[tuple[float, Ranked]] = []
     for entry in others:
         trial = best_trial(evidence, search.segments(entry.variants), base)
-        found.append((trial.gain, _Ranked(entry.effect, entry.variants, trial, entry.first_gain)))
+        found.append((trial.gain, Ranked(entry.effect, entry.variants, trial, entry.first_gain)))
     if not found:
         return None
     gain, second = max(found, key=lambda pair: pair[0])
     return second if gain > threshold else None
 
 
-def _estimates(search: _Search, entry: _Ranked, others: Sequence[_Ranked]) -> tuple[Estimate, ...]:
+def _estimates(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tuple[Estimate, ...]:
     """Return an effect's parameters, intervals by a bootstrap over trajectories."""
     segments = search.segments(entry.variants)
     count = len(search.chosen)
@@ -482,7 +517,7 @@ def _rows(segment: Segment, rows: NDArray[np.int64]) -> Segment:
     )
 
 
-def _stability(search: _Search, ranked: Sequence[_Ranked], name: str) -> float:
+def _stability(search: Search, ranked: Sequence[Ranked], name: str) -> float:
     """Return the share of bootstrap repetitions over trajectories that find the same effect."""
     count = len(search.chosen)
     groups = {e.effect.name: search.segments(e.variants) for e in ranked[:6]}
@@ -500,7 +535,7 @@ def _stability(search: _Search, ranked: Sequence[_Ranked], name: str) -> float:
     return same / BOOTSTRAPS
 
 
-def _pairs(search: _Search, ranked: Sequence[_Ranked]) -> tuple[Pair, ...]:
+def _pairs(search: Search, ranked: Sequence[Ranked]) -> tuple[Pair, ...]:
     """Return the pairs of the best effects that are close to each other."""
     top = [e for e in ranked[:6] if np.any(e.trial.change)]
     if len(top) < 2:
@@ -522,7 +557,7 @@ def _pairs(search: _Search, ranked: Sequence[_Ranked]) -> tuple[Pair, ...]:
     return tuple(pairs)
 
 
-def _change_by_trajectory(search: _Search, entries: Sequence[_Ranked]) -> list[Array]:
+def _change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[Array]:
     """Return (F, SIZE) of each trajectory by effects at the sizes found."""
     total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
     for entry in entries:
@@ -532,21 +567,16 @@ def _change_by_trajectory(search: _Search, entries: Sequence[_Ranked]) -> list[A
 
 
 def _findings(
-    search: _Search,
+    search: Search,
     measurement: Measurement,
     reference: Measurement | None,
     *,
-    ranked: Sequence[_Ranked],
+    answer: Answer,
     silent: Sequence[str],
-    named: Sequence[_Ranked],
-    alternatives: Sequence[_Ranked],
-    verdict: Verdict,
-    statistic: float,
-    threshold: float,
-    p_value: float,
     stability: float | None,
 ) -> tuple[Findings, Overlay | None]:
     case, request = search.case, search.request
+    named, ranked, verdict = answer.named, answer.ranked, answer.verdict
     change = _change_by_trajectory(search, named)
     columns = search.case.whitened(change, search.chosen)
     refitted = fit(
@@ -579,26 +609,27 @@ def _findings(
     )
     fitted = values_after(case.values, _shared(case), refitted.nuisance[: len(_shared(case))])
     gaps = channel_gaps(residuals, judged)
+    places = places_of_gap(case, residuals, measured, search.random)
     findings = Findings(
         verdict=verdict,
         sentence=wording.sentence(
             verdict,
             [(e.effect, e.estimates) for e in named],
-            [e.effect for e in alternatives],
+            [e.effect for e in answer.alternatives],
             gaps,
             nearest=ranked[0].effect if ranked else None,
-            place=wording.largest_place(places_of_gap(case, residuals, measured, search.random)),
+            place=wording.largest_place(places),
         ),
         named=tuple(e.effect.name for e in named),
-        alternatives=tuple(e.effect.name for e in alternatives),
-        statistic=statistic,
-        threshold=threshold,
+        alternatives=tuple(e.effect.name for e in answer.alternatives),
+        statistic=answer.statistic,
+        threshold=answer.threshold,
         alpha=request.alpha,
-        p_value=p_value,
+        p_value=answer.p_value,
         mode="absolute" if reference is None else "differential",
         candidates=_candidates(search, ranked, silent),
         calibrated=_calibrated(case, fitted, refitted),
-        places=places_of_gap(case, residuals, measured, search.random),
+        places=places,
         gaps=gaps,
         share_closed=None if closed is None else closed[0],
         share_closed_low=None if closed is None else closed[1],
@@ -646,7 +677,7 @@ def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate,
 
 
 def _skins(
-    search: _Search, measured: Sequence[int], named: Sequence[_Ranked]
+    search: Search, measured: Sequence[int], named: Sequence[Ranked]
 ) -> Mapping[int, tuple[Array, Array]]:
     """Return skins of the measured trajectories, without and with the effects."""
     effects = [
@@ -670,7 +701,7 @@ def _skins(
 
 
 def _candidates(
-    search: _Search, ranked: Sequence[_Ranked], silent: Sequence[str]
+    search: Search, ranked: Sequence[Ranked], silent: Sequence[str]
 ) -> tuple[Candidate, ...]:
     result = [
         Candidate(

@@ -3,7 +3,7 @@ it, with the errors that a unit, a model and instruments have."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -77,6 +77,7 @@ def measure_unit(
     truth: Truth,
     *,
     seed: int,
+    only: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
     """Write a data set of a unit.
@@ -87,6 +88,7 @@ def measure_unit(
         skin: whose vertices the clouds list.
         truth: what is wrong with the unit.
         seed: of places, of the unit's constants and of all errors.
+        only: names of the protocols to measure; none for all.
         progress: told the trajectories.
 
     Raises:
@@ -100,7 +102,7 @@ def measure_unit(
     values = replace(values, youngs_modulus_pa=stiffness)
     simulator = GelSimulator(sensor, skin, tolerance_m=5.0e-6)
     data_set = ReferenceDataSet(directory, skin)
-    planned = protocols(random)
+    planned = [p for p in protocols(random) if not only or p[0] in only]
     session_s = 0.0
     for number, (name, indenter_name, motion, time_s) in enumerate(planned):
         indenter = replace(load_indenter(indenter_name), name=indenter_name)

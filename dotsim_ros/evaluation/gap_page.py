@@ -1,0 +1,83 @@
+"""The page of the gap finder's blind study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dotsim_ros.evaluation.table import entry_list
+
+
+def _shown(rate: Mapping[str, Any]) -> str:
+    if rate["of"] == 0:
+        return "no case"
+    return f"{rate['share']:.0%} [{rate['low']:.0%}, {rate['high']:.0%}] of {rate['of']}"
+
+
+def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [" | ".join(header), " | ".join("---" for _ in header)]
+    lines += [" | ".join(row) for row in rows]
+    return "\n".join(f"| {line} |" for line in lines) + "\n"
+
+
+def gap_page(figures: dict[str, Any]) -> str:
+    """Return the study as a Markdown page."""
+    nulls = figures["nulls"]
+    return "\n".join(
+        [
+            "# The gap finder on hidden effects\n",
+            "Presses of an independent finite-element solver in which nothing is missing; a hidden "
+            "effect adds what a law of its own, none of the library's, makes of our gel. Half of "
+            "the presses tell the finder how far model and measurement are apart without an "
+            "effect, the cases are drawn from the other half: eight trajectories, Young's modulus "
+            "off by 5 % (one deviation). The rule is applied to screened effects without refits. "
+            "Intervals are Wilson's, of 95 %; cases share presses, so they are not independent. "
+            "There is no hold in these presses: relaxation shows in the loading alone.\n",
+            _table(
+                ("", "share", "goal"),
+                [
+                    ("nulls with a name", _shown(nulls["false_names"]), "at most 2 %"),
+                    ("nulls called a gap at all", _shown(nulls["false_alarms"]), ""),
+                    *(
+                        (
+                            f"named right (or in a set of two), whitened size {size}",
+                            _shown(rate),
+                            {"20 to 40": "85 %", "40 to inf": "95 %"}.get(size, ""),
+                        )
+                        for size, rate in figures["named_right_by_whitened_size"].items()
+                    ),
+                    (
+                        "outside of the library, called unknown (whitened size above 10)",
+                        _shown(figures["unknown_called_unknown"]),
+                        "90 %",
+                    ),
+                    ("both of two", _shown(figures["both_of_two"]), "80 %"),
+                    ("one of two at least", _shown(figures["one_of_two"]), ""),
+                    ("a wrong one in a pair", _shown(figures["wrong_in_pairs"]), "at most 10 %"),
+                    ("answered with a set", _shown(figures["set_share"]), ""),
+                ],
+            ),
+            "## By hidden law\n",
+            _table(
+                ("law", "named right", "answers"),
+                [
+                    (
+                        law,
+                        _shown(figures["named_right_by_law"][law])
+                        if law in figures["named_right_by_law"]
+                        else "outside of the library",
+                        ", ".join(
+                            f"{name} {count}"
+                            for name, count in sorted(
+                                answers.items(), key=lambda pair: pair[1], reverse=True
+                            )
+                        ),
+                    )
+                    for law, answers in figures["confusion"].items()
+                ],
+            ),
+            f"Rule version {figures['rule_version']}; {figures['solves']} solves of a press; wrong "
+            f"names on nulls: {', '.join(nulls['wrong_names']) or 'none'}.\n",
+            entry_list(figures["provenance"]),
+        ]
+    )

@@ -1,0 +1,105 @@
+"""Fits of effects and nuisances to whitened evidence, on drawn data of known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dotsim_ros.gap.decision import threshold_of
+from dotsim_ros.gap.inference import Evidence, cosines, draw_null, fit, lengths
+
+TRAJECTORIES, EACH = 6, 80
+
+
+@pytest.fixture
+def random() -> np.random.Generator:
+    return np.random.default_rng(5)
+
+
+def evidence_of(random: np.random.Generator) -> Evidence:
+    n = TRAJECTORIES * EACH
+    return Evidence(
+        np.zeros(n), random.standard_normal((n, 2)), np.repeat(np.arange(TRAJECTORIES), EACH)
+    )
+
+
+def nothing(evidence: Evidence) -> np.ndarray:
+    return np.zeros((len(evidence.residual), 0))
+
+
+def test_a_size_and_a_nuisance_are_found_within_their_errors(random: np.random.Generator) -> None:
+    evidence = evidence_of(random)
+    column = random.standard_normal(len(evidence.residual))
+    noise = random.standard_normal(len(evidence.residual))
+    seen = evidence.with_residual(3.0 * column + evidence.nuisance @ [1.0, -0.5] + noise)
+    found = fit(seen, column[:, None])
+    assert found.size[0] == pytest.approx(3.0, abs=4.0 / np.sqrt(len(noise)))
+    assert found.nuisance == pytest.approx([1.0, -0.5], abs=4.0 / np.sqrt(len(noise)))
+    assert fit(seen, nothing(seen)).objective > found.objective + 100.0
+
+
+def test_a_size_stays_within_its_bounds(random: np.random.Generator) -> None:
+    evidence = evidence_of(random)
+    column = random.standard_normal(len(evidence.residual))
+    seen = evidence.with_residual(-2.0 * column)
+    found = fit(seen, column[:, None], np.array([0.0]), np.array([5.0]))
+    assert found.size[0] == 0.0
+    assert found.objective == pytest.approx(fit(seen, nothing(seen)).objective)
+
+
+def test_a_prior_keeps_what_the_data_do_not_tell_at_its_centre(
+    random: np.random.Generator,
+) -> None:
+    evidence = evidence_of(random)
+    blind = Evidence(
+        random.standard_normal(len(evidence.residual)),
+        np.zeros_like(evidence.nuisance),
+        evidence.trajectory,
+    )
+    assert np.allclose(fit(blind, nothing(blind)).nuisance, 0.0)
+
+
+def test_one_bad_trajectory_does_not_name_an_effect(random: np.random.Generator) -> None:
+    evidence = evidence_of(random)
+    column = random.standard_normal(len(evidence.residual))
+    bad = evidence.trajectory == 2
+    noise = random.standard_normal(len(evidence.residual))
+    seen = evidence.with_residual(noise + 5.0 * column * bad)
+    found = fit(seen, column[:, None])
+    assert found.size[0] < 0.5
+    assert found.weight[2] < 0.2
+    assert found.weight[[0, 1, 3, 4, 5]].min() > 0.7
+
+
+def test_cosines_leave_out_what_a_nuisance_can_do(random: np.random.Generator) -> None:
+    evidence = evidence_of(random)
+    free = Evidence(evidence.residual, 1e4 * evidence.nuisance, evidence.trajectory)
+    a, b = random.standard_normal((2, len(evidence.residual)))
+    columns = np.stack([a, a + 1e-3 * free.nuisance[:, 0], b], axis=1)
+    rho = cosines(free, columns)
+    assert rho[0, 1] == pytest.approx(1.0, abs=1e-5)
+    assert abs(rho[0, 2]) < 0.2
+    assert lengths(free, columns)[1] == pytest.approx(lengths(free, columns)[0], rel=1e-5)
+
+
+def test_nulls_have_unit_noise_and_the_priors_nuisances(random: np.random.Generator) -> None:
+    evidence = evidence_of(random)
+    drawn = np.stack([draw_null(evidence, random) for _ in range(400)])
+    expected = 1.0 + np.sum(evidence.nuisance**2, axis=1)
+    assert np.mean(drawn.var(axis=0) / expected) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_part_of_the_evidence_is_that_of_its_trajectories(random: np.random.Generator) -> None:
+    evidence = evidence_of(random).with_residual(np.arange(float(TRAJECTORIES * EACH)))
+    part = evidence.of([4, 4, 1])
+    assert part.trajectory.tolist() == [0] * EACH + [1] * EACH + [2] * EACH
+    assert part.residual[0] == 4 * EACH
+    assert np.array_equal(part.residual, evidence.residual[evidence.rows_of([4, 4, 1])])
+
+
+def test_the_threshold_is_the_nulls_quantile_and_grows_beyond_their_number() -> None:
+    gains = np.random.default_rng(0).chisquare(1, 4000).tolist()
+    assert threshold_of(gains, 0.02, heavier=1.0) == pytest.approx(5.41, rel=0.1)
+    few = gains[:20]
+    assert threshold_of(few, 0.001, heavier=1.0) > threshold_of(few, 0.02, heavier=1.0)
+    assert threshold_of(few, 0.02, heavier=2.0) == 2.0 * threshold_of(few, 0.02, heavier=1.0)

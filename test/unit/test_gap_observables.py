@@ -1,0 +1,96 @@
+"""Phases of a motion and observables of a press, against what was drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dotsim_ros.evaluation.presses import Press
+from dotsim_ros.gap.observables import (
+    PATCH_COUNT,
+    SIZE,
+    observe,
+    places_of,
+    regions_of_observables,
+)
+from dotsim_ros.gap.recording import Phase, Recording, phases_of
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+
+APEX_M = 0.01575
+
+
+@pytest.fixture(scope="module")
+def skin() -> SkinMesh:
+    return dome_skin(outer_radius_m=APEX_M, spacing_m=1.0e-3)
+
+
+def recording_of(position_mm: list[list[float]], stamp_s: list[float]) -> Recording:
+    poses = [Pose(1e-3 * np.array(p)) for p in position_mm]
+    stamp = np.array(stamp_s)
+    depth = np.array([APEX_M - pose.position_m[2] for pose in poses])
+    press = Press("press", "sphere_4mm", poses, stamp)
+    return Recording(press, load_indenter("sphere_4mm"), 0.0, depth, phases_of(poses, stamp, depth))
+
+
+def test_the_phases_of_a_press_that_holds_slides_and_leaves() -> None:
+    recording = recording_of(
+        [
+            [0, 0, 16],
+            [0, 0, 15],
+            [0, 0, 14],
+            [0, 0.01, 14],
+            [0.5, 0, 14],
+            [1.0, 0, 13.9],
+            [1.0, 0, 15.0],
+            [1.0, 0, 16.0],
+            [1.0, 0, 17.0],
+        ],
+        [0.0, 0.1, 0.2, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3],
+    )
+    assert [p.value for p in recording.phase] == [
+        "idle",
+        "load",
+        "load",
+        "hold",
+        "slide",
+        "slide",
+        "release",
+        "release",
+        "idle",
+    ]
+    assert recording.has(Phase.HOLD)
+
+
+def test_a_shift_of_the_whole_skin_is_seen_in_every_patch(skin: SkinMesh) -> None:
+    recording = recording_of([[0, 0, 16], [0, 0, 14]], [0.0, 0.4])
+    places = places_of(recording, skin)
+    shift = np.array([1e-4, -2e-4, 3e-4])
+    moved = np.stack([skin.rest_position_m, skin.rest_position_m + shift])
+    seen = observe(places, skin.rest_position_m, moved, None, 2)
+    assert seen.shape == (2, SIZE)
+    patches = seen[:, : 3 * PATCH_COUNT].reshape(2, -1, 3)
+    there = places.count > 0
+    assert np.allclose(patches[0, there], 0.0)
+    assert np.allclose(patches[1, there], places.axes @ shift)
+    assert np.all(np.isnan(seen[:, -3:]))
+    assert np.allclose(places.axes @ places.axes.T, np.eye(3))
+    assert places.count.sum() == np.count_nonzero(~skin.on_base)
+
+
+def test_forces_are_in_the_axes_of_the_slide(skin: SkinMesh) -> None:
+    recording = recording_of([[0, 0, 16], [0, 0, 14], [0, 1, 14], [0, 2, 14]], [0.0, 0.4, 0.5, 0.6])
+    places = places_of(recording, skin)
+    assert np.allclose(places.axes[0], [0.0, 0.0, 1.0])
+    assert np.allclose(places.axes[1], [0.0, 1.0, 0.0])
+    force = np.array([[0.1, -0.7, 2.0]] * 4)
+    seen = observe(places, skin.rest_position_m, None, force, 4)
+    assert np.allclose(seen[:, -3:], [[2.0, -0.7, -0.1]] * 4)
+    assert np.all(np.isnan(seen[:, :-3]))
+
+
+def test_every_observable_has_a_region() -> None:
+    regions = regions_of_observables()
+    assert len(regions) == SIZE
+    assert set(regions) == {"apex", "contact", "rim", "far", "base", "load"}

@@ -1,0 +1,71 @@
+"""Hidden effects know nothing of the library that is to find them."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import dotsim_ros.hidden
+from dotsim_ros.calibration.parameters import values_of
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.hidden.laws import LAWS, Answer, Motion
+from dotsim_ros.hidden.reality import Truth, draw_truth, library_names
+
+FILES = sorted(Path(dotsim_ros.hidden.__path__[0]).glob("*.py"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_what_makes_hidden_data_imports_nothing_of_the_finder(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom):
+            names = [str(node.module), *(f"{node.module}.{a.name}" for a in node.names)]
+        assert not any(name.startswith("dotsim_ros.gap") for name in names)
+
+
+def test_the_library_has_the_effects_that_laws_say_it_has() -> None:
+    known = load_effects()
+    assert {law.library for law in LAWS.values() if law.library} <= set(known)
+    assert any(not law.library for law in LAWS.values())
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_changes_something(name: str) -> None:
+    law, size = LAWS[name], LAWS[name].high
+    random = np.random.default_rng(0)
+    up = np.array([0.0, 0.0, 1.0])
+    rest = random.standard_normal((5, 3)) + 3.0 * up
+    moved = np.stack([rest, rest - 0.2 * up, rest - 0.1 * up])
+    force = np.array([[0.0, 0.0, 0.0], [0.2, 0.1, 2.0], [0.1, 0.0, 1.0]])
+    stamp = np.array([0.0, 0.1, 0.2])
+    changed = False
+    if law.gel is not None:
+        values = values_of(load_sensor("sensor_a"))
+        found, relaxation = law.gel(values, size if name != "slippery" else law.low)
+        changed |= found != values or relaxation is not None
+    if law.motion is not None:
+        poses = [Pose(np.array([0.0, 0.0, z])) for z in (0.0, -1e-3, -0.5e-3)]
+        ways = law.motion(Motion(poses, stamp, force), size, random)
+        changed |= any(
+            not np.allclose(a.position_m, b.position_m, atol=1e-7, rtol=0.0)
+            for a, b in zip(ways, poses, strict=True)
+        )
+    if law.answer is not None:
+        skin, load = law.answer(Answer(moved, force, rest, stamp, 0.0), size)
+        changed |= not (np.allclose(skin, moved) and np.allclose(load, force))
+    assert changed
+
+
+def test_a_truth_is_drawn_by_its_seed_and_told_by_its_hash() -> None:
+    names = sorted(LAWS)
+    truth = draw_truth(np.random.default_rng(3), names, 2)
+    assert truth == draw_truth(np.random.default_rng(3), names, 2)
+    assert truth.digest() != draw_truth(np.random.default_rng(4), names, 2).digest()
+    for name, size in truth.effects:
+        assert LAWS[name].low <= size <= LAWS[name].high
+    assert library_names(Truth((("crosstalk", 0.1),))) == {""}
