@@ -19,6 +19,7 @@ from dotsim_ros.hidden.reality import Truth, draw_truth, library_names, write_tr
 SENSOR = "sensor_a"
 NULL_SHARE = 0.1
 """Of the seeds, in which nothing is hidden."""
+SKIN_SPACING_M = 1.2e-3
 
 
 def demo_truth(seed: int) -> Truth:
@@ -44,9 +45,9 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
     from dotsim_ros.cli.find_gap import Progress, report
     from dotsim_ros.gap.search import Request, find_gap
+    from dotsim_ros.geometry.skin_mesh import dome_skin
     from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.hidden.unit import measure_unit
-    from dotsim_ros.sensor import skin_of
 
     sensor = load_sensor(SENSOR)
     truth = demo_truth(seed)
@@ -58,7 +59,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     measure_unit(
         data,
         sensor,
-        skin_of(sensor.gel),
+        dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M),
         truth,
         seed=seed,
         progress=lambda done, total: progress("measure", done, total),

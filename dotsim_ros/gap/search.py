@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -115,6 +116,11 @@ class Search:
     solver: Solver
     warnings: list[str] = field(default_factory=list)
     pattern_chance: float = 0.0
+
+    @cached_property
+    def pattern_columns(self) -> Array:
+        """(n, K) what a pattern does when it moves by one deviation of its prior."""
+        return PATTERN_DEVIATION * self.case.pattern_columns(self.chosen)
 
     def segments(self, variants: Sequence[Variant]) -> list[Segment]:
         return [s for variant in variants for s in self.case.segments(variant, self.chosen)]
@@ -263,7 +269,7 @@ def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains:
     )
     statistic = ranked[0].trial.gain
     p_value = float(np.mean(decision.HEAVIER * gains >= statistic))
-    search.pattern_chance = float(np.median(pattern_gains))
+    search.pattern_chance = decision.HEAVIER * float(np.median(pattern_gains))
     is_effect = statistic > threshold
     is_gap = is_effect or _pattern_gain(search, search.evidence) > pattern_threshold
     if is_effect:
@@ -330,7 +336,7 @@ def screen(search: Search, variants: Sequence[Variant]) -> list[Ranked]:
 
 def _pattern_gain(search: Search, evidence: Evidence) -> float:
     """Return what all patterns together gain."""
-    columns = PATTERN_DEVIATION * search.case.pattern_columns(search.chosen)
+    columns = search.pattern_columns
     widened = Evidence(
         evidence.residual,
         np.concatenate([evidence.nuisance, columns], axis=1),
@@ -448,7 +454,7 @@ def _explained(search: Search, entries: Sequence[Ranked]) -> float:
     evidence = search.evidence
     columns = np.stack([entry.trial.change for entry in entries], axis=1)
     low, high = np.zeros(columns.shape[1]), np.full(columns.shape[1], 1.3)
-    patterns = PATTERN_DEVIATION * search.case.pattern_columns(search.chosen)
+    patterns = search.pattern_columns
     widened = Evidence(
         evidence.residual,
         np.concatenate([evidence.nuisance, patterns], axis=1),
