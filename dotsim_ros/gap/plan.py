@@ -4,6 +4,7 @@ that look alike (step 7 of the method)."""
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,13 +19,15 @@ from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.measurement import protocol_of, read_poses
 from dotsim_ros.gap.screening import excited_variants
 from dotsim_ros.gap.search import Request
-from dotsim_ros.gap.simulate import open_solver
+from dotsim_ros.gap.simulate import open_solver, request_of
+from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.sensor import skin_of
 
 Array = NDArray[np.float64]
 
-FOUND = 5.0
-"""Whitened size from which an effect is found among twenty candidates with 95 % probability."""
+FOUND = 8.0
+"""Whitened size from which an effect is found with 95 % probability: its score, the square, is to
+pass a threshold of about 40 (`decision.HEAVIER` times that of simulated nulls)."""
 ALIKE = 0.9
 """Cosine from which two effects need a whitened size of 14 to be told apart."""
 
@@ -40,7 +43,10 @@ def plan(request: Request) -> dict[str, Any]:
         unit, and seconds of each protocol; `cosines`: of each pair; `alike`: pairs that are too
         close, with what to add; `silent`: effects that nothing excites, with what would.
     """
-    skin = skin_of(request.sensor.gel)
+    data_set = read_data_set(request.measured)
+    # That of the planned measurement, where it is known.
+    has_mesh = (data_set.directory / "skin_mesh.npz").is_file()
+    skin = data_set.skin_mesh() if has_mesh else skin_of(request.sensor.gel)
     recordings, warnings = read_poses(request.measured, skin=skin, indenters=request.indenters)
     library = load_effects(request.effects)
     values = values_of(request.sensor)
@@ -51,6 +57,15 @@ def plan(request: Request) -> dict[str, Any]:
         folders=request.effects,
         workers=request.workers,
     ) as solver:
+        # What will be measured: forces set the discrepancy, and how far an arm gives way.
+        expected = solver.run([request_of(r, values) for r in recordings])
+        recordings = tuple(
+            replace(
+                r,
+                press=replace(r.press, skin_position_m=e.skin_position_m, force_n=e.force_n),
+            )
+            for r, e in zip(recordings, expected, strict=True)
+        )
         trajectories, left_out = make_trajectories(
             recordings,
             (),
