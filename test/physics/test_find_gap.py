@@ -1,6 +1,6 @@
 """The whole search on small hidden cases: a null, an effect of the library, and one of none.
 
-Three trajectories of a unit of `sensor_a` with a coarse skin, three candidates, and hidden effects
+Two trajectories of a unit of `sensor_a` with a coarse skin, three candidates, and hidden effects
 that act on the force alone, so that all cases share their solves: what CI can afford. The blind
 study (`dotsim_ros evaluate gap`) is the same code on all of it.
 """
@@ -22,7 +22,7 @@ from dotsim_ros.hidden.laws import LAWS
 from dotsim_ros.hidden.reality import Truth
 from dotsim_ros.hidden.unit import measure_unit
 
-PROTOCOLS = ("hold_0", "hold_1", "slide_0")
+PROTOCOLS = ("hold_0", "slide_0")
 CANDIDATES = ("force_drift", "mullins_softening", "permanent_set")
 SKIN_SPACING_M = 2.0e-3
 SEED = 11
