@@ -323,6 +323,7 @@ class TactileSensor:
             idle.image,
             lighting=idle.lighting,
             vignetting=idle.vignetting,
+            fine=idle.fine,
             residual=residual,
             device=self.device,
         )

@@ -53,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--leave-out", nargs="+", metavar="INDENTER", help="judge on all of these indenters"
     )
     parser.add_argument(
+        "--trajectories", nargs="+", metavar="NAME", help="use these alone (all with images)"
+    )
+    parser.add_argument(
         "--skin",
         choices=("measured", "gel"),
         help="shape of the skin that the lens is fitted with (measured where the data set has it); "
@@ -91,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--out is {out}, expected a file that ends in .yaml")
     data_set = read_data_set(arguments.data)
     sensor, stated = load_sensor(arguments.sensor), load_sensor(arguments.stated)
-    train, held_out = _split(data_set, arguments)
+    train, held_out = split(data_set, arguments)
     given = {"image": arguments.image_topic, "pose": arguments.pose_topic}
     topics = Topics(**{name: topic for name, topic in given.items() if topic is not None})
     filmed = read_filmed_data(
@@ -139,12 +142,24 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _split(data_set: DataSet, arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
-    from dotsim_ros.evaluation.split import hold_out
+def split(data_set: DataSet, arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
+    """Return the names of the trajectories to fit on and to judge on.
+
+    Raises:
+        ValueError: no images, an unknown trajectory or indenter, or nothing left to fit on.
+    """
+    from dotsim_ros.evaluation.split import hold_out_of_protocols
 
     indenter_of = {entry.name: entry.indenter for entry in data_set.entries if entry.has_images}
     if not indenter_of:
         raise ValueError(f"{arguments.data} says that none of its trajectories holds images")
+    if arguments.trajectories:
+        unknown = sorted(set(arguments.trajectories) - set(indenter_of))
+        if unknown:
+            raise ValueError(
+                f"{arguments.data} has no trajectory with images named {', '.join(unknown)}"
+            )
+        indenter_of = {name: indenter_of[name] for name in sorted(arguments.trajectories)}
     if arguments.leave_out is not None:
         unknown = sorted(set(arguments.leave_out) - set(indenter_of.values()))
         if unknown:
@@ -161,7 +176,7 @@ def _split(data_set: DataSet, arguments: argparse.Namespace) -> tuple[list[str],
         count = HELD_OUT_COUNT if len(indenter_of) > HELD_OUT_COUNT else 0
     if not count:
         return sorted(indenter_of), []
-    fitted, judged = hold_out(indenter_of, count, arguments.seed)
+    fitted, judged = hold_out_of_protocols(indenter_of, count, arguments.seed)
     return list(fitted), list(judged)
 
 

@@ -53,14 +53,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--trajectories", nargs="+", metavar="NAME", help="use these alone (all with images)")
     add("--split-seed", type=int, default=0, help="of what is held out (0)")
     add("--seed", type=int, default=0, help="of the training (0)")
-    add("--budget-minutes", type=float, metavar="MINUTES", help="end the training after this long")
+    add(
+        "--budget-minutes",
+        type=float,
+        metavar="MINUTES",
+        help="end the training after so much CPU time",
+    )
     add("--size", type=int, metavar="WIDTH", help="of the network's images, in pixels")
     add("--json", type=Path, metavar="FILE", help="copy the figures to this file as well")
 
 
-def _split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names of the trajectories to train on and to judge on."""
-    from dotsim_ros.evaluation.split import HELD_OUT_COUNT, hold_out
+def split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of the trajectories to train on and to judge on.
+
+    Raises:
+        ValueError: an unknown trajectory or indenter, or nothing left to train on.
+    """
+    from dotsim_ros.evaluation.split import HELD_OUT_COUNT, hold_out_of_protocols
     from dotsim_ros.measured.data_set import read_data_set
 
     entries = [entry for entry in read_data_set(arguments.data).entries if entry.has_images]
@@ -84,7 +93,10 @@ def _split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, .
     count = arguments.hold_out
     if count is None:
         count = HELD_OUT_COUNT if len(names) > 2 * HELD_OUT_COUNT else len(names) // 3
-    return hold_out(names, count, arguments.split_seed) if count else (tuple(names), ())
+    if not count:
+        return tuple(names), ()
+    # The same draw as calibrate's: neither gel nor camera has seen what is judged.
+    return hold_out_of_protocols(names, count, arguments.split_seed)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -102,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
     sensor_file = arguments.sensor_out or arguments.out / SENSOR
     if sensor_file.suffix not in (".yaml", ".yml"):
         raise ValueError(f"--sensor-out is {sensor_file}, expected a file that ends in .yaml")
-    train, held_out = _split(arguments)
+    train, held_out = split(arguments)
     report = train_optics(
         Request(
             data=arguments.data,
@@ -126,7 +138,10 @@ def run(arguments: argparse.Namespace) -> int:
     print(f"trained on {len(train)} trajectories, judged on {len(held_out) or 'the same'}")
     for name, value in report["metrics"].items():
         print(f"{name:<28}{value:7.2f}")
-    print(f"{report['epochs']} epochs in {report['minutes']} minutes; files in {arguments.out}")
+    print(
+        f"{report['epochs']} epochs in {report['minutes']} minutes of CPU time; files in "
+        f"{arguments.out}"
+    )
     return 0
 
 

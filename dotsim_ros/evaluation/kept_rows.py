@@ -15,6 +15,8 @@ ORIGIN = ("commit", "date", "machine", "sensor", "command")
 """What each row keeps of the provenance of the run that made it."""
 _SAME = ("definitions", "left_out_presses")
 _JOINED = ("splits", "judged_frames")
+_LEFT_OUT = ("indenter_left_out", "indenter_left_out_all")
+_LEFT_OUT_ORIGIN = "origin_indenter_left_out"
 _GEOMETRY_KEYS = ("provenance", "floor", *_SAME, *_JOINED)
 _OPTICS_KEYS = ("provenance", "splits", "definitions", "ceiling", "failures")
 
@@ -71,8 +73,9 @@ def with_kept_rows(
 ) -> dict[str, Any]:
     """Return new figures and, beside them, the rows of other models that were made before.
 
-    A model in both is the new one's, whole. The floor is the new one's where both have it: it is
-    no model's, and the same draws give the same.
+    A model in both is the new one's; where that was not judged on indenters left out, what the
+    earlier run found there stays, and says where it comes from. The floor is the new one's where
+    both have it: it is no model's, and the same draws give the same.
 
     Args:
         figures: of `evaluate_geometry`, with its provenance, rows by `with_origin`.
@@ -86,11 +89,30 @@ def with_kept_rows(
     names = [name for name in models if name in before and name not in figures]
     missing = [name for name in names if "origin" not in before[name]]
     before = with_origin(before, missing, before["provenance"])
+    again = [name for name in models if name in before and name in figures]
     return {
         **{name: before[name] for name in names},
         **figures,
+        **{name: _with_left_out(figures[name], before[name], before) for name in again},
         "floor": {**before["floor"], **figures["floor"]},
         **{key: {**before[key], **figures[key]} for key in _JOINED},
+    }
+
+
+def _with_left_out(
+    row: Mapping[str, Any], old: Mapping[str, Any], before: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return a model's new figures with those of indenters left out that only the old ones have."""
+    kept = {key: old[key] for key in _LEFT_OUT if key in old and key not in row}
+    if not kept:
+        return dict(row)
+    origin = old.get(_LEFT_OUT_ORIGIN, old.get("origin", before["provenance"]))
+    failures = [failure for failure in old["failures"] if failure["split"] != "held_out"]
+    return {
+        **row,
+        **kept,
+        "failures": [*row["failures"], *failures],
+        _LEFT_OUT_ORIGIN: {key: origin[key] for key in ORIGIN},
     }
 
 

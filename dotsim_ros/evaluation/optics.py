@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from dotsim_ros.evaluation.image_metrics import ImageScore, image_psnr_db, psnr_db, score_image
 from dotsim_ros.evaluation.optical_split import FrameKey, OpticalSplit, optical_splits
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.frames import OpticalData, OpticalPress, Rest
+from dotsim_ros.optics.frames import FilmedPress, OpticalData, OpticalPress, Rest
 
 ByteImage = NDArray[np.uint8]
+AnyPress = TypeVar("AnyPress", FilmedPress, OpticalPress)
 
 DEEP_M = 2.0e-3
 """Depth of the tip from which a frame counts as deep."""
@@ -45,7 +46,7 @@ Factory = Callable[[Sequence[OpticalPress], Rest, FisheyeCamera], ImageModel]
 
 @dataclass(frozen=True)
 class Idle:
-    """The idle image, whatever presses: the floor."""
+    """The idle image of the gel at rest, whatever presses: the floor."""
 
     name: str = "idle"
 
@@ -103,7 +104,7 @@ def splits_of(data: OpticalData, *, seed: int = 0) -> dict[str, dict[str, Optica
     )
 
 
-def with_frames(press: OpticalPress, frames: Sequence[int]) -> OpticalPress:
+def with_frames(press: AnyPress, frames: Sequence[int]) -> AnyPress:
     """Return a press with the given frames alone, in their order."""
     index = np.asarray(frames, dtype=np.int64)
     arrays = {
@@ -270,24 +271,29 @@ def ceilings(data: OpticalData, idle_images: ByteImage) -> dict[str, float]:
     `camera_noise_db`: a noiseless image against one with the camera's noise, told from the
     differences of the idle images, each of which has the noise twice. `two_renderings_db`: the idle
     image against the frames before anything touched; on a stand-in sensor they are another
-    rendering of the same scene.
+    rendering of the same scene. `one_rendering_db`: a frame against an image without any noise,
+    told from the differences of those frames, each of which has the noise of its own.
 
     Args:
         data: the measured frames.
         idle_images: (N, H, W, 3) single ones.
     """
     figures = {}
+    if len(idle_images) > 1:
+        figures["camera_noise_db"] = _noise_db(idle_images)
+    untouched = [press.measured[0] for press in data.presses if press.tip_depth_m[0] < 0.0]
+    if untouched:
+        scores = [image_psnr_db(image, data.rest.idle) for image in untouched]
+        figures["two_renderings_db"] = float(np.mean(scores))
+    if len(untouched) > 1:
+        figures["one_rendering_db"] = _noise_db(untouched)
+    return figures
+
+
+def _noise_db(images: Sequence[ByteImage] | ByteImage) -> float:
+    """Return the PSNR of images that show the same against one without their noise."""
     pairs = [
         np.mean(((first.astype(np.float64) - second) / 255.0) ** 2)
-        for first, second in pairwise(idle_images)
+        for first, second in pairwise(images)
     ]
-    if pairs:
-        figures["camera_noise_db"] = psnr_db(0.5 * float(np.mean(pairs)))
-    untouched = [
-        image_psnr_db(press.measured[0], data.rest.idle)
-        for press in data.presses
-        if press.tip_depth_m[0] < 0.0
-    ]
-    if untouched:
-        figures["two_renderings_db"] = float(np.mean(untouched))
-    return figures
+    return psnr_db(0.5 * float(np.mean(pairs)))

@@ -21,7 +21,9 @@ NETWORKS = (*PUBLISHED, "ours")
 """Kinds of networks of `dotsim_ros.optics.learning`."""
 NAMES = (
     "idle",
+    "idle_refined",
     "tacto",
+    "tacto_refined",
     "taxim",
     "difftactile",
     "paper",
@@ -30,18 +32,28 @@ NAMES = (
     "carried",
     "ours",
 )
-CLIPPED = ("tacto",)
+CLIPPED = ("tacto", "tacto_refined")
 """Models that get the clipped skin instead of the gel's."""
+REFINED = ("idle_refined", "tacto_refined", "carried", "ours")
+"""Models that get an idle image refined by the frames that they are fitted on, with samples between
+its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is
+what they would gain."""
+_IDLE = ("optics/learned_pattern.py", "optics/untouched.py")
 _BASELINES = "baselines/optics"
 _LEARNING = (
     "optics/network_input.py",
     *(f"optics/learning/{part}.py" for part in ("examples", "fitting", "networks", "training")),
 )
+_TACTO = tuple(f"{_BASELINES}/{part}.py" for part in ("tacto", "clipped", "pixels"))
 _MADE_BY = {
-    "tacto": tuple(f"{_BASELINES}/{part}.py" for part in ("tacto", "clipped", "pixels")),
+    "idle_refined": _IDLE,
+    "tacto": _TACTO,
+    "tacto_refined": (*_TACTO, *_IDLE),
+    "carried": _IDLE,
     "taxim": tuple(f"{_BASELINES}/{part}.py" for part in ("taxim", "pixels")),
     "difftactile": tuple(f"{_BASELINES}/{part}.py" for part in ("per_pixel", "pixels")),
-    **dict.fromkeys(NETWORKS, _LEARNING),
+    **dict.fromkeys(PUBLISHED, _LEARNING),
+    "ours": (*_LEARNING, *_IDLE),
 }
 
 
@@ -80,8 +92,8 @@ class FitSettings:
 
     Attributes:
         seed: of all draws.
-        budget_minutes: after which the training of one published network ends; None for none. The
-            others take a minute or two.
+        budget_minutes: CPU time after which the training of one published network ends; None for
+            none. The others take a minute or two.
         network_width: of the published networks' images, pixels; None for their own choice.
 
     Raises:
@@ -125,11 +137,11 @@ def factory_of(
         ValueError: no such model, or one that needs torch where that is not installed.
     """
     match name:
-        case "idle":
-            return lambda _train, _rest, _camera: Idle()
+        case "idle" | "idle_refined":
+            return lambda _train, _rest, _camera: Idle(name)
         case "carried":
             return lambda _train, _rest, _camera: Carried()
-        case "tacto":
+        case "tacto" | "tacto_refined":
             return lambda t, r, c: tacto.fit(t, r, c, seed=settings.seed)
         case "taxim":
             return lambda t, r, c: taxim.fit(t, r, c, seed=settings.seed)

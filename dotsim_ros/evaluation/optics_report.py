@@ -152,7 +152,8 @@ def definitions() -> dict[str, str]:
             "camera_noise_db: an image without noise against one with the camera's, told from the "
             "differences of the idle images; two_renderings_db: the idle image against the frames "
             "before anything touched, which on a rendered stand-in are another rendering of the "
-            "same scene"
+            "same scene; one_rendering_db: such a frame against an image without any noise, told "
+            "from the differences of those frames"
         ),
     }
 
@@ -243,8 +244,8 @@ def _trainings(rows: Mapping[str, Any]) -> dict[str, str]:
             continue
         ended = ", **broken off by the time allowed**" if training["cut_short"] else ""
         words[model] = (
-            f"{training['epochs']} epochs in {training['minutes']:.1f} minutes, images of "
-            f"{training['width_px']}x{training['height_px']}{ended}"
+            f"{training['epochs']} epochs in {training['minutes']:.1f} minutes of CPU time, images "
+            f"of {training['width_px']}x{training['height_px']}{ended}"
         )
     return words
 
@@ -263,7 +264,8 @@ def _depth_table(rows: Mapping[str, Any]) -> str:
 
 def _ceiling_rows(figures: Mapping[str, Any]) -> list[tuple[str, float]]:
     titles = {
-        "two_renderings_db": "ceiling: two renderings",
+        "two_renderings_db": "ceiling by the idle image: two renderings",
+        "one_rendering_db": "ceiling by a noiseless image: one rendering",
         "camera_noise_db": "ceiling: camera noise",
     }
     return [(titles[key], db) for key, db in figures["ceiling"].items()]

@@ -13,7 +13,7 @@ import shutil
 import time
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -33,6 +33,7 @@ from dotsim_ros.evaluation.optics import (
 from dotsim_ros.evaluation.optics_models import (
     CLIPPED,
     NETWORKS,
+    REFINED,
     FitSettings,
     code_digest,
     factory_of,
@@ -66,7 +67,7 @@ class TrainingRecord:
 
     Attributes:
         epochs: begun; the last one may be cut short.
-        minutes: spent training.
+        minutes: of CPU time spent training.
         cut_short: whether a budget ended it.
         width_px, height_px: of its images.
     """
@@ -100,6 +101,11 @@ class Row:
     training: TrainingRecord | None = None
 
 
+def by_name(data: OpticalData) -> dict[str, OpticalPress]:
+    """Return the presses by name."""
+    return {press.name: press for press in data.presses}
+
+
 @dataclass(frozen=True)
 class RowMaker:
     """Makes rows, or finds those made before.
@@ -107,6 +113,7 @@ class RowMaker:
     Attributes:
         data: the measured frames, with what the gel says of them.
         clipped: gives the presses with Tacto's clipped skin, when a row needs them.
+        refined: gives the same frames by an idle image that the frames of a split to fit on refine.
         cache: folder of the rows.
         settings: how models are fitted.
         progress: told what is being done.
@@ -114,6 +121,7 @@ class RowMaker:
 
     data: OpticalData
     clipped: Callable[[], Mapping[str, OpticalPress]]
+    refined: Callable[[OpticalSplit], OpticalData]
     cache: Path
     settings: FitSettings = field(default_factory=FitSettings)
     progress: Callable[[str], None] = lambda _line: None
@@ -121,7 +129,7 @@ class RowMaker:
     @cached_property
     def presses(self) -> dict[str, OpticalPress]:
         """The presses by name."""
-        return {press.name: press for press in self.data.presses}
+        return by_name(self.data)
 
     @cached_property
     def _digest(self) -> str:
@@ -158,8 +166,10 @@ class RowMaker:
             self.progress(f"{where}: made before, on {known.date}")
             return known
         self.progress(f"{where}: fitting on {len(split.train)} frames")
-        presses = self.clipped() if model in CLIPPED else self.presses
-        rest, camera = self.data.rest, self.data.camera
+        data = self.refined(split) if model in REFINED else self.data
+        presses = self.clipped() if model in CLIPPED else by_name(data)
+        # The disc that is judged is the same for all.
+        rest, camera = replace(data.rest, lit=self.data.rest.lit), data.camera
         state = path.with_suffix(".state")
         make = factory_of(model, self.settings, state=state, progress=self.progress)
         start = time.perf_counter()

@@ -23,7 +23,7 @@ def provenance() -> dict[str, str]:
         "machine": f"{_processor()}, {os.cpu_count()} cores",
         "python": platform.python_version(),
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-        "command": " ".join(["python", *sys.argv]),
+        "command": _command(),
     }
 
 
@@ -33,6 +33,14 @@ def write_json(path: Path, figures: Mapping[str, Any]) -> None:
     temporary = path.with_name(path.name + ".part")
     temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     os.replace(temporary, path)
+
+
+def _command() -> str:
+    """Return the command without the folder that this machine keeps its executables in."""
+    program = Path(sys.argv[0])
+    is_installed = program.parent == Path(sys.executable).parent
+    called = [program.name] if is_installed else ["python", sys.argv[0]]
+    return " ".join([*called, *sys.argv[1:]])
 
 
 def _commit() -> str:

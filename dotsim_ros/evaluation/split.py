@@ -35,12 +35,7 @@ def hold_out(
     Raises:
         ValueError: a name twice, or a count that leaves nothing to fit on or to judge on.
     """
-    ordered = _distinct(names)
-    if not 0 < count < len(ordered):
-        raise ValueError(
-            f"{count} of {len(ordered)} presses cannot be held out; expected 1 to "
-            f"{len(ordered) - 1}"
-        )
+    ordered = _checked(names, count)
     drawn = np.random.default_rng(seed).choice(len(ordered), size=count, replace=False)
     test = {ordered[index] for index in drawn}
     return tuple(n for n in ordered if n not in test), tuple(n for n in ordered if n in test)
@@ -59,12 +54,9 @@ def hold_out_of_protocols(
     Raises:
         ValueError: as `hold_out`, or more to hold out than there are repeats.
     """
-    ordered = _distinct(names)
-    hold_out(ordered, count, seed)  # Checks names and count.
+    ordered = _checked(names, count)
     random = np.random.default_rng(seed)
-    repeats: dict[str, list[str]] = {}
-    for name in ordered:
-        repeats.setdefault(_protocol(name), []).append(name)
+    repeats = repeats_of(ordered)
     for members in repeats.values():
         random.shuffle(members)
     # The last of each protocol is never drawn; the first of each goes before all seconds.
@@ -83,8 +75,12 @@ def hold_out_of_protocols(
     return tuple(n for n in ordered if n not in test), tuple(n for n in ordered if n in test)
 
 
-def _protocol(name: str) -> str:
-    return name.rstrip("0123456789").rstrip("_")
+def repeats_of(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the sorted names by protocol: those that differ in the number at their end alone."""
+    repeats: dict[str, list[str]] = {}
+    for name in sorted(names):
+        repeats.setdefault(name.rstrip("0123456789").rstrip("_"), []).append(name)
+    return repeats
 
 
 def leave_one_indenter_out(indenter_of: Mapping[str, str]) -> Iterator[Split]:
@@ -106,6 +102,16 @@ def leave_one_indenter_out(indenter_of: Mapping[str, str]) -> Iterator[Split]:
             tuple(n for n in names if indenter_of[n] != left_out),
             tuple(n for n in names if indenter_of[n] == left_out),
         )
+
+
+def _checked(names: Iterable[str], count: int) -> list[str]:
+    ordered = _distinct(names)
+    if not 0 < count < len(ordered):
+        raise ValueError(
+            f"{count} of {len(ordered)} presses cannot be held out; expected 1 to "
+            f"{len(ordered) - 1}"
+        )
+    return ordered
 
 
 def _distinct(names: Iterable[str]) -> list[str]:

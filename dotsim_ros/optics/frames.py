@@ -137,11 +137,14 @@ class FilmedData:
         skin: the sensor's own, at rest.
         idle: (H, W, 3) uint8, the mean of the idle images.
         presses: in the order asked for.
+        fine: (2 H - 1, 2 W - 1, 3) uint8, the idle image with samples half-way between its own;
+            None where they are not known.
     """
 
     skin: SkinMesh
     idle: ByteImage
     presses: tuple[FilmedPress, ...]
+    fine: ByteImage | None = None
 
 
 def _ignore(_line: str) -> None:
@@ -317,7 +320,12 @@ def render_filmed(
     """
     renderer = SkinRenderer(camera, filmed.skin)
     image = ImageRenderer(
-        camera, filmed.skin, filmed.idle, lighting=lighting, vignetting=vignetting
+        camera,
+        filmed.skin,
+        filmed.idle,
+        lighting=lighting,
+        vignetting=vignetting,
+        fine=filmed.fine,
     )
     untouched = renderer.render(filmed.skin.rest_position_m)
     seen = []

@@ -45,6 +45,22 @@ def check_image(image: ByteImage) -> None:
         )
 
 
+def check_fine(fine: ByteImage, idle: ByteImage) -> None:
+    """Raise ValueError unless `fine` (2 H - 1, 2 W - 1, 3) holds the lit pixels of an idle image
+    (H, W, 3), with others half-way between them."""
+    height, width = idle.shape[:2]
+    if fine.shape != (2 * height - 1, 2 * width - 1, 3) or fine.dtype != np.uint8:
+        raise ValueError(
+            f"the samples between the idle image's pixels have shape {fine.shape} and type "
+            f"{fine.dtype}, expected {(2 * height - 1, 2 * width - 1, 3)} uint8"
+        )
+    if not np.array_equal(fine[::2, ::2][lit_region(idle)], idle[lit_region(idle)]):
+        raise ValueError(
+            "the samples between the idle image's pixels belong to another idle image; remove "
+            "them, or learn them anew with train-optics"
+        )
+
+
 def lit_region(image: ByteImage) -> BoolArray:
     """Return (H, W) where the image (H, W, 3) shows the lit gel: the largest bright region,
     dark spots of the pattern inside it included."""
@@ -80,6 +96,42 @@ def resample(image: ByteImage, source: FisheyeCamera, target: FisheyeCamera) -> 
         image, pixels[..., 0], pixels[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT
     )
     return np.asarray(resampled, dtype=np.uint8)
+
+
+def enlarged_fine(
+    fine: ByteImage, image: ByteImage, width: int, height: int
+) -> tuple[ByteImage, ByteImage]:
+    """Return an idle image and its samples half-way between, for a larger camera of one view.
+
+    Args:
+        fine: (2 h - 1, 2 w - 1, 3) of an idle image (h, w, 3).
+        image: (height, width, 3) that idle image as the camera sees it, from its own pixels.
+        width, height: of the camera.
+
+    Returns:
+        (height, width, 3) the image, by the samples but for its rim, and (2 height - 1,
+        2 width - 1, 3).
+    """
+    rows, columns = (fine.shape[0] + 1) // 2, (fine.shape[1] + 1) // 2
+    # Pixels cover areas: the outer edges of both images coincide, not the outer pixels' centres.
+    x = (np.arange(2 * width - 1) + 1.0) * columns / width - 1.0
+    y = (np.arange(2 * height - 1) + 1.0) * rows / height - 1.0
+    grid_x, grid_y = np.meshgrid(x.astype(np.float32), y.astype(np.float32))
+    enlarged = np.asarray(
+        cv2.remap(fine, grid_x, grid_y, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE),
+        dtype=np.uint8,
+    )
+    # The samples know nothing of the soft rim, which the image keeps.
+    reach = 2 * int(np.ceil(2.0 * width / columns)) + 1
+    inside = cv2.erode(lit_region(image).astype(np.uint8), np.ones((reach, reach))) > 0
+    joined = np.where(inside[..., None], enlarged[::2, ::2], image)
+    enlarged[::2, ::2] = np.where(lit_region(joined)[..., None], joined, enlarged[::2, ::2])
+    return joined, enlarged
+
+
+def fine_path(path: Path) -> Path:
+    """Return where the samples between the pixels of an idle image's file lie."""
+    return path.with_name(f"{path.stem}_fine.png")
 
 
 def fit_idle_image(
@@ -132,11 +184,14 @@ class IdleFrame:
         image: (H, W, 3) uint8, red, green, blue.
         lighting: the LEDs that it was taken under.
         vignetting: of its camera.
+        fine: (2 H - 1, 2 W - 1, 3) uint8, the image with samples half-way between its own; None
+            where they are not known.
     """
 
     image: ByteImage
     lighting: Lighting = field(default_factory=Lighting)
     vignetting: Vignetting = field(default_factory=Vignetting)
+    fine: ByteImage | None = None
 
 
 def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
@@ -144,27 +199,41 @@ def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
 
     A YAML file of the same name beside the image may describe it, in three optional sections:
     `disc` (the fields of LitDisc; without it the image must show the camera's own view), `lighting`
-    (the arguments of led_ring, and Lighting's other fields) and `vignetting` (`falloff`).
+    (the arguments of led_ring, and Lighting's other fields) and `vignetting` (`falloff`). So may a
+    picture NAME_fine.png of samples between the image's pixels, as train-optics learns it.
 
     Raises:
         FileNotFoundError: no such image.
         ValueError: the file is no image, its description has an unknown or missing entry, or as
             `fit_idle_image`.
     """
-    if not path.exists():
-        raise FileNotFoundError(f"no idle image {path}")
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if pixels is None:
-        raise ValueError(f"{path} is no image that OpenCV can read; expected a PNG or JPEG file")
-    image = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    image = _read_image(path)
     description = path.with_suffix(".yaml")
     disc, lighting, vignetting = None, Lighting(), Vignetting()
     if description.exists():
         disc, lighting, vignetting = read_description(description)
     try:
-        return IdleFrame(fit_idle_image(image, camera, disc=disc), lighting, vignetting)
+        fitted = fit_idle_image(image, camera, disc=disc)
+        fine = None
+        if disc is None and fine_path(path).exists():
+            fine = _read_image(fine_path(path))
+            check_fine(fine, image)
+            if camera.width < image.shape[1]:
+                fine = None  # A smaller image leaves no sharper pattern to carry.
+            elif camera.width > image.shape[1]:
+                fitted, fine = enlarged_fine(fine, fitted, camera.width, camera.height)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    return IdleFrame(fitted, lighting, vignetting, fine)
+
+
+def _read_image(path: Path) -> ByteImage:
+    if not path.exists():
+        raise FileNotFoundError(f"no idle image {path}")
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise ValueError(f"{path} is no image that OpenCV can read; expected a PNG or JPEG file")
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
 _WHOLE = tuple(entry.name for entry in fields(Lighting) if entry.name != "lights")

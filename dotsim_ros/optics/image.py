@@ -22,7 +22,7 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.frame_memory import FrameMemory
-from dotsim_ros.optics.idle import BoolArray, ByteImage, check_image, lit_region
+from dotsim_ros.optics.idle import BoolArray, ByteImage, check_fine, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 
@@ -55,8 +55,8 @@ def spread_outwards(image: Float32Array, region: BoolArray) -> Float32Array:
 
 
 def double_resolution(image: Float32Array) -> Float32Array:
-    """Return the image (H, W, 3) with cubic samples half-way between its own, which stay:
-    (2 H - 1, 2 W - 1, 3). Linear interpolation in it is nearly as sharp as cubic in the image."""
+    """Return the image (H, W[, 3]) with cubic samples half-way between its own, which stay:
+    (2 H - 1, 2 W - 1[, 3]). Linear interpolation in it is nearly as sharp as cubic in the image."""
     height, width = image.shape[:2]
     x, y = np.meshgrid(
         0.5 * np.arange(2 * width - 1, dtype=np.float32),
@@ -108,15 +108,20 @@ class ImageRenderer:
         idle_image: (H, W, 3) uint8, of the camera's size (`fit_idle_image` brings any to it).
         lighting: the LEDs.
         vignetting: of the camera, which the pattern moves beneath.
+        fine: (2 H - 1, 2 W - 1, 3) uint8, the idle image with samples half-way between its own,
+            and with the rim's colours beyond the lit disc; None to interpolate them.
         residual: what to add to the carried image; None for nothing.
         device: Warp's name of the device.
 
     Attributes:
         pixel_kernels: the module whose kernel colours the image; both give the same.
+        fine_pattern: (2 H - 1, 2 W - 1, 3) float32, what is carried: the idle image without
+            vignetting, with samples half-way between its own.
+        fine_brightness: (2 H - 1, 2 W - 1) that vignetting leaves at them.
 
     Raises:
         ValueError: the idle image has another size than the camera, is a single row or column, or
-            is no colour image.
+            is no colour image; or the samples between do not belong to it.
     """
 
     def __init__(
@@ -127,6 +132,7 @@ class ImageRenderer:
         *,
         lighting: Lighting | None = None,
         vignetting: Vignetting | None = None,
+        fine: ByteImage | None = None,
         residual: Residual | None = None,
         device: str = "cpu",
     ) -> None:
@@ -150,7 +156,7 @@ class ImageRenderer:
         self._leds = leds_of(self._lighting, camera, self._device)
         self._triangles = self._upload(skin_mesh.triangles, wp.int32)
         self._set_rest(SkinRenderer(camera, skin_mesh, device=device))
-        self._set_idle(idle_image, (vignetting or Vignetting()).brightness(camera))
+        self._set_idle(idle_image, fine, (vignetting or Vignetting()).brightness(camera))
 
     def _upload(self, array: NDArray[np.generic], dtype: type) -> wp.array:
         # No copy on a CPU: what is uploaded is only read.
@@ -165,13 +171,21 @@ class ImageRenderer:
         ambient = np.where(mean > 0.0, self._lighting.ambient_fraction * mean, 1.0)
         self._ambient = wp.vec3(*ambient)
 
-    def _set_idle(self, idle_image: ByteImage, brightness: Float32Array) -> None:
+    def _set_idle(
+        self, idle_image: ByteImage, fine: ByteImage | None, brightness: Float32Array
+    ) -> None:
         lit = lit_region(idle_image)
-        flat = idle_image.astype(np.float32) / brightness[..., None]
         self._idle = self._upload(idle_image, wp.uint8)
         self._lit = self._upload(lit.astype(np.uint8), wp.uint8)
         self._brightness = self._upload(brightness, wp.float32)
-        self._fine_flat = self._upload(double_resolution(spread_outwards(flat, lit)), wp.vec3)
+        self.fine_brightness = double_resolution(brightness)
+        if fine is None:
+            flat = idle_image.astype(np.float32) / brightness[..., None]
+            self.fine_pattern = double_resolution(spread_outwards(flat, lit))
+        else:
+            check_fine(fine, idle_image)
+            self.fine_pattern = fine.astype(np.float32) / self.fine_brightness[..., None]
+        self._fine_flat = self._upload(self.fine_pattern, wp.vec3)
 
     def _irradiance(self, view: View) -> wp.array:
         return direct_light(
@@ -181,8 +195,7 @@ class ImageRenderer:
             self._lighting,
         )
 
-    def carry(self, view: View) -> ByteImage:
-        """Return the image (H, W, 3) without the residual."""
+    def _gain(self, view: View) -> wp.array:
         gain = wp.empty_like(self._rest_irradiance)
         wp.launch(
             kernels.brightness_gain,
@@ -196,6 +209,15 @@ class ImageRenderer:
             outputs=[gain],
             device=self._device,
         )
+        return gain
+
+    def vertex_gain(self, view: View) -> Float32Array:
+        """Return the brightness (V, 3) of each vertex over that at rest, without vignetting."""
+        return np.asarray(self._gain(view).numpy(), dtype=np.float32)
+
+    def carry(self, view: View) -> ByteImage:
+        """Return the image (H, W, 3) without the residual."""
+        gain = self._gain(view)
         image = self._memory.array(self._idle.shape, wp.uint8)
         wp.launch(
             self.pixel_kernels.carry_idle,

@@ -1,5 +1,6 @@
 """`dotsim_ros train-optics`: from a data set to a sensor that shows learned images."""
 
+import argparse
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -8,11 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.cli import train_optics
+from dotsim_ros.cli import calibrate_camera, train_optics
 from dotsim_ros.cli.main import main
+from dotsim_ros.evaluation.split import hold_out_of_protocols
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.optics.frames import FilmedData, FilmedPress
 from dotsim_ros.optics.network_card import read_network
 from dotsim_ros.optics.residual_network import ResidualNetwork
@@ -66,6 +69,34 @@ def test_untouched_frames_take_noise_off_the_idle_image():
 def test_the_command_line_knows_every_network():
     learning = pytest.importorskip("dotsim_ros.optics.learning", exc_type=ImportError)
     assert sorted(train_optics.NETWORKS) == sorted(learning.KINDS)
+
+
+@needs_data
+@pytest.mark.parametrize("command", [calibrate_camera, train_optics])
+def test_camera_and_network_are_judged_on_what_the_gel_is_judged_on(command):
+    parser = argparse.ArgumentParser()
+    command.add_arguments(parser)
+    required = ["--data", str(SENSOR_A), "--sensor", "sensor_a", "--out", "x.yaml"]
+    if command is train_optics:
+        _, held_out = command.split(parser.parse_args(required))
+    else:
+        _, held_out = command.split(read_data_set(SENSOR_A), parser.parse_args(required))
+    names = [entry.name for entry in read_data_set(SENSOR_A).entries]
+    assert sorted(held_out) == sorted(hold_out_of_protocols(names)[1])
+
+
+@needs_data
+def test_a_camera_is_fitted_to_the_trajectories_named():
+    parser = argparse.ArgumentParser()
+    calibrate_camera.add_arguments(parser)
+    common = ["--data", str(SENSOR_A), "--sensor", "sensor_a", "--out", "x.yaml"]
+    data_set = read_data_set(SENSOR_A)
+    named = [*common, "--trajectories", "4_torus_1", "2_cone_0", "--hold-out", "0"]
+    drawn = calibrate_camera.split(data_set, parser.parse_args(named))
+    assert drawn == (["2_cone_0", "4_torus_1"], [])
+    unknown = parser.parse_args([*common, "--trajectories", "2_cone_0", "9_none"])
+    with pytest.raises(ValueError, match="no trajectory with images named 9_none"):
+        calibrate_camera.split(data_set, unknown)
 
 
 @needs_data

@@ -95,7 +95,9 @@ def _places(path: Path) -> dict[str, tuple[int, int]]:
     }
 
 
-def _refer(model: onnx.ModelProto, weights: Mapping[str, NDArray[Any]], path: Path) -> None:
+def refer_to_weights(
+    model: onnx.ModelProto, weights: Mapping[str, NDArray[Any]], path: Path
+) -> None:
     """Let the graph read those of its weights that the file holds from there."""
     places = _places(path)
     for tensor in model.graph.initializer:
@@ -136,7 +138,7 @@ def write_network(
     draft = directory / f".draft-{WEIGHTS}"
     try:
         write_weights(draft, weights, card)
-        _refer(model, weights, draft)
+        refer_to_weights(model, weights, draft)
     finally:
         draft.unlink(missing_ok=True)
     graph = model.SerializeToString(deterministic=True)

@@ -133,7 +133,7 @@ def fit_network(
         rest: what the camera sees of the gel untouched.
         camera: of the measured images.
         seed: of the first weights and of the order of the frames.
-        budget_minutes: time after which training ends, resumed runs included; None for none.
+        budget_minutes: CPU time after which training ends, resumed runs included; None for none.
         size: width of the network's images in pixels; None for the measured one on CUDA and
             `CPU_WIDTH` at most on a CPU.
         directory: where the training leaves its state and resumes from; None for nowhere.

@@ -17,6 +17,7 @@ from dotsim_ros.evaluation.image_metrics import image_psnr_db
 from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.geometry.specification import SensorSpecification
 from dotsim_ros.optics.frames import (
+    FilmedData,
     OpticalData,
     OpticalPress,
     camera_for,
@@ -24,13 +25,13 @@ from dotsim_ros.optics.frames import (
     read_filmed_data,
     render_filmed,
 )
-from dotsim_ros.optics.idle import ByteImage
+from dotsim_ros.optics.idle import ByteImage, fine_path
+from dotsim_ros.optics.learned_pattern import with_learned_pattern
 from dotsim_ros.optics.learning.export import write_network
 from dotsim_ros.optics.learning.fitting import FittedNetwork, fit_network
 from dotsim_ros.optics.learning.preview import write_preview
 from dotsim_ros.optics.learning.training import Progress
 from dotsim_ros.optics.network_card import FORMAT, NetworkCard, camera_hash
-from dotsim_ros.optics.untouched import with_refined_idle
 from dotsim_ros.resources import parameter_path
 from dotsim_ros.sensor import given_path
 from dotsim_ros.view.files import whole_file, write_image
@@ -51,7 +52,7 @@ class Request:
         train, held_out: names of the presses to train on, and to judge on (may be none).
         kind: of the network.
         seed: of the training.
-        budget_minutes: time after which it ends; None for none.
+        budget_minutes: CPU time after which it ends; None for none.
         size: width of the network's images; None for the default.
         out: folder of what a sensor with the network needs.
         record: folder of the training's state, preview and report.
@@ -95,15 +96,19 @@ def scores(
     }
 
 
-def read_presses(request: Request, say: Callable[[str], None]) -> OpticalData:
-    """Return what the camera saw of the presses, by an idle image of those trained on."""
+def read_presses(request: Request, say: Callable[[str], None]) -> tuple[FilmedData, OpticalData]:
+    """Return what was filmed, by an idle image that those trained on refine, and what the camera
+    saw of it."""
     filmed = read_filmed_data(
         request.data, request.sensor, presses=[*request.train, *request.held_out], progress=say
     )
-    filmed = with_refined_idle(filmed, request.train)
     camera = camera_for(request.sensor, filmed.idle, str(request.data))
     lighting, vignetting = lights_of(request.sensor)
-    return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
+    say("learning the pattern between the pixels")
+    filmed = with_learned_pattern(
+        filmed, camera, lighting=lighting, vignetting=vignetting, presses=request.train
+    )
+    return filmed, render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
 
 
 def train_optics(
@@ -120,7 +125,7 @@ def train_optics(
     Raises:
         ValueError: as `read_filmed_data` and `fit_network`.
     """
-    data = read_presses(request, say)
+    filmed, data = read_presses(request, say)
     by_name = {press.name: press for press in data.presses}
     train = [by_name[name] for name in request.train]
     network = fit_network(
@@ -141,7 +146,7 @@ def train_optics(
     card = write_network(
         request.out, network.trained.network, _card(request, network, metrics, origin)
     )
-    _write_sensor(request, data.rest.idle)
+    _write_sensor(request, filmed)
     write_preview(request.record / PREVIEW, judged, predicted)
     report = {
         "judged_on": list(request.held_out) or "the presses trained on: none was held out",
@@ -186,10 +191,12 @@ def _card(
     )
 
 
-def _write_sensor(request: Request, idle: ByteImage) -> None:
+def _write_sensor(request: Request, filmed: FilmedData) -> None:
     """Write the idle image, what is known of its lights, and the sensor that uses both."""
     out = request.out.resolve()
-    write_image(out / IDLE, idle)
+    write_image(out / IDLE, filmed.idle)
+    if filmed.fine is not None:
+        write_image(fine_path(out / IDLE), filmed.fine)
     described = given_path(request.sensor.camera.idle_image).with_suffix(".yaml")
     if described.exists():
         lights = yaml.safe_load(described.read_text(encoding="utf-8")) or {}

@@ -74,8 +74,8 @@ class Progress:
         epoch: epochs that are done.
         epochs: epochs that will be done.
         psnr_db: of the last epoch's mean square error in training.
-        spent_s: time spent, in all runs.
-        left_s: estimated time left.
+        spent_s: CPU time spent, in all runs.
+        left_s: estimated CPU time left.
     """
 
     epoch: int
@@ -92,7 +92,7 @@ class Trained:
     Attributes:
         network: with the averaged weights, in evaluation mode.
         epochs: done.
-        spent_s: time spent, in all runs.
+        spent_s: CPU time spent, in all runs.
         cut_short: whether the budget ended the training, which then depends on the machine's speed.
         psnr_db: (epochs,) of each epoch's mean square error in training.
     """
@@ -146,7 +146,8 @@ class Training:
         examples: what it is trained on.
         recipe: how.
         seed: of the order of the frames.
-        budget_s: time after which the training ends; None for none.
+        budget_s: CPU time of this process, all its threads together, after which the training
+            ends: what else the machine does then costs it nothing; None for none.
         device: where.
         directory: of the checkpoint; None for none.
         checkpoint_interval_s: least time between two checkpoints; they are made after an epoch.
@@ -245,14 +246,14 @@ class Training:
         saved_s = time.monotonic()
         self.network.train()
         while self.epoch < self.recipe.epochs and not self._cut_short:
-            begun_s, total = time.monotonic(), 0.0
+            begun_s, total = time.process_time(), 0.0
             spent_before_s = self._spent_s
             order = torch.randperm(count, generator=self._order)
             seen = 0
             for index in batches(order, self.recipe.batch):
                 total += self._train_on(index)
                 seen += len(index)
-                self._spent_s = spent_before_s + time.monotonic() - begun_s
+                self._spent_s = spent_before_s + time.process_time() - begun_s
                 if self.budget_s is not None and self._spent_s >= self.budget_s:
                     self._cut_short = True
                     break
