@@ -17,17 +17,14 @@ example:
 from __future__ import annotations
 
 import argparse
-import sys
-import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dotsim_ros.gap.findings import Findings
-    from dotsim_ros.gap.overlay import Overlay
+    from dotsim_ros.gap.search import Request
 
-CHANNELS = ("skin", "force")
+CHANNELS = ("skin", "force", "image")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,13 +36,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--reference", type=Path, help="the unit's commissioning: what has changed since?")
     add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
     add("--effects", type=Path, nargs="+", default=[], help="folders of your own effects")
-    add("--channels", nargs="+", choices=CHANNELS, default=list(CHANNELS), help="used (all)")
+    add(
+        "--channels",
+        nargs="+",
+        choices=CHANNELS,
+        help="used (all; image where the bags hold images and idle_*.png lie beside them)",
+    )
     add("--candidates", nargs="+", default=[], help="effects to look for (all)")
     add("--alpha", type=float, default=0.02, help="chance of a name without an effect (0.02)")
     add("--budget", type=int, help="most solves of a trajectory (no limit)")
     add("--seed", type=int, default=0, help="of all draws (0)")
     add("--workers", type=int, default=2, help="processes (2)")
     add("--discrepancy", type=Path, help="file of the model's own error (the shipped one)")
+    add("--optical-noise", type=Path, help="file of the images' noise (the shipped one)")
+    add(
+        "--fit-optical-noise",
+        type=Path,
+        metavar="FILE",
+        help="only learn what images show in which nothing is wrong, and write it here",
+    )
     add("--json", type=Path, help="write the findings here as well")
     add("--demo", action="store_true", help="hide an effect drawn by the seed, and find it")
 
@@ -54,6 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Search, write the report, print the answer."""
     from dotsim_ros.evaluation.provenance import write_json
     from dotsim_ros.gap.findings import Findings, Verdict, as_record
+    from dotsim_ros.gap.report import write_findings
 
     if arguments.demo == (arguments.measured is not None):
         raise ValueError("name a data set with --measured, or ask for --demo")
@@ -61,11 +71,14 @@ def run(arguments: argparse.Namespace) -> int:
         from dotsim_ros.evaluation.gap_demo import run_demo
 
         return run_demo(arguments.out, seed=arguments.seed, workers=arguments.workers)
+    if arguments.fit_optical_noise is not None:
+        fit_optical_noise(arguments)
+        return 0
     try:
         findings = search(arguments)
     except ValueError as error:
         findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
-        report(arguments.out, findings, None, effects=arguments.effects)
+        write_findings(arguments.out, findings, None, effects=arguments.effects)
     if arguments.json is not None:
         write_json(arguments.json, as_record(findings))
     print(f"\n{findings.sentence}")
@@ -77,57 +90,46 @@ def run(arguments: argparse.Namespace) -> int:
 
 def search(arguments: argparse.Namespace) -> Findings:
     """Return the findings of a search, its report written."""
-    from dotsim_ros.gap.search import Request, find_gap
+    from dotsim_ros.gap.optical_find import find_gap_with_pictures
+    from dotsim_ros.gap.progress import PrintedProgress
+    from dotsim_ros.gap.report import write_findings
+
+    request = request_of(arguments)
+    findings, overlay = find_gap_with_pictures(request, PrintedProgress())
+    write_findings(arguments.out, findings, overlay, effects=arguments.effects)
+    return findings
+
+
+def fit_optical_noise(arguments: argparse.Namespace) -> None:
+    """Learn what the images of a data set show in which nothing is wrong; write it."""
+    from dotsim_ros.gap.optical_find import fit_noise_of_pictures
+    from dotsim_ros.gap.optical_null import save_optical_null
+    from dotsim_ros.gap.progress import PrintedProgress
+
+    null = fit_noise_of_pictures(request_of(arguments), PrintedProgress())
+    save_optical_null(null, arguments.fit_optical_noise)
+    print(f"{arguments.fit_optical_noise}: {null.source}")
+
+
+def request_of(arguments: argparse.Namespace) -> Request:
+    """Return what is searched, and how."""
+    from dotsim_ros.gap.optical_find import channels_of
+    from dotsim_ros.gap.search import Request
     from dotsim_ros.geometry.specification import load_sensor
 
-    request = Request(
+    return Request(
         measured=arguments.measured,
         sensor=load_sensor(arguments.sensor),
         directory=arguments.out / "run",
         reference=arguments.reference,
         indenters=arguments.indenters,
         effects=tuple(arguments.effects),
-        channels=tuple(arguments.channels),
+        channels=tuple(arguments.channels or channels_of(arguments.measured)),
         candidates=tuple(arguments.candidates),
         alpha=arguments.alpha,
         budget=arguments.budget,
         seed=arguments.seed,
         workers=arguments.workers,
         discrepancy=arguments.discrepancy,
+        optical_noise=arguments.optical_noise,
     )
-    findings, overlay = find_gap(request, Progress())
-    report(arguments.out, findings, overlay, effects=arguments.effects)
-    return findings
-
-
-def report(
-    directory: Path,
-    findings: Findings,
-    overlay: Overlay | None,
-    *,
-    effects: Sequence[Path] = (),
-) -> None:
-    """Write a report, and the overlay where there is one."""
-    from dotsim_ros.gap.library import load_effects
-    from dotsim_ros.gap.overlay import FILE_NAME, write_overlay
-    from dotsim_ros.gap.report import write_report
-
-    directory.mkdir(parents=True, exist_ok=True)
-    if overlay is not None:
-        write_overlay(directory / FILE_NAME, overlay)
-    write_report(directory, findings, effects=load_effects(effects))
-
-
-class Progress:
-    """Prints each step's share and the time that is left of it."""
-
-    def __init__(self) -> None:
-        self._step, self._begun_s = "", 0.0
-
-    def __call__(self, step: str, done: int, total: int) -> None:
-        now_s = time.monotonic()
-        if step != self._step:
-            self._step, self._begun_s = step, now_s
-        if done and (done == total or done % max(1, total // 10) == 0):
-            left_s = (now_s - self._begun_s) / done * (total - done)
-            print(f"{step}: {done}/{total}, {left_s:.0f} s left", file=sys.stderr, flush=True)

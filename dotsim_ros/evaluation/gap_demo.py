@@ -43,7 +43,8 @@ def is_right(findings: Findings, truth: Truth) -> bool:
 
 def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
-    from dotsim_ros.cli.find_gap import Progress, report
+    from dotsim_ros.gap.progress import PrintedProgress
+    from dotsim_ros.gap.report import write_findings
     from dotsim_ros.gap.search import Request, find_gap
     from dotsim_ros.geometry.skin_mesh import dome_skin
     from dotsim_ros.geometry.specification import load_sensor
@@ -55,7 +56,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     print(f"sealed: sha256 {truth.digest()}", flush=True)
     data = directory / "measured"
     shutil.rmtree(data, ignore_errors=True)
-    progress = Progress()
+    progress = PrintedProgress()
     measure_unit(
         data,
         sensor,
@@ -73,7 +74,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
         workers=workers,
     )
     findings, overlay = find_gap(request, progress)
-    report(directory, findings, overlay)
+    write_findings(directory, findings, overlay)
     write_truth(directory / "truth_opened.json", truth, seed=seed)
     hidden = ", ".join(f"{name} ({size:.3g} {LAWS[name].unit})" for name, size in truth.effects)
     print(f"\n{findings.sentence}")

@@ -8,7 +8,8 @@ by what its law makes of our own gel. The rule is applied to screened effects, w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,24 +17,38 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import values_of
-from dotsim_ros.calibration.simulation import GelSimulator, SolveError
+from dotsim_ros.calibration.parameters import GelValues, values_of
+from dotsim_ros.calibration.simulation import GelSimulator, Simulated, SolveError
+from dotsim_ros.evaluation.gap_baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap_null import residuals_without_effect
 from dotsim_ros.evaluation.provenance import provenance
+from dotsim_ros.evaluation.split import repeats_of
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.assumptions import ABSOLUTE
-from dotsim_ros.gap.covariance import Discrepancy, Noise, fit_discrepancy
+from dotsim_ros.gap.covariance import Discrepancy, Noise, fit_discrepancy, load_discrepancy
 from dotsim_ros.gap.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.inference import fit, lengths
+from dotsim_ros.gap.inference import lengths
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.measurement import read_measurement
 from dotsim_ros.gap.observables import PATCH_COUNT, observe
-from dotsim_ros.gap.search import Request, Search, answer_of, null_gains, screen, simulate_effects
-from dotsim_ros.gap.simulate import open_solver
+from dotsim_ros.gap.search import (
+    Ranked,
+    Request,
+    Search,
+    answer_of,
+    estimates_of,
+    null_gains,
+    screen,
+    simulate_effects,
+)
+from dotsim_ros.gap.simulate import TOLERANCE_M, open_solver
+from dotsim_ros.gel.material import PronySeries
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.specification import SensorSpecification
-from dotsim_ros.hidden.laws import LAWS
+from dotsim_ros.hidden.laws import LAWS, Law
 from dotsim_ros.hidden.reality import Truth, library_names
 from dotsim_ros.hidden.reality import answer_of as reality_of
 from dotsim_ros.measured.data_set import read_data_set
@@ -46,6 +61,7 @@ CASE_SIZE = 8
 STIFFNESS_DECOY = 0.05
 NULL_DRAWS = 60
 """Simulated nulls of a case: fewer than a search takes."""
+LIMIT_DRAWS = 60
 SHARES = (0.25, 0.5, 1.0)
 """Of a law's full size."""
 UNKNOWN = ""
@@ -59,6 +75,10 @@ class StudyCase:
         truth: names of laws and shares of their full sizes.
         verdict, named, alternatives: the finder's.
         whitened_size: of the hidden change, nuisances projected out.
+        left: on trajectories that were not searched.
+        lasso: effect that the lasso names.
+        found: size of the effect and its interval, and the hidden one's, where the library has the
+            same law and found it.
     """
 
     truth: tuple[tuple[str, float], ...]
@@ -66,6 +86,9 @@ class StudyCase:
     named: tuple[str, ...]
     alternatives: tuple[str, ...]
     whitened_size: float
+    left: Left
+    lasso: str | None
+    found: tuple[float, float, float, float] | None = None
 
     @property
     def hidden(self) -> set[str]:
@@ -88,16 +111,120 @@ def halves(names: Sequence[str], seed: int) -> tuple[tuple[str, ...], tuple[str,
     """Return two halves of the trajectories: for the discrepancy, and for the cases; repeats of one
     protocol go to both."""
     random = np.random.default_rng(seed)
-    groups: dict[str, list[str]] = {}
-    for name in sorted(names):
-        groups.setdefault(name.rstrip("0123456789").rstrip("_"), []).append(name)
     first, second = [], []
-    for members in groups.values():
+    for members in repeats_of(names).values():
         random.shuffle(members)
         half = len(members) // 2
         first += members[:half]
         second += members[half:]
     return tuple(sorted(first)), tuple(sorted(second))
+
+
+@dataclass(frozen=True)
+class _Study:
+    """Presses without an effect, and what the library's effects do to them.
+
+    Attributes:
+        known, tested: names of the trajectories of the discrepancy, and of the cases.
+        discrepancy: as the finder knows it.
+        case: of all trajectories to draw from.
+        variants: of the effects that they excite.
+        left_out: what could not be solved.
+        skin: whose points were measured.
+    """
+
+    known: tuple[str, ...]
+    tested: tuple[str, ...]
+    discrepancy: Discrepancy
+    case: Case
+    variants: list[Variant]
+    left_out: list[str]
+    skin: SkinMesh
+
+
+@contextmanager
+def _study(
+    directory: Path,
+    sensor: SensorSpecification,
+    run: Path,
+    seed: int,
+    workers: int,
+    progress: Callable[[str, int, int], None],
+) -> Iterator[_Study]:
+    names = [entry.name for entry in read_data_set(directory).entries]
+    known, tested = halves(names, seed)
+    measurement = read_measurement(directory, own_skin=skin_of(sensor.gel))
+    residuals = residuals_without_effect(
+        measurement,
+        sensor,
+        run,
+        workers=workers,
+        progress=lambda done, total: progress("discrepancy", done, total),
+    )
+    by_name = {r.name: (r, e) for r, e in zip(measurement.recordings, residuals, strict=True)}
+    discrepancy = replace(
+        fit_discrepancy(
+            [by_name[n][0] for n in known], [by_name[n][1] for n in known], f"{len(known)} presses"
+        ),
+        limit_factors=load_discrepancy().limit_factors,
+    )
+    library, values = load_effects(), values_of(sensor)
+    with open_solver(sensor, measurement.skin, run, workers=workers) as solver:
+        trajectories, left_out = make_trajectories(
+            [by_name[n][0] for n in tested],
+            (),
+            values=values,
+            nuisances=ABSOLUTE,
+            library=library,
+            solver=solver,
+            skin=measurement.skin,
+            noise=Noise(),
+            discrepancy=discrepancy,
+            channels=("skin", "force"),
+            progress=lambda done, total: progress("calibrate", done, total),
+        )
+        rest_m = measurement.skin.rest_position_m
+        case = Case(trajectories, ABSOLUTE, library, solver, values, rest_m)
+        request = Request(directory, sensor, run, budget=0, seed=seed)
+        search = _search(case, range(len(trajectories)), request, seed, progress, discrepancy)
+        variants, _ = simulate_effects(search)
+        yield _Study(known, tested, discrepancy, case, variants, left_out, measurement.skin)
+
+
+def measure_limit_factors(
+    directory: Path,
+    sensor: SensorSpecification,
+    run: Path,
+    *,
+    seed: int,
+    workers: int = 2,
+    progress: Callable[[str, int, int], None],
+) -> dict[str, float]:
+    """Return by how much each effect gains more on presses in which nothing is missing than all of
+    them gain on simulated ones: the 98th percentiles of draws of eight presses.
+
+    Args:
+        directory, sensor, run, seed, workers, progress: as `run_study`.
+    """
+    random = np.random.default_rng([seed, 2])
+    gains: dict[str, list[float]] = {}
+    simulated: list[float] = []
+    with _study(directory, sensor, run, seed, workers, progress) as study:
+        count = len(study.case.trajectories)
+        request = Request(directory, sensor, run, budget=0, seed=seed)
+        for draw in range(LIMIT_DRAWS):
+            chosen = sorted(random.choice(count, min(CASE_SIZE, count), replace=False).tolist())
+            search = _search(study.case, chosen, request, draw, _silent, study.discrepancy)
+            ranked = screen(search, study.variants)
+            for entry in ranked:
+                gains.setdefault(entry.effect.name, []).append(entry.trial.gain)
+            simulated += null_gains(search, ranked, NULL_DRAWS // 6)[0].tolist()
+            progress("limits", draw + 1, LIMIT_DRAWS)
+    threshold = float(np.quantile(simulated, 0.98))
+    return {
+        name: round(max(0.0, float(np.quantile(found, 0.98))) / threshold, 2)
+        for name, found in sorted(gains.items())
+    }
 
 
 def run_study(
@@ -125,48 +252,16 @@ def run_study(
         workers: processes.
         progress: told each step's share.
     """
-    names = [entry.name for entry in read_data_set(directory).entries]
-    known, tested = halves(names, seed)
-    measurement = read_measurement(directory, own_skin=skin_of(sensor.gel))
-    residuals = residuals_without_effect(
-        measurement,
-        sensor,
-        run,
-        workers=workers,
-        progress=lambda done, total: progress("discrepancy", done, total),
-    )
-    by_name = {r.name: (r, e) for r, e in zip(measurement.recordings, residuals, strict=True)}
-    discrepancy = fit_discrepancy(
-        [by_name[n][0] for n in known], [by_name[n][1] for n in known], f"{len(known)} presses"
-    )
-    recordings = [by_name[n][0] for n in tested]
-    library, values = load_effects(), values_of(sensor)
-    with open_solver(sensor, measurement.skin, run, workers=workers) as solver:
-        trajectories, left_out = make_trajectories(
-            recordings,
-            (),
-            values=values,
-            nuisances=ABSOLUTE,
-            library=library,
-            solver=solver,
-            skin=measurement.skin,
-            noise=Noise(),
-            discrepancy=discrepancy,
-            channels=("skin", "force"),
-            progress=lambda done, total: progress("calibrate", done, total),
-        )
-        rest_m = measurement.skin.rest_position_m
-        case = Case(trajectories, ABSOLUTE, library, solver, values, rest_m)
-        request = Request(directory, sensor, run, budget=0, seed=seed)
-        search = _search(case, range(len(trajectories)), request, seed, progress, discrepancy)
-        variants, _ = simulate_effects(search)
-        solves = solver.solve_count
-    changes = _hidden_changes(case, sensor, measurement.skin, laws, run, seed, progress)
+    with _study(directory, sensor, run, seed, workers, progress) as study:
+        case, discrepancy, variants = study.case, study.discrepancy, study.variants
+        solves = case.solver.solve_count
+    request = Request(directory, sensor, run, budget=0, seed=seed)
+    changes = _hidden_changes(case, sensor, study.skin, laws, run, seed, progress)
     found = _cases(case, variants, changes, request, nulls, repeats, seed, progress, discrepancy)
     return {
         **figures(found),
-        "trajectories": {"discrepancy": list(known), "cases": list(tested)},
-        "left_out": left_out,
+        "trajectories": {"discrepancy": list(study.known), "cases": list(study.tested)},
+        "left_out": study.left_out,
         "solves": solves,
         "seed": seed,
         "rule_version": decision.RULE_VERSION,
@@ -182,22 +277,48 @@ def _search(
     progress: Callable[[str, int, int], None],
     discrepancy: Discrepancy,
 ) -> Search:
-    evidence = case.evidence(chosen)
-    base = fit(evidence, np.zeros((len(evidence.residual), 0)))
-    random = np.random.default_rng(seed)
     return Search(
         request=request,
         case=case,
         chosen=list(chosen),
         locked=[],
-        evidence=evidence,
-        base=base,
         noise=Noise(),
         discrepancy=discrepancy,
-        random=random,
+        random=np.random.default_rng(seed),
         progress=progress,
-        solver=case.solver,
     )
+
+
+class _Remembering(GelSimulator):
+    """Solves nothing twice: many laws act on what the same gel answers to the same poses."""
+
+    def __init__(self, specification: SensorSpecification, skin: SkinMesh) -> None:
+        super().__init__(specification, skin, tolerance_m=TOLERANCE_M)
+        self._known: dict[str, Simulated] = {}
+
+    def press(
+        self,
+        values: GelValues,
+        indenter: Indenter,
+        poses: Sequence[Pose],
+        stamp_s: Array,
+        offset: Array | None = None,
+        *,
+        relaxation: PronySeries | None = None,
+    ) -> Simulated:
+        """Return as `GelSimulator.press`."""
+        places = [(p.position_m.tolist(), p.quaternion_xyzw.tolist()) for p in poses]
+        key = repr((values, indenter.name, relaxation, stamp_s.tolist(), offset, places))
+        if key not in self._known:
+            self._known[key] = super().press(
+                values, indenter, poses, stamp_s, offset, relaxation=relaxation
+            )
+        return self._known[key]
+
+
+def full_size(law: Law) -> float:
+    """Return the size at the end of a law's range that is farthest from nothing."""
+    return law.low if law.name in ("slippery", "compressible") else law.high
 
 
 def _hidden_changes(
@@ -210,13 +331,12 @@ def _hidden_changes(
     progress: Callable[[str, int, int], None],
 ) -> dict[str, list[Array]]:
     """Return by law, at the upper end of its range, what it does to each trajectory (F, SIZE)."""
-    simulator = GelSimulator(sensor, skin, tolerance_m=5.0e-6)
+    simulator = _Remembering(sensor, skin)
     values = values_of(sensor)
     result: dict[str, list[Array]] = {}
     total = len(laws) * len(case.trajectories)
     for place, name in enumerate(laws):
-        law = LAWS[name]
-        size = law.high if law.name not in ("slippery", "compressible") else law.low
+        size = full_size(LAWS[name])
         changes = []
         for number, t in enumerate(case.trajectories):
             stored = run / f"law_{name}_{t.recording.name}_{seed}.npy"
@@ -284,30 +404,46 @@ def _decide(
     count = len(case.trajectories)
     chosen = sorted(random.choice(count, size=min(CASE_SIZE, count), replace=False).tolist())
     stiffer = 1.0 + STIFFNESS_DECOY * random.standard_normal()
+    hidden = [
+        sum((share * changes[name][k] for name, share in truth), np.zeros_like(t.predicted))
+        for k, t in enumerate(case.trajectories)
+    ]
     trajectories = []
-    for number, t in enumerate(case.trajectories):
-        hidden = sum((share * changes[name][number] for name, share in truth), 0.0 * t.predicted)
-        observed = t.observed + hidden
+    for t, change in zip(case.trajectories, hidden, strict=True):
+        observed = t.observed + change
         observed[:, 3 * PATCH_COUNT :] *= stiffer
         trajectories.append(replace(t, observed=observed))
     altered = case.with_trajectories(trajectories)
     search = _search(altered, chosen, request, int(random.integers(2**31)), _silent, discrepancy)
-    gains, pattern_gains = null_gains(search, screen(search, variants), NULL_DRAWS)
-    answer = answer_of(search, screen(search, variants), gains, pattern_gains)
-    size = 0.0
-    if truth:
-        change = [
-            sum((share * changes[name][k] for name, share in truth), 0.0 * t.predicted)
-            for k, t in enumerate(case.trajectories)
-        ]
-        size = float(lengths(search.evidence, altered.whitened(change, chosen)[:, None])[0])
+    ranked = screen(search, variants)
+    gains, pattern_gains = null_gains(search, ranked, NULL_DRAWS)
+    lasso = lasso_name(search, ranked)
+    answer = answer_of(search, ranked, gains, pattern_gains)
+    others = [number for number in range(count) if number not in chosen]
+    size = float(lengths(search.evidence, altered.whitened(hidden, chosen)[:, None])[0])
     return StudyCase(
         truth,
         answer.verdict,
         tuple(entry.effect.name for entry in answer.named),
         tuple(entry.effect.name for entry in answer.alternatives),
         size,
+        left_on_others(search, answer.named, others, case),
+        lasso,
+        _found(search, answer.named, truth),
     )
+
+
+def _found(
+    search: Search, named: Sequence[Ranked], truth: tuple[tuple[str, float], ...]
+) -> tuple[float, float, float, float] | None:
+    """Return value, interval and truth where the library's own law was hidden whole and named."""
+    if len(truth) != 1 or len(named) != 1 or truth[0][1] != 1.0:
+        return None
+    law, effect = LAWS[truth[0][0]], named[0].effect
+    if law.known_size is None or effect.name != law.library:
+        return None
+    estimate = estimates_of(search, named[0], [])[0]
+    return estimate.value, estimate.low, estimate.high, law.known_size(full_size(law))
 
 
 def _silent(step: str, done: int, total: int) -> None:
@@ -348,9 +484,62 @@ def figures(cases: Sequence[StudyCase]) -> dict[str, Any]:
         "both_of_two": _rate([c.is_right for c in pairs]),
         "one_of_two": _rate([bool(set(c.named) & c.hidden) for c in pairs]),
         "wrong_in_pairs": _rate([bool(set(c.named) - c.hidden) for c in pairs]),
+        "after_adding": _after_adding([c for c in single + pairs if c.named]),
+        "same_law": _same_law([c.found for c in single if c.found is not None]),
+        "baselines": _baselines(nulls, single),
         "confusion": confusion,
         "set_share": _rate([c.verdict is Verdict.SET for c in single]),
     }
+
+
+def _after_adding(cases: Sequence[StudyCase]) -> dict[str, Any]:
+    """Return what named effects leave of trajectories that were not searched."""
+    return {
+        "within_1.2_of_the_floor": _rate(
+            [c.left.with_effects <= 1.2**2 * c.left.nothing_hidden for c in cases]
+        ),
+        "worse_than_recalibrated": _rate(
+            [c.left.with_effects > 1.001 * c.left.recalibrated for c in cases]
+        ),
+        "median_share_closed": _median([_share_closed(c.left, c.left.with_effects) for c in cases]),
+    }
+
+
+def _share_closed(left: Left, now: float) -> float | None:
+    """Return the share of the gap on trajectories not searched that is closed, None without one."""
+    gap = left.recalibrated - left.nothing_hidden
+    return (left.recalibrated - now) / gap if gap > 0.2 * left.nothing_hidden else None
+
+
+def _same_law(found: Sequence[tuple[float, float, float, float]]) -> dict[str, Any]:
+    return {
+        "median_relative_error": _median([abs(value / true - 1.0) for value, _, _, true in found]),
+        "interval_covers": _rate([low <= true <= high for _, low, high, true in found]),
+    }
+
+
+def _baselines(nulls: Sequence[StudyCase], single: Sequence[StudyCase]) -> dict[str, Any]:
+    large = [c for c in single if c.whitened_size >= 20.0]
+    return {
+        "lasso": {
+            "false_names": _rate([c.lasso is not None for c in nulls]),
+            "named_right_from_20": _rate([c.lasso in c.hidden for c in large]),
+        },
+        "ours": {
+            "false_names": _rate([bool(c.named) for c in nulls]),
+            "named_right_from_20": _rate([c.is_right for c in large]),
+        },
+        "median_share_closed_from_20": {
+            "recalibration": 0.0,
+            "black_box": _median([_share_closed(c.left, c.left.black_box) for c in large]),
+            "ours": _median([_share_closed(c.left, c.left.with_effects) for c in large]),
+        },
+    }
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return round(float(np.median(known)), 4) if known else None
 
 
 def _rate(outcomes: Sequence[bool]) -> dict[str, float | int | None]:

@@ -4,7 +4,7 @@ what each of them does to a trajectory."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ CLOCK_STEP_S = 0.01
 SHIFT_STEP_M = 0.1e-3
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
 """Of the differences, in the parameters' coordinates: of the size of the priors."""
-SHARED, OWN = "shared", "own"
+SHARED, OWN, SINCE = "shared", "own", "since"
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Nuisance:
         name, unit: for reports.
         deviation: of its prior, in the coordinate of its parameter (the logarithm of a stiffness or
             of friction), metres, or seconds.
-        belongs: `SHARED` by all data of a unit, or each data set's `OWN`.
+        belongs: `SHARED` by all data of a unit, each data set's `OWN`, or what has changed `SINCE`
+            the commissioning.
     """
 
     name: str
@@ -60,7 +61,7 @@ DIFFERENTIAL = (
     Nuisance("friction", "log", 0.5, SHARED),
     Nuisance("c20", "of C10", 0.2, SHARED),
     *ABSOLUTE[4:],
-    Nuisance("E_since", "log", 0.02, "since"),
+    Nuisance("E_since", "log", 0.02, SINCE),
 )
 """Against the unit's own commissioning, which tells its constants; since then, its stiffness may
 have changed by what a laboratory's temperature does."""
@@ -115,7 +116,7 @@ def nuisance_columns(
     result = []
     for nuisance in nuisances:
         column = nuisance.deviation * slopes[nuisance.name]
-        if nuisance.belongs == "since" and is_reference:
+        if nuisance.belongs == SINCE and is_reference:
             column = np.zeros_like(column)
         result.append(column)
     return result
@@ -129,5 +130,5 @@ def values_after(values: GelValues, nuisances: Sequence[Nuisance], moved: Array)
         parameter = PARAMETERS[nuisance.name]
         at = parameter.to_coordinate(getattr(values, parameter.field))
         place = np.array([at + deviations * nuisance.deviation])
-        values = with_coordinates(replace(values), [parameter], place)
+        values = with_coordinates(values, [parameter], place)
     return values

@@ -1,17 +1,18 @@
 """How far apart simulation and measurement are where no effect is missing: noise, and a discrepancy
 of the model and of the measurement that belongs to a place of the contact.
 
-The discrepancy of frame f of a trajectory is a_f (b + w_f): b is drawn once for it, w_f for
-each frame, and a_f scales with the press: the skin by the depth, the force by the force. The
-covariances of b and w come from residuals of presses in which nothing is missing (Kennedy and
-O'Hagan 2001 give the reason, Brynjarsdottir and O'Hagan 2014 what happens without).
+The discrepancy of frame f of a trajectory is a_f (b + w_f): b is drawn once for it, w_f changes
+as the indenter moves, and a_f scales with the press: the skin by the depth, the force by the force.
+Beside it every trajectory has an error of pose and of clock of its own. The covariances of b and w
+come from residuals of presses in which nothing is missing (Kennedy and O'Hagan 2001 say why,
+Brynjarsdottir and O'Hagan 2014 what happens without).
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,16 @@ JUDGED_DEPTH_M = 0.5e-3
 """Frames less deep tell nothing about the discrepancy."""
 SHRINKAGE = 0.3
 """Share of the diagonal, averaged over a ring, that a covariance from few presses is drawn to."""
+WAY_SHARE = 0.2
+"""w is alike in frames between which the indenter goes less than this share of the largest depth:
+of 0, 0.2, 0.5 and 1 the one that half of the stand-in sensor's presses make most probable for the
+other half."""
+SKIN_FROM_M = 1.0e-3
+"""The skin of a shallower contact is not used: a dent of a few of the skin's points shows their
+discretisation, which looks like an error of depth."""
+SKIN_DOUBT = 2.0
+"""The skin's discrepancy is taken as so much larger: a covariance from few presses misses shapes
+that neighbouring points share, and effects have such shapes."""
 FILE = "gap/discrepancy.npz"
 
 
@@ -60,11 +71,14 @@ class Discrepancy:
         between: (SIZE, SIZE) of b.
         within: (SIZE, SIZE) of w.
         source: the presses that they come from.
+        limit_factors: by effect, how much more it gains on true data without any effect than on
+            simulated ones.
     """
 
     between: Array
     within: Array
     source: str
+    limit_factors: Mapping[str, float] = field(default_factory=dict)
 
 
 def amplitude(recording: Recording, force_n: Array | None) -> Array:
@@ -161,6 +175,8 @@ def save_discrepancy(discrepancy: Discrepancy, path: Path) -> None:
         between=discrepancy.between.astype(np.float32),
         within=discrepancy.within.astype(np.float32),
         source=np.array(discrepancy.source),
+        limited=np.array(list(discrepancy.limit_factors), dtype=str),
+        limit_factor=np.array(list(discrepancy.limit_factors.values())),
     )
     os.replace(temporary, path)
 
@@ -178,6 +194,7 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
             arrays["between"].astype(np.float64),
             arrays["within"].astype(np.float64),
             str(arrays["source"]),
+            dict(zip(arrays["limited"].tolist(), arrays["limit_factor"].tolist(), strict=True)),
         )
     if found.between.shape != (SIZE, SIZE):
         raise ValueError(
@@ -185,6 +202,14 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
             "them anew with dotsim_ros evaluate gap --fit-discrepancy"
         )
     return found
+
+
+def white_variance(noise: Noise, places: Places) -> Array:
+    """Return (SIZE,) the variance of each observable of a frame by white noise alone."""
+    variance = np.full(SIZE, noise.force_n**2)
+    points = np.maximum(np.repeat(places.count, 3), 1)
+    variance[: 3 * PATCH_COUNT] = noise.skin_m**2 / points
+    return variance
 
 
 @dataclass(frozen=True)
@@ -211,6 +236,14 @@ class Whitening:
         return result
 
 
+def usable(recording: Recording, observed: Array) -> Array:
+    """Return observables (F, SIZE), NaN where the skin is hardly touched."""
+    shallow = (recording.depth_m > 0.0) & (recording.depth_m < SKIN_FROM_M)
+    result = observed.copy()
+    result[shallow, : 3 * PATCH_COUNT] = np.nan
+    return result
+
+
 def whitening_of(
     recording: Recording,
     places: Places,
@@ -218,7 +251,7 @@ def whitening_of(
     *,
     noise: Noise,
     discrepancy: Discrepancy,
-    is_left_out: NDArray[np.bool_],
+    own: Array,
 ) -> Whitening:
     """Return the whitening of a trajectory.
 
@@ -227,22 +260,22 @@ def whitening_of(
         places: of its observables.
         observed: (F, SIZE) measured; NaN is not used.
         noise, discrepancy: of the measurement and of the model.
-        is_left_out: (F,) frames not to use.
+        own: (K, F, SIZE) what one deviation of each error of its own does: pose and clock.
     """
-    frames = len(observed)
     scale = amplitude(recording, recording.press.force_n)
-    used = np.isfinite(observed) & ~is_left_out[:, None]
+    scale[:, : 3 * PATCH_COUNT] *= SKIN_DOUBT
+    used = np.isfinite(observed)
     flat = np.flatnonzero(used)
     frame, number = flat // SIZE, flat % SIZE
+    position = np.stack([pose.position_m for pose in recording.press.poses])
+    way = np.cumsum(np.linalg.norm(np.diff(position, axis=0, prepend=position[:1]), axis=1))
+    reach = WAY_SHARE * max(float(recording.depth_m.max()), SMALLEST_DEPTH_M)
+    alike = np.exp(-np.abs(way[:, None] - way[None, :]) / reach)
     covariance = discrepancy.between[np.ix_(number, number)]
-    same = frame[:, None] == frame[None, :]
-    covariance = covariance + np.where(same, discrepancy.within[np.ix_(number, number)], 0.0)
+    covariance += alike[np.ix_(frame, frame)] * discrepancy.within[np.ix_(number, number)]
     factor = scale.ravel()[flat]
     covariance *= factor[:, None] * factor[None, :]
-    white = np.empty(SIZE)
-    points = np.maximum(np.repeat(places.count, 3), 1)
-    white[: 3 * PATCH_COUNT] = noise.skin_m**2 / points
-    white[3 * PATCH_COUNT :] = noise.force_n**2
-    covariance[np.diag_indices(len(flat))] += white[number]
-    assert used.shape == (frames, SIZE)
+    moved = own.reshape(len(own), -1)[:, flat]
+    covariance += moved.T @ moved
+    covariance[np.diag_indices(len(flat))] += white_variance(noise, places)[number]
     return Whitening(used, linalg.cholesky(covariance, lower=True, check_finite=False))

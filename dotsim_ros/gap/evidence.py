@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from dotsim_ros.calibration.parameters import GelValues
 from dotsim_ros.calibration.simulation import Simulated, SolveError
-from dotsim_ros.gap.assumptions import Nuisance, nuisance_columns, nuisance_requests
-from dotsim_ros.gap.covariance import Discrepancy, Noise, Whitening, whitening_of
+from dotsim_ros.gap.assumptions import OWN, Nuisance, nuisance_columns, nuisance_requests
+from dotsim_ros.gap.covariance import Discrepancy, Noise, Whitening, usable, whitening_of
 from dotsim_ros.gap.effect import FORCE, SKIN, Active, Effect
-from dotsim_ros.gap.inference import Evidence, fit
+from dotsim_ros.gap.inference import Evidence
 from dotsim_ros.gap.observables import Places, observe, places_of
 from dotsim_ros.gap.patterns import patterns
 from dotsim_ros.gap.recording import Recording
@@ -144,34 +144,49 @@ class Case:
         number = np.repeat(np.arange(len(parts)), [len(r) for r in residual])
         return Evidence(np.concatenate(residual), np.concatenate(columns), number)
 
+    def columns(self) -> list[tuple[Nuisance, bool | None]]:
+        """Return the evidence's nuisances, in order, with the data that each belongs to: those of
+        the reference, those of the others, None for both."""
+        own = [n for n in self.nuisances if n.belongs == OWN]
+        return [
+            *((n, None) for n in self.nuisances if n.belongs != OWN),
+            *((n, True) for n in own),
+            *((n, False) for n in own),
+        ]
+
+    def column_names(self) -> list[str]:
+        """Return the names of the evidence's nuisances."""
+        return [n.name + (" (reference)" if whose else "") for n, whose in self.columns()]
+
+    def shared_nuisances(self) -> list[Nuisance]:
+        """Return those that come first in the evidence: of the unit, not of a data set."""
+        return [n for n, whose in self.columns() if whose is None]
+
+    def _column_numbers(self, t: Trajectory) -> list[int | None]:
+        """Return which of a trajectory's nuisances each column of the evidence is, None for those
+        of other data."""
+        place = {n.name: k for k, n in enumerate(self.nuisances)}
+        return [
+            place[n.name] if whose in (None, t.is_reference) else None
+            for n, whose in self.columns()
+        ]
+
     def _nuisance_columns(self, t: Trajectory) -> Array:
-        """Return (n_t, columns): the shared ones, those of the reference, of the other."""
-        shared: list[Array] = []
-        own: list[Array] = []
-        for nuisance, column in zip(self.nuisances, t.nuisance, strict=True):
-            white = t.whitening.whiten(column)
-            (own if nuisance.belongs == "own" else shared).append(white)
-        nothing = [np.zeros_like(column) for column in own]
-        both = [*own, *nothing] if t.is_reference else [*nothing, *own]
-        return np.stack([*shared, *both], axis=1)
+        """Return (n_t, columns) whitened."""
+        white = [t.whitening.whiten(column) for column in t.nuisance]
+        nothing = np.zeros(t.whitening.size)
+        numbers = self._column_numbers(t)
+        return np.stack([nothing if k is None else white[k] for k in numbers], axis=1)
 
     def moved(self, number: int, nuisance: Array) -> Array:
         """Return (F, SIZE) what the evidence's nuisances (columns,) do to a trajectory."""
         t = self.trajectories[number]
-        shared = [k for k, n in enumerate(self.nuisances) if n.belongs != "own"]
-        own = [k for k, n in enumerate(self.nuisances) if n.belongs == "own"]
-        begin = len(shared) + (0 if t.is_reference else len(own))
         share = np.zeros(len(self.nuisances))
-        share[shared] = nuisance[: len(shared)]
-        share[own] = nuisance[begin : begin + len(own)]
+        for k, moved in zip(self._column_numbers(t), nuisance.tolist(), strict=True):
+            if k is not None:
+                share[k] = moved
         result: Array = np.tensordot(share, t.nuisance, axes=1)
         return result
-
-    def column_names(self) -> list[str]:
-        """Return the names of the evidence's nuisances."""
-        shared = [n.name for n in self.nuisances if n.belongs != "own"]
-        own = [n.name for n in self.nuisances if n.belongs == "own"]
-        return [*shared, *(f"{name} (reference)" for name in own), *own]
 
     def whitened(self, change: Sequence[Array], chosen: Sequence[int]) -> Array:
         """Return (n,) of a change by trajectory."""
@@ -179,15 +194,15 @@ class Case:
 
     def pattern_columns(self, chosen: Sequence[int]) -> Array:
         """Return (n, K) whitened patterns of the measured data, those that are there."""
-        count = len(self.trajectories[0].pattern)
-        columns = []
-        for k in range(count):
-            change = [
-                np.zeros_like(t.pattern[k]) if t.is_reference else t.pattern[k]
-                for t in self.trajectories
-            ]
-            columns.append(self.whitened(change, chosen))
-        return np.stack(columns, axis=1)
+        each = np.eye(len(self.trajectories[0].pattern))
+        return np.stack([self.whitened(self.pattern_change(s), chosen) for s in each], axis=1)
+
+    def pattern_change(self, share: Array) -> list[Array]:
+        """Return (F, SIZE) of each trajectory: what patterns do at sizes (K,)."""
+        return [
+            np.zeros_like(t.predicted) if t.is_reference else np.tensordot(share, t.pattern, axes=1)
+            for t in self.trajectories
+        ]
 
     def change_at(self, variant: Variant, size: float) -> list[Array]:
         """Return (F, SIZE) of each trajectory: what a variant does at a size, linear between the
@@ -226,15 +241,12 @@ class Case:
     def extend(
         self,
         wanted: Sequence[tuple[Variant, float]],
-        *,
-        others: Sequence[Active] = (),
         progress: Progress | None = None,
     ) -> list[str]:
         """Simulate variants at sizes and add the nodes; return what could not be solved.
 
         Args:
             wanted: variants and sizes.
-            others: further effects that are at work, with and without.
             progress: told the solves.
         """
         requests, owners = [], []
@@ -242,16 +254,16 @@ class Case:
             active = Active(variant.effect, variant.effect.checked(variant.values(size)))
             for number, t in enumerate(self.trajectories):
                 if not t.is_reference:
-                    requests.append(request_of(t.recording, self.values, effects=[*others, active]))
+                    requests.append(request_of(t.recording, self.values, effects=[active]))
                     owners.append((id(variant), size, number))
         results, failures = self.solver.run_each(requests, progress)
         found: dict[tuple[int, float, int], Array] = {}
         for owner, result in zip(owners, results, strict=True):
-            t = self.trajectories[owner[2]]
-            if result is None:
-                continue
-            shown = self._observed(t, result)
-            found[owner] = shown - t.predicted
+            if result is not None:
+                t = self.trajectories[owner[2]]
+                found[owner] = (
+                    observed_of(t.recording, t.places, result, self._rest_m) - t.predicted
+                )
         for variant, size in wanted:
             change = []
             for number, t in enumerate(self.trajectories):
@@ -259,12 +271,6 @@ class Case:
                 change.append(np.zeros_like(t.predicted) if there is None else there)
             variant.put(size, change)
         return failures
-
-    def _observed(self, t: Trajectory, simulated: Simulated) -> Array:
-        press = t.recording.press
-        skin = None if press.skin_position_m is None else simulated.skin_position_m
-        force = None if press.force_n is None else simulated.force_n
-        return observe(t.places, self._rest_m, skin, force, press.frame_count)
 
     def segments(self, variant: Variant, chosen: Sequence[int]) -> list[Segment]:
         """Return the segments between a variant's nodes, and beyond the outermost within range."""
@@ -287,6 +293,14 @@ class Case:
             column = (white[k + 1] - white[k]) / width
             result.append(Segment(variant, variant.node[k], white[k], column, low, high))
         return result
+
+
+def observed_of(recording: Recording, places: Places, simulated: Simulated, rest_m: Array) -> Array:
+    """Return the observables (F, SIZE) of a simulation, in the channels that were measured."""
+    press = recording.press
+    skin = None if press.skin_position_m is None else simulated.skin_position_m
+    force = None if press.force_n is None else simulated.force_n
+    return observe(places, rest_m, skin, force, press.frame_count)
 
 
 def make_trajectories(
@@ -339,24 +353,19 @@ def make_trajectories(
         press = recording.press
         places = places_of(recording, skin)
         rest = skin.rest_position_m
-        observed = observe(places, rest, press.skin_position_m, press.force_n, press.frame_count)
-        simulated = [
-            observe(
-                places,
-                rest,
-                None if press.skin_position_m is None else answer.skin_position_m,
-                None if press.force_n is None else answer.force_n,
-                press.frame_count,
-            )
-            for answer in solved
-        ]
+        observed = usable(
+            recording,
+            observe(places, rest, press.skin_position_m, press.force_n, press.frame_count),
+        )
+        simulated = [observed_of(recording, places, answer, rest) for answer in solved]
+        columns = np.stack(nuisance_columns(nuisances, simulated, is_reference=is_reference))
         whitening = whitening_of(
             recording,
             places,
             observed,
             noise=noise,
             discrepancy=discrepancy,
-            is_left_out=np.zeros(press.frame_count, dtype=bool),
+            own=columns[[n.belongs == OWN for n in nuisances]],
         )
         trajectories.append(
             Trajectory(
@@ -366,7 +375,7 @@ def make_trajectories(
                 observed,
                 simulated[0],
                 whitening,
-                np.stack(nuisance_columns(nuisances, simulated, is_reference=is_reference)),
+                columns,
                 patterns(recording, simulated[0]),
             )
         )
@@ -385,8 +394,3 @@ def _with_channels(recording: Recording, channels: Sequence[str]) -> Recording:
             force_n=press.force_n if FORCE in channels else None,
         ),
     )
-
-
-def null_objective(evidence: Evidence) -> float:
-    """Return the objective of nuisances alone."""
-    return fit(evidence, np.zeros((len(evidence.residual), 0))).objective

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
@@ -56,6 +56,7 @@ class Candidate:
         explained: share of the removable gap that it explains once refitted; None if it was not.
         held_out_gain: gain of the log score on trajectories left out, in nats; None likewise.
         estimates: its parameters once refitted.
+        limit: what its score must pass; 0 where it has none of its own.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Candidate:
     explained: float | None = None
     held_out_gain: float | None = None
     estimates: tuple[Estimate, ...] = ()
+    limit: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,8 @@ class Pair:
         cosine: rho of their signatures.
         separation: d = delta sqrt((1 - |rho|) / 2).
         remedy: what to record to separate them.
+        best_trajectory, best_per_s: the one that separates them most in a second of the robot's
+            time, and by how much; repeat it to separate them.
     """
 
     first: str
@@ -148,6 +152,72 @@ class Pair:
     cosine: float
     separation: float
     remedy: str
+    best_trajectory: str = ""
+    best_per_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class TileGap:
+    """Residuals in one tile of the picture: RMS of its observables in expected deviations.
+
+    Attributes:
+        x, y: its centre, shares of the picture's width and height.
+        before, after: with the twin as it is, and with the named effects.
+    """
+
+    x: float
+    y: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class OpticalFindings:
+    """What the pictures told.
+
+    Attributes:
+        verdict, sentence: the answer, and in words.
+        named, alternatives: effects that are added, and those that the first is not told from.
+        statistic, threshold: the largest score, and what 1 - alpha of data without any effect stay
+            below.
+        explained: share of what could be removed that the best effects take away.
+        excess, largest_excess: mean square of the whitened residuals without effects, and what
+            1 - alpha of data without any effect stay below.
+        candidates: in the order of their rank; the score is the statistic, `explained` is of the
+            signature at the probe.
+        gap: of the tiles' colours on the locked trajectories, in grey levels.
+        share_closed, share_closed_low, share_closed_high: of the gap of all observables of tiles,
+            in expected deviations, with its interval; None if nothing was added.
+        stability: share of bootstrap repetitions that gave the same name; None if nothing was
+            named.
+        tiles: where in the picture the gap is.
+        warnings: what cannot be concluded, and why.
+        trajectories, locked: names used for the search, and kept locked.
+        frame_count: pictures.
+        noise_source: where the thresholds come from.
+    """
+
+    verdict: Verdict
+    sentence: str
+    named: tuple[str, ...] = ()
+    alternatives: tuple[str, ...] = ()
+    statistic: float = 0.0
+    threshold: float = 0.0
+    explained: float = 0.0
+    excess: float = 0.0
+    largest_excess: float = 0.0
+    candidates: tuple[Candidate, ...] = ()
+    gap: ChannelGap | None = None
+    share_closed: float | None = None
+    share_closed_low: float | None = None
+    share_closed_high: float | None = None
+    stability: float | None = None
+    tiles: tuple[TileGap, ...] = ()
+    warnings: tuple[str, ...] = ()
+    trajectories: tuple[str, ...] = ()
+    locked: tuple[str, ...] = ()
+    frame_count: int = 0
+    noise_source: str = ""
 
 
 @dataclass(frozen=True)
@@ -169,6 +239,8 @@ class Findings:
         gaps: by channel on the locked trajectories.
         share_closed, share_closed_low, share_closed_high: of the gap, with its interval; None if
             nothing was added.
+        fallback: of an unknown effect, the gaps of the locked trajectories with a smooth
+            correction that is no physics in place of effects; empty otherwise.
         stability: share of bootstrap repetitions that gave the same name; None if nothing was
             named.
         pairs: effects that cannot be told apart.
@@ -178,6 +250,8 @@ class Findings:
         solve_count, seconds: the cost.
         data_hash: of the measured data.
         sensor: name of the sensor's file.
+        optical: what the pictures told, whose names, sentence and warnings are among those above;
+            None where none were searched.
     """
 
     verdict: Verdict
@@ -196,6 +270,7 @@ class Findings:
     share_closed: float | None = None
     share_closed_low: float | None = None
     share_closed_high: float | None = None
+    fallback: tuple[ChannelGap, ...] = ()
     stability: float | None = None
     pairs: tuple[Pair, ...] = ()
     worst: WorstFrame | None = None
@@ -206,11 +281,18 @@ class Findings:
     seconds: float = 0.0
     data_hash: str = ""
     sensor: str = ""
+    optical: OpticalFindings | None = None
 
 
 def as_record(findings: Findings) -> dict[str, Any]:
     """Return findings as what JSON can hold."""
-    return {"version": VERSION, **asdict(findings), "verdict": findings.verdict.value}
+    record = {"version": VERSION, **asdict(findings), "verdict": findings.verdict.value}
+    if findings.optical is not None:
+        record["optical"] = {
+            **record["optical"],
+            "verdict": findings.optical.verdict.value,
+        }
+    return record
 
 
 def findings_of(record: Mapping[str, Any]) -> Findings:
@@ -223,14 +305,12 @@ def findings_of(record: Mapping[str, Any]) -> Findings:
         raise ValueError(f"findings of version {record.get('version')!r}, expected {VERSION}")
     values = {key: value for key, value in record.items() if key != "version"}
     values["verdict"] = Verdict(values["verdict"])
-    values["candidates"] = tuple(
-        Candidate(**{**c, "estimates": tuple(Estimate(**e) for e in c["estimates"])})
-        for c in values["candidates"]
-    )
+    values["candidates"] = _candidates_of(values["candidates"])
     for name, kind in (
         ("calibrated", Estimate),
         ("places", Place),
         ("gaps", ChannelGap),
+        ("fallback", ChannelGap),
         ("pairs", Pair),
     ):
         values[name] = tuple(kind(**entry) for entry in values[name])
@@ -238,4 +318,28 @@ def findings_of(record: Mapping[str, Any]) -> Findings:
         values[name] = tuple(values[name])
     worst = values["worst"]
     values["worst"] = None if worst is None else WorstFrame(**worst)
+    optical = values.get("optical")
+    values["optical"] = None if optical is None else _optical_of(optical)
     return Findings(**values)
+
+
+def _candidates_of(records: Iterable[Mapping[str, Any]]) -> tuple[Candidate, ...]:
+    return tuple(
+        Candidate(**{**c, "estimates": tuple(Estimate(**e) for e in c["estimates"])})
+        for c in records
+    )
+
+
+def _optical_of(record: Mapping[str, Any]) -> OpticalFindings:
+    gap = record["gap"]
+    lists = ("named", "alternatives", "warnings", "trajectories", "locked")
+    return OpticalFindings(
+        **{
+            **record,
+            **{name: tuple(record[name]) for name in lists},
+            "verdict": Verdict(record["verdict"]),
+            "candidates": _candidates_of(record["candidates"]),
+            "gap": None if gap is None else ChannelGap(**gap),
+            "tiles": tuple(TileGap(**tile) for tile in record["tiles"]),
+        }
+    )

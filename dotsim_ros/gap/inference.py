@@ -49,6 +49,14 @@ class Evidence:
         """Return the rows that `of` takes."""
         return np.concatenate([np.flatnonzero(self.trajectory == t) for t in trajectories])
 
+    def without(self, change: Array) -> Evidence:
+        """Return what is left once a change (n,) is explained."""
+        return self.with_residual(self.residual - change)
+
+    def with_nuisances(self, columns: Array) -> Evidence:
+        """Return the same with further nuisances (n, K), each of one deviation."""
+        return replace(self, nuisance=np.concatenate([self.nuisance, columns], axis=1))
+
     def with_residual(self, residual: Array) -> Evidence:
         """Return the same with another residual."""
         return replace(self, residual=residual)
@@ -81,24 +89,60 @@ def fit(
 
     Iteratively reweighted least squares; a size beyond a bound is held at it.
     """
-    q = evidence.nuisance.shape[1]
     k = columns.shape[1]
     low = np.full(k, -np.inf) if low is None else low
     high = np.full(k, np.inf) if high is None else high
     design = np.concatenate([evidence.nuisance, columns], axis=1)
-    prior = np.concatenate([np.ones(q), np.zeros(k)])
-    trajectories = int(evidence.trajectory.max()) + 1
-    count = np.bincount(evidence.trajectory, minlength=trajectories).astype(float)
-    doubt = DOUBT * count
-    starts = _grams(design, evidence, trajectories)
-    unknown = np.zeros(q + k)
+    return settle(products(design, evidence.residual, evidence.trajectory), low, high)
+
+
+@dataclass(frozen=True)
+class Products:
+    """All that a fit needs of a design D (n, m) and a residual r (n,), by trajectory.
+
+    Attributes:
+        gram: (T, m, m) D^T D.
+        right: (T, m) D^T r.
+        square: (T,) r^T r.
+        count: (T,) rows.
+    """
+
+    gram: Array
+    right: Array
+    square: Array
+    count: Array
+
+
+def products(design: Array, residual: Array, trajectory: IntArray) -> Products:
+    """Return the products of a design (n, m) and a residual (n,) of trajectories (n,)."""
+    parts = parts_of(trajectory)
+    return Products(
+        np.stack([design[rows].T @ design[rows] for rows in parts]),
+        np.stack([design[rows].T @ residual[rows] for rows in parts]),
+        np.array([residual[rows] @ residual[rows] for rows in parts]),
+        np.array([float(len(rows)) for rows in parts]),
+    )
+
+
+def parts_of(trajectory: IntArray) -> list[IntArray]:
+    """Return the rows of each trajectory."""
+    return [np.flatnonzero(trajectory == t) for t in range(int(trajectory.max()) + 1)]
+
+
+def settle(known: Products, low: Array, high: Array) -> Fit:
+    """Return the fit of a design whose last columns, as many as there are bounds, are sizes, and
+    whose others are nuisances."""
+    trajectories, m = known.right.shape
+    q = m - len(low)
+    prior = np.concatenate([np.ones(q), np.zeros(len(low))])
+    count, doubt = known.count, DOUBT * known.count
+    unknown = np.zeros(m)
     weight = np.ones(trajectories)
     last = np.inf
     for _ in range(ROUNDS):
-        gram = np.tensordot(weight, starts[0], axes=1) + np.diag(prior)
-        right = weight @ starts[1]
-        unknown = _bounded(gram, right, q, low, high)
-        square = _squares(starts, unknown)
+        gram = np.tensordot(weight, known.gram, axes=1) + np.diag(prior)
+        unknown = _bounded(gram, weight @ known.right, q, low, high)
+        square = _squares(known, unknown)
         weight = (doubt + count) / (doubt + square)
         objective = _objective(square, count, doubt, unknown[:q])
         if last - objective < SETTLED:
@@ -107,25 +151,14 @@ def fit(
     return Fit(unknown[:q], unknown[q:], objective, weight)
 
 
-Grams = tuple[Array, Array, Array]
+def fit_nuisances(evidence: Evidence) -> Fit:
+    """Return the fit without any column."""
+    return fit(evidence, np.zeros((len(evidence.residual), 0)))
 
 
-def _grams(design: Array, evidence: Evidence, trajectories: int) -> Grams:
-    """Return, by trajectory, D^T D (T, m, m), D^T r (T, m) and r^T r (T,)."""
-    m = design.shape[1]
-    gram, right = np.zeros((trajectories, m, m)), np.zeros((trajectories, m))
-    square = np.zeros(trajectories)
-    for t in range(trajectories):
-        rows = evidence.trajectory == t
-        part, residual = design[rows], evidence.residual[rows]
-        gram[t], right[t], square[t] = part.T @ part, part.T @ residual, residual @ residual
-    return gram, right, square
-
-
-def _squares(grams: Grams, unknown: Array) -> Array:
+def _squares(known: Products, unknown: Array) -> Array:
     """Return (T,) the squares that are left."""
-    gram, right, square = grams
-    left = square - 2.0 * right @ unknown + np.einsum("tij,i,j->t", gram, unknown, unknown)
+    left = known.square - 2.0 * known.right @ unknown + (known.gram @ unknown) @ unknown
     return np.asarray(np.maximum(left, 0.0))
 
 
@@ -155,13 +188,22 @@ def _bounded(gram: Array, right: Array, q: int, low: Array, high: Array) -> Arra
     return unknown
 
 
-def objective_at(evidence: Evidence, columns: Array, size: Array, nuisance: Array) -> Array:
-    """Return (T,) the objective of each trajectory at given sizes and nuisances, without prior."""
-    left = evidence.residual - evidence.nuisance @ nuisance - columns @ size
-    count = np.bincount(evidence.trajectory).astype(float)
-    square = np.bincount(evidence.trajectory, weights=left**2)
-    doubt = DOUBT * count
-    return np.asarray((doubt + count) * np.log((doubt + square) / (doubt + count)))
+def log_evidence(evidence: Evidence, found: Fit, columns: Array, precision: Array) -> float:
+    """Return the log of the probability of the data, up to a constant of the data alone, by
+    Laplace's approximation about a fit (Kass and Raftery 1995, section 4.1).
+
+    Args:
+        evidence: the data.
+        found: its fit.
+        columns: (n, k) of the fit's sizes.
+        precision: (k,) of the sizes' priors, one over their variance.
+    """
+    design = np.concatenate([evidence.nuisance, columns], axis=1)
+    weight = found.weight[evidence.trajectory]
+    prior = np.concatenate([np.ones(evidence.nuisance.shape[1]), precision])
+    hessian = (design * weight[:, None]).T @ design + np.diag(prior)
+    log_prior = float(np.sum(np.log(prior)))
+    return -0.5 * (found.objective + float(np.linalg.slogdet(hessian)[1]) - log_prior)
 
 
 def cosines(evidence: Evidence, columns: Array) -> Array:

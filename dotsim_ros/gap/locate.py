@@ -3,13 +3,13 @@ after effects are added."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.gap.covariance import Discrepancy, Noise, amplitude
+from dotsim_ros.gap.covariance import Discrepancy, Noise, amplitude, white_variance
 from dotsim_ros.gap.evidence import Case, Trajectory
 from dotsim_ros.gap.findings import ChannelGap, Place, WorstFrame
 from dotsim_ros.gap.observables import PATCH_COUNT, SIZE, regions_of_observables
@@ -44,11 +44,8 @@ class Residuals:
 def expected_deviation(t: Trajectory, noise: Noise, discrepancy: Discrepancy) -> Array:
     """Return (F, SIZE) one standard deviation of each observable where no effect is missing."""
     relative = np.diag(discrepancy.between) + np.diag(discrepancy.within)
-    points = np.maximum(np.repeat(t.places.count, 3), 1)
-    white = np.full(SIZE, noise.force_n**2)
-    white[: 3 * PATCH_COUNT] = noise.skin_m**2 / points
     scale = amplitude(t.recording, t.recording.press.force_n)
-    return np.sqrt(scale**2 * relative + white)
+    return np.sqrt(scale**2 * relative + white_variance(noise, t.places))
 
 
 def residuals_of(
@@ -202,7 +199,7 @@ def worst_frame(
     case: Case,
     residuals: Residuals,
     chosen: Sequence[int],
-    skins: Mapping[int, tuple[Array, Array]],
+    skins_of: Callable[[int], tuple[Array, Array] | None],
     rest_m: Array,
 ) -> WorstFrame | None:
     """Return the frame with the largest residual before.
@@ -211,7 +208,7 @@ def worst_frame(
         case: the data.
         residuals: of it.
         chosen: trajectories to look at.
-        skins: of each of them, simulated without and with the effects, (F, V, 3).
+        skins_of: returns a trajectory's skins, simulated without and with the effects, (F, V, 3).
         rest_m: (V, 3).
     """
     worst, place = -1.0, (-1, -1)
@@ -234,15 +231,15 @@ def worst_frame(
         for left in (residuals.before[t], residuals.after[t])
     ]
     has_force = press.force_n is not None
-    has_skin = press.skin_position_m is not None and t in skins
+    skins = None if press.skin_position_m is None else skins_of(t)
     return WorstFrame(
         trajectory.recording.name,
         frame,
         float(press.stamp_s[frame]),
-        _rounded(rest_m) if has_skin else [],
+        _rounded(rest_m) if skins is not None else [],
         _rounded(press.skin_position_m[frame]) if press.skin_position_m is not None else [],
-        _rounded(skins[t][0][frame]) if has_skin else [],
-        _rounded(skins[t][1][frame]) if has_skin else [],
+        _rounded(skins[0][frame]) if skins is not None else [],
+        _rounded(skins[1][frame]) if skins is not None else [],
         press.force_n[frame].tolist() if press.force_n is not None else [],
         forces[0].tolist() if has_force else [],
         forces[1].tolist() if has_force else [],

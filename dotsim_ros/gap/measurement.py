@@ -41,16 +41,6 @@ class Measurement:
     warnings: tuple[str, ...]
     digest: str
 
-    @property
-    def has_skin(self) -> bool:
-        """Return whether every recording has the skin."""
-        return all(r.press.skin_position_m is not None for r in self.recordings)
-
-    @property
-    def has_force(self) -> bool:
-        """Return whether every recording has the force."""
-        return all(r.press.force_n is not None for r in self.recordings)
-
 
 def read_measurement(
     directory: str | Path,

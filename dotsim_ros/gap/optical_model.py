@@ -1,19 +1,20 @@
 """What the twin's camera should see of measured trajectories, and what it did see.
 
-The picture of the calibrated gel is made by the frozen network from the twin's own idle frame, that
-of its commissioning. The data set's idle images are not used for it: whatever changed since then
-would be carried into every prediction and be seen no more. Optical effects act on these pictures.
+The picture of the calibrated gel is made by the frozen network from the twin's own idle frame, or
+from that of the unit's commissioning where there is one. The idle images that are searched are not
+used for it: whatever changed since then would be carried into every prediction and be seen no more.
+Optical effects act on these pictures.
 
 Importing this loads neither Warp nor ONNX Runtime.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,10 +27,6 @@ if TYPE_CHECKING:
 
 ByteImage = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
-BoolArray = NDArray[np.bool_]
-
-IDLE = "idle"
-"""Name of the trajectory that the data set's idle images make: one frame, their mean."""
 
 
 @dataclass(frozen=True)
@@ -73,23 +70,28 @@ class Film:
         return np.stack([filtered(image) for image in self.seen()]).astype(np.float32)
 
 
-@dataclass(frozen=True)
-class FilmedTrajectory:
-    """A measured trajectory beside the twin's.
+def resized(film: Film, width: int, height: int) -> Film:
+    """Return a film of another size and the same view."""
+    if film.pixels.shape[1:3] == (height, width):
+        return film
+    scale = width / film.pixels.shape[2]
+    return Film(
+        film.stamp_s,
+        film.session_s,
+        np.stack([resized_picture(one, width, height) for one in film.pixels]),
+        np.stack([np.float32(scale) * resized_picture(f, width, height) for f in film.flow_px_s]),
+        resized_picture(film.idle, width, height),
+        # The centre of the first pixel is (0, 0).
+        scale * (film.centre_px + 0.5) - 0.5,
+        scale * film.focal_px,
+    )
 
-    Attributes:
-        name: of the trajectory.
-        indenter: name of the indenter; empty for `IDLE`.
-        tip_depth_m: (F,) how deep the tip lies below the skin at rest.
-        measured: (F, H, W, 3), 0 to 255.
-        film: what the twin says.
-    """
 
-    name: str
-    indenter: str
-    tip_depth_m: Array
-    measured: NDArray[np.generic]
-    film: Film
+def resized_picture(picture: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    """Return a picture (H, W, C) of another size; each new pixel is the mean of what it covers."""
+    smaller = width < picture.shape[1]
+    way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=way))
 
 
 class PictureModel:
@@ -98,17 +100,26 @@ class PictureModel:
     Args:
         sensor: the twin; without a network its picture is the carried one.
         width, height: of the pictures.
+        idle: (H, W, 3) uint8 of that size, the unit's idle frame at its commissioning; None for the
+            twin's own.
 
     Attributes:
         camera: of that size.
-        idle: (H, W, 3) uint8, the twin's own idle frame.
+        idle: (H, W, 3) uint8, the idle frame.
 
     Raises:
         FileNotFoundError: the sensor's idle image or network is missing.
         ValueError: a size of another aspect ratio, or a network of another sensor.
     """
 
-    def __init__(self, sensor: SensorSpecification, *, width: int, height: int) -> None:
+    def __init__(
+        self,
+        sensor: SensorSpecification,
+        *,
+        width: int,
+        height: int,
+        idle: ByteImage | None = None,
+    ) -> None:
         # Loaded on use: they start Warp.
         from dotsim_ros.geometry.camera import FisheyeCamera
         from dotsim_ros.optics.idle import read_idle_frame
@@ -119,7 +130,7 @@ class PictureModel:
         full = FisheyeCamera.from_specification(sensor.camera)
         self.camera: FisheyeCamera = full.scaled(width, height)
         frame = read_idle_frame(given_path(sensor.camera.idle_image), self.camera)
-        self.idle: ByteImage = frame.image
+        self.idle: ByteImage = frame.image if idle is None else idle
         skin = skin_of(sensor.gel)
         self._triangles = skin.triangles
         self._renderer = SkinRenderer(self.camera, skin)
@@ -127,10 +138,15 @@ class PictureModel:
         residual = None
         if network is not None:
             untouched = self._renderer.render(skin.rest_position_m)
-            residual = network.at_rest(untouched, frame.image)
+            residual = network.at_rest(untouched, self.idle)
         self._residual = residual
         self._image = ImageRenderer(
-            self.camera, skin, frame.image, lighting=frame.lighting, vignetting=frame.vignetting
+            self.camera,
+            skin,
+            self.idle,
+            lighting=frame.lighting,
+            vignetting=frame.vignetting,
+            fine=frame.fine if idle is None else None,
         )
 
     def film(self, skin_position_m: NDArray[np.floating], stamp_s: Array, start_s: float) -> Film:
@@ -199,98 +215,3 @@ def flow_of(before: View, view: View, triangles: NDArray[np.integer]) -> Float32
     flow = np.zeros((*view.triangle.shape, 2), dtype=np.float32)
     flow[seen] = np.einsum("nk,nkd->nd", weight, np.nan_to_num(moved[corners]))
     return flow
-
-
-def accept_untouched(idle: ByteImage, untouched: Iterable[tuple[str, ByteImage]]) -> None:
-    """Refuse nothing: how frames without contact differ from the idle image is what is looked
-    for."""
-
-
-@dataclass(frozen=True)
-class OpticalMeasurement:
-    """What the camera saw of a data set.
-
-    Attributes:
-        model: of the twin's pictures, at the measured size.
-        lit: (H, W) the lit disc of the twin's idle frame.
-        idle_images: (N, H, W, 3) uint8, as measured.
-        names: of the trajectories with images, in the order of the index.
-    """
-
-    model: PictureModel
-    lit: BoolArray
-    idle_images: ByteImage
-    names: tuple[str, ...]
-    _films: tuple[tuple[str, Callable[[], FilmedTrajectory]], ...]
-
-    def trajectories(self) -> Iterator[FilmedTrajectory]:
-        """Yield `IDLE`, then the trajectories, each made when it is asked for."""
-        yield FilmedTrajectory(
-            IDLE,
-            "",
-            np.array([-np.inf]),
-            self.idle_images.mean(axis=0, dtype=np.float64)[None],
-            self.model.idle_film(),
-        )
-        for _, make in self._films:
-            yield make()
-
-
-def read_optical_measurement(
-    directory: str | Path,
-    sensor: SensorSpecification,
-    start_s: Mapping[str, float],
-    *,
-    cache: Path | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> OpticalMeasurement:
-    """Read the images of a data set, and let the twin's gel follow their poses.
-
-    Args:
-        directory: of the data set.
-        sensor: the twin.
-        start_s: when each trajectory began, since the session's start, by name: `session_s` of the
-            recordings. Those not named are left out.
-        cache: folder of the skins that were computed before; None for the user's cache.
-        progress: told what is being done.
-
-    Raises:
-        FileNotFoundError: no data set, bag, indenter, idle image or network there.
-        ValueError: as `read_filmed_data`, but frames without contact may differ from the idle
-            image; or none of the named trajectories holds images.
-    """
-    # Loaded on use: they start Warp.
-    from dotsim_ros.measured.data_set import read_data_set
-    from dotsim_ros.optics.frames import FilmedPress, read_filmed_data
-    from dotsim_ros.optics.idle import lit_region
-    from dotsim_ros.optics.idle_check import read_idle_images
-
-    data_set = read_data_set(directory)
-    names = [e.name for e in data_set.entries if e.has_images and e.name in start_s]
-    if not names:
-        raise ValueError(
-            f"{directory}: none of {', '.join(sorted(start_s)) or 'no trajectory'} holds images"
-        )
-    idle_images = read_idle_images(data_set.idle_images())
-    filmed = read_filmed_data(
-        directory, sensor, presses=names, cache=cache, progress=progress, check=accept_untouched
-    )
-    height, width = idle_images.shape[1:3]
-    model = PictureModel(sensor, width=width, height=height)
-
-    def maker(press: FilmedPress) -> Callable[[], FilmedTrajectory]:
-        return lambda: FilmedTrajectory(
-            press.name,
-            press.indenter,
-            press.tip_depth_m,
-            press.measured,
-            model.film(press.skin_position_m, press.stamp_s, start_s[press.name]),
-        )
-
-    return OpticalMeasurement(
-        model,
-        lit_region(model.idle),
-        idle_images,
-        tuple(names),
-        tuple((press.name, maker(press)) for press in filmed.presses),
-    )

@@ -325,7 +325,36 @@ class OpticalSearch:
         """
         whitened = self.whitened(residual)
         beyond = float(whitened @ whitened) - len(whitened)
-        return self._scores(self._columns.T @ whitened, beyond, self._spurious)
+        return self._scores(self._gram, self._columns.T @ whitened, beyond, self._spurious)
+
+    def products(self, residual: Sequence[Array]) -> Array:
+        """Return (K, M, M) the products of signatures, nuisances and residual of each trajectory:
+        what `score_products` takes, summed over any of them."""
+        rows = np.concatenate(
+            [
+                self._raw,
+                self._nuisances,
+                self._whitened([tuple(r[..., None] for r in residual)]),
+            ],
+            axis=1,
+        )
+        parts = [rows[a:b] for a, b in zip(self._ends[:-1], self._ends[1:], strict=True)]
+        return np.stack([part.T @ part for part in parts])
+
+    def score_products(self, products: Array) -> list[Score]:
+        """Return the scores of all effects, best first, of trajectories drawn with repetition.
+
+        Args:
+            products: (M, M) sum of `products` over those drawn.
+        """
+        count = self._raw.shape[1]
+        nuisances = slice(count, count + len(self._deviations))
+        kept = [*range(count), len(products) - 1]
+        square = products[nuisances, nuisances] + np.diag(self._deviations**-2.0)
+        across = products[nuisances][:, kept]
+        left = products[np.ix_(kept, kept)] - across.T @ np.linalg.pinv(square) @ across
+        # How many numbers there are plays no part in sizes.
+        return self._scores(left[:-1, :-1], left[:-1, -1], float(left[-1, -1]), self._spurious)
 
     def spurious_variances(self, residuals: Sequence[Array]) -> Spurious:
         """Return the variances of the sizes that effects seem to have where there is none.
@@ -364,8 +393,23 @@ class OpticalSearch:
         freedom = self._noise.trajectory_count
         draws /= np.sqrt(random.chisquare(freedom, (count, 1)) / freedom)
         # Noise over its own deviation has this distribution whatever part of it is the model's.
-        none = [np.zeros_like(one) for one in self._spurious]
-        return np.array([max(s.statistic for s in self._scores(draw, 0.0, none)) for draw in draws])
+        gain = {name: np.zeros(count) for name in self._names}
+        statistic = {name: np.zeros(count) for name in self._names}
+        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
+            gram, right = self._gram[part, part], draws[:, part]
+            if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
+                continue
+            bounds = [d.bounds() for d in signature.directions]
+            if len(bounds) == 1:
+                size = np.clip(right / gram[0, 0], *bounds[0])
+            else:
+                size = np.stack([bounded_size(gram, one, bounds) for one in right])
+            square = np.einsum("np,pq,nq->n", size, gram, size)
+            own = 2.0 * np.sum(size * right, axis=1) - square
+            better = own > gain[name]
+            gain[name][better] = own[better]
+            statistic[name][better] = square[better] - self._penalty(name, signature)
+        return np.maximum(np.max(list(statistic.values()), axis=0), 0.0)
 
     def threshold(self, alpha: float, *, count: int = 2000, seed: int = 0) -> float:
         """Return the statistic that a share alpha of data sets without any effect exceeds."""
@@ -397,10 +441,13 @@ class OpticalSearch:
         left, value, _ = np.linalg.svd(columns, full_matrices=False)
         return np.asarray(left[:, value > LEAST_NORM])
 
-    def _scores(self, right: Array, beyond: float, spurious: Sequence[Array]) -> list[Score]:
+    def _scores(
+        self, gram: Array, right: Array, beyond: float, spurious: Sequence[Array]
+    ) -> list[Score]:
         """Return scores, best fit first.
 
         Args:
+            gram: (P, P) products of the columns.
             right: (P,) products of the columns with a residual.
             beyond: how much the residual's square exceeds that of noise.
             spurious: variances of the spurious sizes, of each signature.
@@ -409,12 +456,14 @@ class OpticalSearch:
         for name, signature, part, variance in zip(
             self._owners, self._signatures, self._slices, spurious, strict=True
         ):
-            score = self._score(
-                name, signature, self._gram[part, part], right[part], beyond, variance
-            )
+            score = self._score(name, signature, gram[part, part], right[part], beyond, variance)
             if name not in best or score.fit > best[name].fit:
                 best[name] = score
         return sorted(best.values(), key=lambda one: -one.fit)
+
+    def _penalty(self, name: str, signature: Signature) -> float:
+        """Return what the freedom of an effect takes from its gain."""
+        return 2.0 * len(signature.directions) + 2.0 * math.log(self._probe_count[name])
 
     def _score(
         self,
@@ -429,9 +478,9 @@ class OpticalSearch:
         values = {**signature.shape, **{d.name: d.none for d in directions}}
         if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
             return Score(name, 0.0, 0.0, 0.0, 0.0, values, False)
-        size = _bounded(gram, right, [d.bounds() for d in directions])
+        size = bounded_size(gram, right, [d.bounds() for d in directions])
         gain = float(2.0 * size @ right - size @ gram @ size)
-        penalty = 2.0 * len(directions) + 2.0 * math.log(self._probe_count[name])
+        penalty = self._penalty(name, signature)
         values |= {
             d.name: d.none + float(s) * d.step for d, s in zip(directions, size, strict=True)
         }
@@ -448,6 +497,25 @@ class OpticalSearch:
             values,
             True,
         )
+
+
+def freed(
+    residual: Sequence[Array],
+    noise: TileNoise,
+    nuisances: Sequence[Nuisance],
+    changes: Sequence[Array],
+) -> Array:
+    """Return (N,) a residual, (F, T, 6) of each trajectory, whitened and free of nuisances."""
+    rows = [
+        noise.whiten(
+            np.stack([one, *(nuisance.blocks[number] for nuisance in nuisances)], axis=-1),
+            changes[number],
+        )
+        for number, one in enumerate(residual)
+    ]
+    whitened = np.concatenate(rows)
+    deviations = np.array([n.deviation for n in nuisances])
+    return _without(whitened[:, 1:], deviations)(whitened[:, 0])
 
 
 def score_optical(
@@ -519,7 +587,7 @@ def _without(columns: Array, deviation: Array) -> Callable[[Array], Array]:
 
     def apply(vectors: Array) -> Array:
         rest = vectors - free @ (free.T @ vectors)
-        return np.asarray(rest - left @ (shrink[:, None] * (left.T @ rest)))
+        return np.asarray(rest - left @ (shrink * (left.T @ rest).T).T)
 
     return apply
 
@@ -530,7 +598,7 @@ def _directions(columns: Array) -> Array:
     return np.asarray(left[:, value > 1e-9 * max(value.max(initial=0.0), 1e-300)])
 
 
-def _bounded(gram: Array, right: Array, bounds: Sequence[tuple[float, float]]) -> Array:
+def bounded_size(gram: Array, right: Array, bounds: Sequence[tuple[float, float]]) -> Array:
     """Return x of the least x' gram x - 2 x' right within bounds."""
     low, high = np.array(bounds).T
     if len(right) == 1:

@@ -15,23 +15,8 @@ from dotsim_ros.gap.recording import Phase, Recording
 
 Array = NDArray[np.float64]
 
-AXES = ("normal", "along", "across")
-LOOKED_AT = (Phase.LOAD, Phase.HOLD, Phase.SLIDE, Phase.RELEASE)
-
-
-def pattern_names() -> list[str]:
-    """Return the patterns' names: channel, axis, region and phase in words."""
-    names = []
-    for phase in (*LOOKED_AT, Phase.IDLE):
-        for axis in AXES[:2]:
-            names.append(f"force {axis} in {phase.value}")
-            names += [f"skin {axis} at the {region} in {phase.value}" for region in _REGIONS]
-    names += [f"force {axis} over the time of a hold" for axis in AXES[:1]]
-    names += ["skin normal over the time of a hold", "force normal by depth"]
-    return names
-
-
-_REGIONS = ("contact", "rim", "far")
+PLACES = (("load",), ("apex", "contact"), ("rim",), ("far",))
+"""Regions that one pattern covers."""
 
 
 def patterns(recording: Recording, predicted: Array) -> Array:
@@ -46,16 +31,13 @@ def patterns(recording: Recording, predicted: Array) -> Array:
     region = np.array(regions_of_observables())
     axis = np.arange(SIZE) % 3
     result = []
-    for phase in (*LOOKED_AT, Phase.IDLE):
+    for phase in (Phase.LOAD, Phase.HOLD, Phase.SLIDE, Phase.RELEASE, Phase.IDLE):
         frames = np.array([p is phase for p in recording.phase], dtype=float)[:, None]
+        # Along the normal and along the slide.
         for number in range(2):
-            shown = (region == "load") & (axis == number)
-            result.append(frames * scale * shown)
-            for name in _REGIONS:
-                members = (
-                    region == name if name != "contact" else np.isin(region, ("contact", "apex"))
-                )
-                result.append(frames * scale * (members & (axis == number)))
+            result += [
+                frames * scale * (np.isin(region, place) & (axis == number)) for place in PLACES
+            ]
     time = _time_of_hold(recording)[:, None]
     result.append(time * scale * ((region == "load") & (axis == 0)))
     result.append(time * scale * (np.isin(region, ("contact", "apex", "rim")) & (axis == 0)))

@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.gap.assumptions import ABSOLUTE
 from dotsim_ros.gap.covariance import Noise, load_discrepancy
+from dotsim_ros.gap.decision import ALIKE
 from dotsim_ros.gap.evidence import Case, make_trajectories
 from dotsim_ros.gap.inference import cosines, lengths
+from dotsim_ros.gap.isolability import pairs_of
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.measurement import protocol_of, read_poses
 from dotsim_ros.gap.screening import excited_variants
@@ -27,9 +29,7 @@ Array = NDArray[np.float64]
 
 FOUND = 8.0
 """Whitened size from which an effect is found with 95 % probability: its score, the square, is to
-pass a threshold of about 40 (`decision.HEAVIER` times that of simulated nulls)."""
-ALIKE = 0.9
-"""Cosine from which two effects need a whitened size of 14 to be told apart."""
+pass a limit of about 40 (`decision.HEAVIER` times the threshold of simulated nulls)."""
 
 
 def plan(request: Request) -> dict[str, Any]:
@@ -80,26 +80,23 @@ def plan(request: Request) -> dict[str, Any]:
         )
         case = Case(trajectories, ABSOLUTE, library, solver, values, skin.rest_position_m)
         variants, silent = excited_variants(case)
-        wanted = [(v, v.effect.parameters[0].probes[0]) for v in variants]
-        failures = case.extend(wanted)
+        first = {v.effect.name: v for v in reversed(variants)}
+        variants = [v for v in variants if first[v.effect.name] is v]
+        probes = [v.effect.parameters[0].probes[0] for v in variants]
+        failures = case.extend(list(zip(variants, probes, strict=True)))
     chosen = range(len(trajectories))
     evidence = case.evidence(chosen)
-    columns, names, probes = [], [], []
-    for variant in variants:
-        if variant.effect.name in names:
-            continue
-        probe = variant.effect.parameters[0].probes[0]
-        columns.append(case.whitened(case.change_at(variant, probe), chosen))
-        names.append(variant.effect.name)
-        probes.append(probe - variant.absent)
+    names = [v.effect.name for v in variants]
+    columns = [
+        case.whitened(case.change_at(v, probe), chosen)
+        for v, probe in zip(variants, probes, strict=True)
+    ]
     matrix = np.stack(columns, axis=1)
     size, rho = lengths(evidence, matrix), cosines(evidence, matrix)
-    alike = [
-        _pair(library, names[i], names[j], float(rho[i, j]))
-        for i in range(len(names))
-        for j in range(i + 1, len(names))
-        if abs(rho[i, j]) > ALIKE
-    ]
+    moved = [probe - v.absent for v, probe in zip(variants, probes, strict=True)]
+    pairs = pairs_of(
+        evidence, [v.effect for v in variants], matrix, [t.recording for t in trajectories]
+    )
     return {
         "protocols": {
             protocol_of(t.recording): float(np.ptp(t.recording.press.stamp_s)) for t in trajectories
@@ -107,8 +104,8 @@ def plan(request: Request) -> dict[str, Any]:
         "effects": {
             name: {
                 "whitened_size": float(size[k]),
-                "probe": float(probes[k]),
-                "smallest_found": float(abs(probes[k]) * FOUND / max(size[k], 1e-9)),
+                "probe": float(moved[k]),
+                "smallest_found": float(abs(moved[k]) * FOUND / max(size[k], 1e-9)),
                 "unit": library[name].parameters[0].unit,
             }
             for k, name in enumerate(names)
@@ -117,15 +114,21 @@ def plan(request: Request) -> dict[str, Any]:
             name: {other: float(rho[i, j]) for j, other in enumerate(names)}
             for i, name in enumerate(names)
         },
-        "alike": alike,
+        "alike": [
+            {
+                "first": p.first,
+                "second": p.second,
+                "cosine": p.cosine,
+                "add": p.remedy,
+                "best_trajectory": p.best_trajectory,
+                "separation_per_s": p.best_per_s,
+            }
+            for p in pairs
+            if abs(p.cosine) > ALIKE
+        ],
         "silent": {name: library[name].protocol for name in silent},
         "warnings": [*warnings, *left_out, *failures],
     }
-
-
-def _pair(library: Mapping[str, Any], first: str, second: str, cosine: float) -> dict[str, Any]:
-    remedies = dict.fromkeys((library[first].protocol, library[second].protocol))
-    return {"first": first, "second": second, "cosine": cosine, "add": list(remedies)}
 
 
 def plan_lines(planned: Mapping[str, Any]) -> list[str]:
@@ -138,7 +141,7 @@ def plan_lines(planned: Mapping[str, Any]) -> list[str]:
         )
     lines += [
         f"{pair['first']} and {pair['second']} look alike (cosine {pair['cosine']:.3f}); add "
-        + "; or ".join(pair["add"])
+        f"{pair['add']}; of these, {pair['best_trajectory']} separates them most per second"
         for pair in planned["alike"]
     ]
     for name, protocol in planned["silent"].items():

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.gap.effect import Array, MotionFilter
+from dotsim_ros.gap.effect import (
+    FORCE,
+    SKIN,
+    Array,
+    Effect,
+    EffectParameter,
+    MotionFilter,
+    Values,
+)
+from dotsim_ros.gap.excitation import touches
 from dotsim_ros.geometry.pose import Pose
 
 OFFSET_M = 0.5e-3
@@ -16,12 +25,26 @@ def shifted(pose: Pose, shift_m: Array) -> Pose:
     return Pose(pose.position_m + shift_m, pose.quaternion_xyzw)
 
 
-def shift_along(axis: int, distance_m: float) -> MotionFilter:
-    """Return a filter that moves every pose along an axis, 0 to 2, of the base frame."""
-    shift_m = np.zeros(3)
-    shift_m[axis] = distance_m
+def offset_effect(axis: str, *, name: str, protocol: str, taken_for: tuple[str, ...]) -> Effect:
+    """Return the effect that moves every pose along an axis, x, y or z, of the base frame."""
+    parameter = EffectParameter(f"{axis}_m", "m", 0.0, -OFFSET_M, OFFSET_M, (0.2e-3, -0.2e-3))
+    direction = np.eye(3)["xyz".index(axis)]
 
-    def moved(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
-        return shifted(pose, shift_m)
+    def motion(values: Values) -> MotionFilter:
+        shift_m = values[parameter.name] * direction
 
-    return moved
+        def moved(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
+            return shifted(pose, shift_m)
+
+        return moved
+
+    return Effect(
+        name=name,
+        title=f"A pose offset along {axis}",
+        parameters=(parameter,),
+        channels=(SKIN, FORCE),
+        protocol=protocol,
+        excited_by=touches,
+        taken_for=taken_for,
+        motion=motion,
+    )

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.gap.effect import Effect
 from dotsim_ros.gap.findings import Findings, as_record
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.overlay import FILE_NAME, Overlay, write_overlay
 from dotsim_ros.gap.report_sections import page_of
 from dotsim_ros.view.files import whole_file
 from dotsim_ros.view.page import as_html, as_markdown, pictures_of
@@ -16,6 +18,27 @@ FINDINGS = "findings.json"
 PROVENANCE = "provenance.json"
 HTML = "report.html"
 MARKDOWN = "report.md"
+
+
+def write_findings(
+    directory: Path,
+    findings: Findings,
+    overlay: Overlay | None,
+    *,
+    effects: Sequence[Path] = (),
+) -> None:
+    """Write a report, and the overlay where there is one.
+
+    Args:
+        directory: made where it is absent.
+        findings: what was found.
+        overlay: the named effects.
+        effects: folders of the user's own.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    if overlay is not None:
+        write_overlay(directory / FILE_NAME, overlay)
+    write_report(directory, findings, effects=load_effects(effects))
 
 
 def write_report(

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 from dotsim_ros.gap.effect import Effect
 from dotsim_ros.gap.findings import Candidate, Findings, Place, Verdict
 from dotsim_ros.gap.report_figures import gap_bars, heatmap, ranking, worst_frame
+from dotsim_ros.gap.report_pictures import picture_sections
 from dotsim_ros.gap.report_places import ALL, by_phase, by_trajectory
 from dotsim_ros.gap.report_text import (
     duration,
@@ -48,15 +50,17 @@ def page_of(
     label, colour = LABELS[findings.verdict]
     # Many warnings would push what was found off the first screen, which then counts them.
     warns_first = len(findings.warnings) <= _MOST_WARNINGS_FIRST or not findings.candidates
+    gel = _without_pictures(findings)
     sections = [
-        _at_a_glance(findings, warns_first),
+        _at_a_glance(gel, warns_first),
         _warnings(findings) if warns_first else None,
-        _gaps(findings),
-        _where_and_when(findings),
-        _worst(findings),
-        _candidates(findings, effects),
-        _not_apart(findings, effects),
-        _remains(findings),
+        *(() if findings.optical is None else picture_sections(findings.optical, effects)),
+        _gaps(gel),
+        _where_and_when(gel),
+        _worst(gel),
+        _candidates(gel, effects),
+        _not_apart(gel, effects),
+        _remains(gel),
         None if warns_first else _warnings(findings),
         _not_excited(findings, effects),
         _calibrated(findings),
@@ -68,6 +72,18 @@ def page_of(
         tuple(section for section in sections if section is not None),
         label,
         colour,
+    )
+
+
+def _without_pictures(f: Findings) -> Findings:
+    """Return findings whose names are those of skin and force alone."""
+    if f.optical is None:
+        return f
+    own = f.optical
+    return replace(
+        f,
+        named=tuple(name for name in f.named if name not in own.named),
+        alternatives=tuple(name for name in f.alternatives if name not in own.alternatives),
     )
 
 
@@ -195,11 +211,18 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
     if not tried:
         return None
     picture = ranking(f)
-    head = ("effect", "score", "predicted size", "explains", "held-out gain", "fitted (95 %)")
+    head = (
+        "effect",
+        "score / limit",
+        "predicted size",
+        "explains",
+        "held-out gain",
+        "fitted (95 %)",
+    )
     rows = tuple(
         (
             f"{rank}. {c.title} ({c.name}){_role(f, c.name)}",
-            f"{c.score:.3g}",
+            f"{c.score:.3g}" + (f" / {c.limit:.3g}" if c.limit else ""),
             _size_text(c, effects),
             percent(c.explained),
             "-" if c.held_out_gain is None else f"{c.held_out_gain:+.3g} nats",
@@ -211,7 +234,8 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
         *((Gallery((picture,)),) if picture is not None else ()),
         Table(head, rows),
         Paragraph(
-            f"A score counts from {f.threshold:.3g}. Explains: share of the removable gap once "
+            "A score counts from the effect's own limit: what the model's error imitates has a "
+            "larger one. Explains: share of the removable gap once "
             "refitted together with the twin's constants. Held-out gain: of the log score on "
             "trajectories that the refit did not see. A dash: not refitted."
         ),
@@ -252,15 +276,18 @@ def _not_apart(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
                 f"{pair.cosine:+.3f}",
                 f"{pair.separation:.2g}",
                 pair.remedy,
+                pair.best_trajectory or "-",
             )
             for pair in f.pairs
         )
-        blocks.append(Table(("pair", "cosine", "separation", "what to record"), rows))
+        head = ("pair", "cosine", "separation", "what to record", "most per second")
+        blocks.append(Table(head, rows))
         blocks.append(
             Paragraph(
                 "Cosine: how alike the signatures of two effects are under these protocols. "
                 "Separation: by how many deviations they would differ at the size that was found; "
-                "from 3.1 the rank can be trusted."
+                "from 3.1 the rank can be trusted. Most per second: of the trajectories that are "
+                "there, the one to repeat."
             )
         )
     return Section("What cannot be told apart", tuple(blocks))
@@ -286,6 +313,19 @@ def _remains(f: Findings) -> Section | None:
             )
     if lines:
         blocks.append(Bullets(tuple(lines)))
+    if f.fallback:
+        closest = "; ".join(
+            f"{gap.channel} {quantity(gap.recalibrated, gap.unit)} to "
+            f"{quantity(gap.after, gap.unit)}"
+            for gap in f.fallback
+        )
+        blocks.append(
+            Paragraph(
+                "Not physics: a smooth correction by phase and region, fitted beside the twin's "
+                f"constants where no effect fits, takes the locked trajectories from {closest}. It "
+                "is no effect, it is not in the overlay, and it says nothing of other protocols."
+            )
+        )
     parts = [p for p in f.places if p.count and ALL not in (p.channel, p.phase, p.region)]
     parts.sort(key=lambda p: p.after if f.named else p.before, reverse=True)
     if parts:
@@ -309,7 +349,7 @@ def _place_row(p: Place, with_after: bool) -> tuple[str, ...]:
 def _not_excited(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
     rows = tuple(
         (c.title, effects[c.name].protocol if c.name in effects else "see the effect's file")
-        for c in f.candidates
+        for c in (*f.candidates, *(() if f.optical is None else f.optical.candidates))
         if not c.is_excited
     )
     if not rows:

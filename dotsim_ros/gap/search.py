@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,14 +14,16 @@ from numpy.typing import NDArray
 from dotsim_ros.calibration.parameters import PARAMETERS, GelValues, values_of
 from dotsim_ros.calibration.simulation import SolveError
 from dotsim_ros.gap import decision, wording
-from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance, values_after
+from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL, values_after
 from dotsim_ros.gap.covariance import Discrepancy, Noise, load_discrepancy, noise_from_idle
 from dotsim_ros.gap.effect import Active, Effect
 from dotsim_ros.gap.evidence import Case, Segment, Variant, make_trajectories
-from dotsim_ros.gap.findings import Candidate, Estimate, Findings, Pair, Verdict
-from dotsim_ros.gap.inference import Evidence, Fit, cosines, draw_null, fit, lengths
+from dotsim_ros.gap.findings import Candidate, ChannelGap, Estimate, Findings, Pair, Verdict
+from dotsim_ros.gap.inference import Evidence, Fit, draw_null, fit, fit_nuisances, log_evidence
+from dotsim_ros.gap.isolability import pairs_of
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.locate import (
+    Residuals,
     channel_gaps,
     places_of_gap,
     residuals_of,
@@ -30,12 +32,13 @@ from dotsim_ros.gap.locate import (
 )
 from dotsim_ros.gap.measurement import Measurement, protocol_of, read_measurement
 from dotsim_ros.gap.overlay import FoundEffect, Overlay
-from dotsim_ros.gap.screening import Trial, best_trial, excited_variants
-from dotsim_ros.gap.simulate import Solver, open_solver, request_of
+from dotsim_ros.gap.screening import Screen, Trial, best_trial, excited_variants
+from dotsim_ros.gap.simulate import open_solver, request_of
 from dotsim_ros.geometry.specification import SensorSpecification
 from dotsim_ros.sensor import skin_of
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
 
 Progress = Callable[[str, int, int], None]
 """Told a step's name, and how much of it is done, of how much."""
@@ -49,6 +52,8 @@ INTERVAL_DRAWS = 100
 SMALL_SHARE = 0.08
 """A size that is nearer to a node than this share of it needs no solve of its own."""
 LOCKED_SHARE = 0.4
+SHOWN = 6
+"""So many of the best effects are set against each other."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +74,7 @@ class Request:
         seed: of all draws.
         workers: processes.
         discrepancy: file of the covariances; None for the shipped ones.
+        optical_noise: file of what images show where nothing is missing; None for the shipped one.
     """
 
     measured: Path
@@ -84,6 +90,7 @@ class Request:
     seed: int = 0
     workers: int = 2
     discrepancy: Path | None = None
+    optical_noise: Path | None = None
 
 
 @dataclass
@@ -93,10 +100,15 @@ class Ranked:
     effect: Effect
     variants: list[Variant]
     trial: Trial
-    first_gain: float
     estimates: tuple[Estimate, ...] = ()
-    held_out_gain: float | None = None
     explained: float | None = None
+    held_out_gain: float | None = None
+    limit: float = np.inf
+
+    @property
+    def is_past_limit(self) -> bool:
+        """Whether it gains more than data without any effect let it gain."""
+        return self.trial.gain > self.limit
 
 
 @dataclass
@@ -107,15 +119,22 @@ class Search:
     case: Case
     chosen: list[int]
     locked: list[int]
-    evidence: Evidence
-    base: Fit
     noise: Noise
     discrepancy: Discrepancy
     random: np.random.Generator
     progress: Progress
-    solver: Solver
     warnings: list[str] = field(default_factory=list)
     pattern_chance: float = 0.0
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What the chosen trajectories show."""
+        return self.case.evidence(self.chosen)
+
+    @cached_property
+    def base(self) -> Fit:
+        """The twin recalibrated, without any effect."""
+        return fit_nuisances(self.evidence)
 
     @cached_property
     def pattern_columns(self) -> Array:
@@ -130,7 +149,12 @@ class Search:
         if self.request.budget is None:
             return True
         measured = sum(not t.is_reference for t in self.case.trajectories)
-        return self.solver.solve_count + variants * measured <= self.request.budget
+        return self.case.solver.solve_count + variants * measured <= self.request.budget
+
+    def resampled(self) -> tuple[Evidence, IntArray]:
+        """Return the evidence of trajectories drawn with replacement, and which rows it takes."""
+        drawn = self.random.integers(len(self.chosen), size=len(self.chosen)).tolist()
+        return self.evidence.of(drawn), self.evidence.rows_of(drawn)
 
 
 def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
@@ -189,12 +213,9 @@ def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | 
                 "no protocol was repeated: nothing could be kept locked, so the gain is shown on "
                 "the data that the effect was found in; repeat each protocol"
             )
-        evidence = case.evidence(chosen)
-        base = fit(evidence, _nothing(evidence))
         search = Search(
-            request, case, chosen, locked, evidence, base, noise, discrepancy, random, progress,
-            solver, warnings,
-        )  # fmt: skip
+            request, case, chosen, locked, noise, discrepancy, random, progress, warnings
+        )
         findings, overlay = _run(search, measurement, reference)
     seconds = time.monotonic() - begun_s
     return replace(findings, solve_count=solver.solve_count, seconds=seconds), overlay
@@ -230,10 +251,6 @@ def _lock(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]
     return chosen, locked
 
 
-def _nothing(evidence: Evidence) -> Array:
-    return np.zeros((len(evidence.residual), 0))
-
-
 @dataclass(frozen=True)
 class Answer:
     """What the rule makes of a case.
@@ -242,7 +259,8 @@ class Answer:
         verdict: the answer.
         named, alternatives: effects.
         ranked: every effect that was tried, the best first.
-        statistic, threshold, p_value: of the best effect.
+        statistic, threshold, p_value: gain and limit of the effect that is named, or comes
+            nearest to it.
     """
 
     verdict: Verdict
@@ -263,24 +281,27 @@ def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains:
         gains, pattern_gains: of data without any effect, as `null_gains` returns them.
     """
     alpha = search.request.alpha
-    threshold = decision.threshold_of(gains.tolist(), alpha, heavier=decision.HEAVIER)
-    pattern_threshold = decision.threshold_of(
-        pattern_gains.tolist(), alpha, heavier=decision.HEAVIER
+    threshold = decision.threshold_of(gains.tolist(), alpha)
+    for entry in ranked:
+        factor = decision.limit_factor(entry.effect.name, search.discrepancy.limit_factors)
+        entry.limit = factor * threshold
+    pattern_threshold = decision.PATTERNS_HEAVIER * decision.threshold_of(
+        pattern_gains.tolist(), alpha
     )
-    statistic = ranked[0].trial.gain
-    p_value = float(np.mean(decision.HEAVIER * gains >= statistic))
-    search.pattern_chance = decision.HEAVIER * float(np.median(pattern_gains))
-    is_effect = statistic > threshold
-    is_gap = is_effect or _pattern_gain(search, search.evidence) > pattern_threshold
+    search.pattern_chance = decision.PATTERNS_HEAVIER * float(np.median(pattern_gains))
+    is_effect = any(entry.is_past_limit for entry in ranked)
+    pattern_gain = _pattern_gain(search, search.evidence, search.base.objective)
     if is_effect:
         ranked = _refit(search, ranked)
     verdict = Verdict.NO_GAP
     named: list[Ranked] = []
     alternatives: list[Ranked] = []
-    if is_gap:
-        verdict, named, alternatives = _decide(search, ranked, threshold if is_effect else np.inf)
-    statistic = max(statistic, ranked[0].trial.gain)
-    return Answer(verdict, named, alternatives, ranked, statistic, threshold, p_value)
+    if is_effect or pattern_gain > pattern_threshold:
+        verdict, named, alternatives = _decide(search, ranked)
+    first = max(named or ranked, key=lambda entry: entry.trial.gain / entry.limit)
+    scale = first.limit / threshold
+    p_value = float(np.mean(scale * gains >= first.trial.gain))
+    return Answer(verdict, named, alternatives, ranked, first.trial.gain, first.limit, p_value)
 
 
 def _run(
@@ -293,7 +314,7 @@ def _run(
     named = answer.named
     for entry in named:
         others = [other for other in named if other is not entry]
-        entry.estimates = _estimates(search, entry, others)
+        entry.estimates = estimates_of(search, entry, others)
     stability = _stability(search, answer.ranked, named[0].effect.name) if named else None
     return _findings(
         search, measurement, reference, answer=answer, silent=silent, stability=stability
@@ -330,32 +351,27 @@ def screen(search: Search, variants: Sequence[Variant]) -> list[Ranked]:
     ranked = []
     for name, members in groups.items():
         trial = best_trial(search.evidence, search.segments(members), search.base.objective)
-        ranked.append(Ranked(search.case.library[name], members, trial, trial.gain))
+        ranked.append(Ranked(search.case.library[name], members, trial))
     return sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
 
 
-def _pattern_gain(search: Search, evidence: Evidence) -> float:
-    """Return what all patterns together gain."""
-    columns = search.pattern_columns
-    widened = Evidence(
-        evidence.residual,
-        np.concatenate([evidence.nuisance, columns], axis=1),
-        evidence.trajectory,
-    )
-    base = fit(evidence, _nothing(evidence)).objective
-    return base - fit(widened, _nothing(evidence)).objective
+def _pattern_gain(search: Search, evidence: Evidence, base: float) -> float:
+    """Return what all patterns together gain over an objective."""
+    return base - fit_nuisances(evidence.with_nuisances(search.pattern_columns)).objective
 
 
 def null_gains(search: Search, ranked: Sequence[Ranked], count: int) -> tuple[Array, Array]:
     """Return, of `count` data without an effect, the largest gain of any, and that of patterns."""
     evidence = search.evidence
-    groups = [search.segments(entry.variants) for entry in ranked]
+    segments = [s for entry in ranked for s in search.segments(entry.variants)]
+    effects = Screen(evidence, segments)
+    widened = Screen(evidence.with_nuisances(search.pattern_columns))
     gains, patterns = np.zeros(count), np.zeros(count)
     for k in range(count):
-        drawn = evidence.with_residual(draw_null(evidence, search.random))
-        base = fit(drawn, _nothing(drawn)).objective
-        gains[k] = max(best_trial(drawn, group, base).gain for group in groups)
-        patterns[k] = _pattern_gain(search, drawn)
+        residual = draw_null(evidence, search.random)
+        base, by_segment = effects.gains(residual)
+        gains[k] = by_segment.max()
+        patterns[k] = base - widened.gains(residual)[0]
         search.progress("nulls", k + 1, count)
     return gains, patterns
 
@@ -363,12 +379,7 @@ def null_gains(search: Search, ranked: Sequence[Ranked], count: int) -> tuple[Ar
 def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
     """Simulate the best effects at the sizes found, again and again; return them in order."""
     for _ in range(ROUNDS):
-        close = [
-            entry
-            for place, entry in enumerate(ranked)
-            if place < decision.SCREENED
-            or entry.trial.gain > ranked[0].trial.gain - 3.0 * decision.SAME
-        ]
+        close = _close(ranked)
         wanted: list[tuple[Variant, float]] = []
         for entry in close:
             variant, size = _better_variant(search, entry), entry.trial.size
@@ -386,6 +397,16 @@ def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
             entry.trial = best_trial(search.evidence, segments, search.base.objective)
         ranked = sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
     return ranked
+
+
+def _close(ranked: Sequence[Ranked]) -> list[Ranked]:
+    """Return the effects that are worth a refit."""
+    least = ranked[0].trial.gain - decision.CLOSE
+    return [
+        entry
+        for place, entry in enumerate(ranked)
+        if place < decision.SCREENED or entry.trial.gain > least
+    ]
 
 
 def _better_variant(search: Search, entry: Ranked) -> Variant:
@@ -419,19 +440,19 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
     return variant
 
 
-def _decide(
-    search: Search, ranked: list[Ranked], threshold: float
-) -> tuple[Verdict, list[Ranked], list[Ranked]]:
+def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked], list[Ranked]]:
     """Return the verdict, the effects to add, and those that the first is not told from."""
-    for entry in ranked[: decision.SCREENED]:
+    for entry in _close(ranked):
         entry.explained = _explained(search, [entry])
-    best = ranked[0]
-    if best.trial.gain <= threshold:
+        entry.held_out_gain = _held_out_gain(search, entry)
+    able = [entry for entry in ranked if entry.is_past_limit]
+    if not able:
         return Verdict.UNKNOWN, [], []
+    best = able[0]
     named = [best]
     explained = best.explained or 0.0
     if explained < decision.EXPLAINED:
-        second = _second(search, best, ranked[1:], threshold)
+        second = _second(search, best, [entry for entry in ranked if entry is not best])
         if second is not None:
             both = _explained(search, [best, second])
             if both - explained > decision.FURTHER * (1.0 - explained):
@@ -439,13 +460,10 @@ def _decide(
                 explained = both
     if explained < decision.EXPLAINED:
         return Verdict.UNKNOWN, [], []
-    alternatives = [
-        entry
-        for entry in ranked[1:]
-        if entry not in named and best.trial.gain - entry.trial.gain < decision.SAME
-    ]
     if len(named) > 1:
-        alternatives = []
+        return Verdict.NAMED, named, []
+    least = best.trial.gain - decision.SAME
+    alternatives = [entry for entry in able[1:] if entry.trial.gain > least]
     return (Verdict.SET if alternatives else Verdict.NAMED), named, alternatives
 
 
@@ -454,12 +472,7 @@ def _explained(search: Search, entries: Sequence[Ranked]) -> float:
     evidence = search.evidence
     columns = np.stack([entry.trial.change for entry in entries], axis=1)
     low, high = np.zeros(columns.shape[1]), np.full(columns.shape[1], 1.3)
-    patterns = search.pattern_columns
-    widened = Evidence(
-        evidence.residual,
-        np.concatenate([evidence.nuisance, patterns], axis=1),
-        evidence.trajectory,
-    )
+    widened = evidence.with_nuisances(search.pattern_columns)
     everything = fit(widened, columns, low, high)
     own = fit(evidence, columns, low, high)
     # What patterns remove of noise alone is no gap.
@@ -468,34 +481,66 @@ def _explained(search: Search, entries: Sequence[Ranked]) -> float:
     return float(np.clip(gained / max(gained + max(left, 0.0), 1e-9), 0.0, 1.0))
 
 
-def _second(
-    search: Search, best: Ranked, others: Sequence[Ranked], threshold: float
-) -> Ranked | None:
+def _held_out_gain(search: Search, entry: Ranked) -> float:
+    """Return what an effect gains of the log score, in nats, of trajectories that were left out,
+    each in turn, its size and the nuisances as uncertain as the others leave them.
+
+    The score of one trajectory is the log of the probability of all data less that of the others
+    (Dawid 1984). A size that the others cannot tell costs little, one that they tell otherwise
+    costs much.
+    """
+    places = range(len(search.chosen))
+    segments = search.segments(entry.variants)
+    whole = _evidence_gain(search.evidence, segments, entry)
+    left_out = [[place for place in places if place != out] for out in places]
+    return sum(
+        whole
+        - _evidence_gain(
+            search.evidence.of(kept),
+            [_rows(s, search.evidence.rows_of(kept)) for s in segments],
+            entry,
+        )
+        for kept in left_out
+        if kept
+    )
+
+
+def _evidence_gain(evidence: Evidence, segments: Sequence[Segment], entry: Ranked) -> float:
+    """Return by how much an effect raises the log of the data's probability."""
+    base = fit_nuisances(evidence)
+    trial = best_trial(evidence, segments, base.objective)
+    parameter = entry.effect.parameters[0]
+    # Of a size that may be anywhere in its range.
+    precision = np.array([12.0 / (parameter.high - parameter.low) ** 2])
+    remaining = evidence.without(trial.segment.offset)
+    with_effect = log_evidence(remaining, trial.fit, trial.segment.column[:, None], precision)
+    without = log_evidence(evidence, base, np.zeros((len(evidence.residual), 0)), np.zeros(0))
+    return with_effect - without
+
+
+def _second(search: Search, best: Ranked, others: Sequence[Ranked]) -> Ranked | None:
     """Return the effect that gains most beside the best one, if it gains enough."""
-    evidence = search.evidence.with_residual(search.evidence.residual - best.trial.change)
-    base = fit(evidence, _nothing(evidence)).objective
+    evidence = search.evidence.without(best.trial.change)
+    base = fit_nuisances(evidence).objective
     found: list[tuple[float, Ranked]] = []
     for entry in others:
         trial = best_trial(evidence, search.segments(entry.variants), base)
-        found.append((trial.gain, Ranked(entry.effect, entry.variants, trial, entry.first_gain)))
+        found.append((trial.gain, replace(entry, trial=trial)))
     if not found:
         return None
-    gain, second = max(found, key=lambda pair: pair[0])
-    return second if gain > threshold else None
+    _, second = max(found, key=lambda pair: pair[0])
+    return second if second.is_past_limit else None
 
 
-def _estimates(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tuple[Estimate, ...]:
+def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tuple[Estimate, ...]:
     """Return an effect's parameters, intervals by a bootstrap over trajectories."""
     segments = search.segments(entry.variants)
-    count = len(search.chosen)
     change = sum((other.trial.change for other in others), np.zeros(len(search.evidence.residual)))
     sizes, shapes = [], []
     for _ in range(INTERVAL_DRAWS):
-        drawn = search.random.integers(count, size=count).tolist()
-        rows = search.evidence.rows_of(drawn)
-        evidence = search.evidence.of(drawn)
-        evidence = evidence.with_residual(evidence.residual - change[rows])
-        base = fit(evidence, _nothing(evidence)).objective
+        drawn, rows = search.resampled()
+        evidence = drawn.without(change[rows])
+        base = fit_nuisances(evidence).objective
         trial = best_trial(evidence, [_rows(s, rows) for s in segments], base)
         sizes.append(trial.size)
         shapes.append(list(trial.variant.shape.values()))
@@ -512,27 +557,17 @@ def _estimates(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tuple
     return tuple(estimates)
 
 
-def _rows(segment: Segment, rows: NDArray[np.int64]) -> Segment:
-    return Segment(
-        segment.variant,
-        segment.begin,
-        segment.offset[rows],
-        segment.column[rows],
-        segment.low,
-        segment.high,
-    )
+def _rows(segment: Segment, rows: IntArray) -> Segment:
+    return replace(segment, offset=segment.offset[rows], column=segment.column[rows])
 
 
 def _stability(search: Search, ranked: Sequence[Ranked], name: str) -> float:
     """Return the share of bootstrap repetitions over trajectories that find the same effect."""
-    count = len(search.chosen)
-    groups = {e.effect.name: search.segments(e.variants) for e in ranked[:6]}
+    groups = {e.effect.name: search.segments(e.variants) for e in ranked[:SHOWN]}
     same = 0
     for _ in range(BOOTSTRAPS):
-        drawn = search.random.integers(count, size=count).tolist()
-        rows = search.evidence.rows_of(drawn)
-        evidence = search.evidence.of(drawn)
-        base = fit(evidence, _nothing(evidence)).objective
+        evidence, rows = search.resampled()
+        base = fit_nuisances(evidence).objective
         gains = {
             other: best_trial(evidence, [_rows(s, rows) for s in group], base).gain
             for other, group in groups.items()
@@ -543,27 +578,18 @@ def _stability(search: Search, ranked: Sequence[Ranked], name: str) -> float:
 
 def _pairs(search: Search, ranked: Sequence[Ranked]) -> tuple[Pair, ...]:
     """Return the pairs of the best effects that are close to each other."""
-    top = [e for e in ranked[:6] if np.any(e.trial.change)]
+    top = [e for e in ranked[:SHOWN] if np.any(e.trial.change)]
     if len(top) < 2:
         return ()
     columns = np.stack([entry.trial.change for entry in top], axis=1)
-    rho, size = cosines(search.evidence, columns), lengths(search.evidence, columns)
-    pairs = []
-    for i in range(len(top)):
-        for j in range(i + 1, len(top)):
-            cosine = float(rho[i, j])
-            separation = float(max(size[i], size[j]) * np.sqrt((1.0 - abs(cosine)) / 2.0))
-            if separation < 3.1 or abs(cosine) > 0.9:
-                remedy = "; or ".join(
-                    dict.fromkeys((top[i].effect.protocol, top[j].effect.protocol))
-                )
-                pairs.append(
-                    Pair(top[i].effect.name, top[j].effect.name, cosine, separation, remedy)
-                )
-    return tuple(pairs)
+    recordings = [search.case.trajectories[k].recording for k in search.chosen]
+    pairs = pairs_of(search.evidence, [e.effect for e in top], columns, recordings)
+    return tuple(
+        p for p in pairs if p.separation < decision.APART or abs(p.cosine) > decision.ALIKE
+    )
 
 
-def _change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[Array]:
+def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[Array]:
     """Return (F, SIZE) of each trajectory by effects at the sizes found."""
     total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
     for entry in entries:
@@ -583,12 +609,8 @@ def _findings(
 ) -> tuple[Findings, Overlay | None]:
     case, request = search.case, search.request
     named, ranked, verdict = answer.named, answer.ranked, answer.verdict
-    change = _change_by_trajectory(search, named)
-    columns = search.case.whitened(change, search.chosen)
-    refitted = fit(
-        search.evidence.with_residual(search.evidence.residual - columns),
-        _nothing(search.evidence),
-    )
+    change = change_by_trajectory(search, named)
+    refitted = fit_nuisances(search.evidence.without(case.whitened(change, search.chosen)))
     residuals = residuals_of(
         case,
         recalibrated=search.base.nuisance,
@@ -611,9 +633,17 @@ def _findings(
             "trajectories agree; record more trajectories"
         )
     worst = worst_frame(
-        case, residuals, measured, _skins(search, measured, named), measurement.skin.rest_position_m
+        case,
+        residuals,
+        measured,
+        lambda number: _skins(search, number, named),
+        measurement.skin.rest_position_m,
     )
-    fitted = values_after(case.values, _shared(case), refitted.nuisance[: len(_shared(case))])
+    shared = case.shared_nuisances()
+    fallback: tuple[ChannelGap, ...] = ()
+    if verdict is Verdict.UNKNOWN:
+        fallback = channel_gaps(_fallback(search), judged)
+    fitted = values_after(case.values, shared, refitted.nuisance[: len(shared)])
     gaps = channel_gaps(residuals, judged)
     places = places_of_gap(case, residuals, measured, search.random)
     findings = Findings(
@@ -640,6 +670,7 @@ def _findings(
         share_closed=None if closed is None else closed[0],
         share_closed_low=None if closed is None else closed[1],
         share_closed_high=None if closed is None else closed[2],
+        fallback=fallback,
         stability=stability,
         pairs=_pairs(search, ranked),
         worst=worst,
@@ -659,19 +690,31 @@ def _findings(
     return findings, overlay
 
 
-def _shared(case: Case) -> list[Nuisance]:
-    return [n for n in case.nuisances if n.belongs != "own"]
+def _fallback(search: Search) -> Residuals:
+    """Return what patterns leave when they stand in for an effect: a Gaussian process with the
+    patterns as its functions, fitted beside the nuisances."""
+    widened = search.evidence.with_nuisances(search.pattern_columns)
+    found = fit_nuisances(widened).nuisance
+    count = search.evidence.nuisance.shape[1]
+    return residuals_of(
+        search.case,
+        recalibrated=search.base.nuisance,
+        refitted=found[:count],
+        change=search.case.pattern_change(PATTERN_DEVIATION * found[count:]),
+        noise=search.noise,
+        discrepancy=search.discrepancy,
+    )
 
 
 def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate, ...]:
     """Return the nuisances as fitted; the interval is that of their priors."""
     result = []
-    for name, moved in zip(case.column_names(), refitted.nuisance.tolist(), strict=True):
-        plain = name.removesuffix(" (reference)")
-        nuisance = next(n for n in case.nuisances if n.name == plain)
+    for (nuisance, _), name, moved in zip(
+        case.columns(), case.column_names(), refitted.nuisance.tolist(), strict=True
+    ):
         reach = 1.96 * nuisance.deviation
-        if plain in PARAMETERS:
-            parameter = PARAMETERS[plain]
+        if nuisance.name in PARAMETERS:
+            parameter = PARAMETERS[nuisance.name]
             at = parameter.to_coordinate(getattr(case.values, parameter.field))
             ends = sorted(parameter.to_value(at + side * reach) for side in (-1.0, 1.0))
             value = float(getattr(fitted, parameter.field))
@@ -682,28 +725,20 @@ def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate,
     return tuple(result)
 
 
-def _skins(
-    search: Search, measured: Sequence[int], named: Sequence[Ranked]
-) -> Mapping[int, tuple[Array, Array]]:
-    """Return skins of the measured trajectories, without and with the effects."""
+def _skins(search: Search, number: int, named: Sequence[Ranked]) -> tuple[Array, Array] | None:
+    """Return the skins (F, V, 3) of a trajectory without and with the effects, None where the gel
+    could not be solved."""
+    recording = search.case.trajectories[number].recording
     effects = [
         Active(e.effect, e.effect.checked(e.trial.variant.values(e.trial.size))) for e in named
     ]
-    found = {}
-    for number in measured:
-        recording = search.case.trajectories[number].recording
-        plain = request_of(recording, search.case.values)
-        try:
-            without = search.solver.run([plain])[0].skin_position_m
-            with_effects = without
-            if effects:
-                request = request_of(recording, search.case.values, effects=effects)
-                with_effects = search.solver.run([request])[0].skin_position_m
-        except SolveError as error:
-            search.warnings.append(f"no picture of {recording.name}: {error}")
-            continue
-        found[number] = (without, with_effects)
-    return found
+    requests = [request_of(recording, search.case.values, effects=e) for e in ((), effects)]
+    try:
+        without, with_effects = search.case.solver.run(requests)
+    except SolveError as error:
+        search.warnings.append(f"no picture of {recording.name}: {error}")
+        return None
+    return without.skin_position_m, with_effects.skin_position_m
 
 
 def _candidates(
@@ -719,6 +754,7 @@ def _candidates(
             e.explained,
             e.held_out_gain,
             e.estimates,
+            e.limit,
         )
         for e in ranked
     ]

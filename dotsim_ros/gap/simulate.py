@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -24,6 +24,7 @@ from dotsim_ros.calibration.simulation import (
 )
 from dotsim_ros.gap.effect import (
     Active,
+    Effect,
     GelTerm,
     Response,
     gel_with,
@@ -79,7 +80,8 @@ def request_of(
 
 
 _simulator: GelSimulator | None = None
-_folders: tuple[str, ...] = ()
+_own_relaxation = PronySeries((), ())
+_library: Mapping[str, Effect] = {}
 _indenters: dict[str, Indenter] = {}
 
 
@@ -93,21 +95,23 @@ def _same_indenter(indenter: Indenter) -> Indenter:
 
 
 def _begin(specification: SensorSpecification, skin: SkinMesh, folders: tuple[str, ...]) -> None:
-    global _simulator, _folders
+    global _simulator, _library, _own_relaxation
     _simulator = GelSimulator(specification, skin, tolerance_m=TOLERANCE_M)
-    _folders = folders
+    material = specification.material
+    _own_relaxation = PronySeries(material.prony_shares, material.prony_times_s)
+    _library = load_effects(folders)
 
 
-def _active(request: Request, folders: Sequence[str]) -> list[Active]:
-    library = load_effects(folders)
+def _active(request: Request, library: Mapping[str, Effect]) -> list[Active]:
     return [Active(library[name], dict(values)) for name, values in request.effects]
 
 
 def _solve(request: Request) -> Simulated | str:
     assert _simulator is not None
     recording, press = request.recording, request.recording.press
-    effects = _active(request, _folders)
-    term = gel_with(effects, GelTerm(request.values), recording)
+    effects = _active(request, _library)
+    own = GelTerm(request.values, _own_relaxation.shares, _own_relaxation.times_s)
+    term = gel_with(effects, own, recording)
     filtered = motion_filters(effects)
     shift = np.array(request.shift_m)
     poses = []
@@ -140,10 +144,10 @@ class Solver:
         directory: Path,
         key: str,
         rest_m: Array,
-        folders: tuple[str, ...],
+        library: Mapping[str, Effect],
     ) -> None:
         self._pool, self._directory, self._key = pool, directory, key
-        self._rest_m, self._folders = rest_m, folders
+        self._rest_m, self._library = rest_m, library
         self._kept: dict[str, Simulated | str] = {}
         self.solve_count = 0
 
@@ -195,7 +199,7 @@ class Solver:
         return results, failures
 
     def _finished(self, request: Request, found: Simulated) -> Simulated:
-        effects = _active(request, self._folders)
+        effects = _active(request, self._library)
         force = found.force_n * (request.values.youngs_modulus_pa / REFERENCE_MODULUS_PA)
         if not any(active.effect.response for active in effects):
             return Simulated(found.skin_position_m, force, found.converged)
@@ -233,8 +237,7 @@ class Solver:
         """Return a key of what the gel's solve depends on: not Young's modulus, nor effects that
         only act on its result."""
         values = replace(request.values, youngs_modulus_pa=REFERENCE_MODULUS_PA)
-        library = load_effects(self._folders)
-        solved = [entry for entry in request.effects if library[entry[0]].needs_solve]
+        solved = [entry for entry in request.effects if self._library[entry[0]].needs_solve]
         press = request.recording.press
         digest = hashlib.sha256(
             repr((self._key, values, request.shift_m, solved, press.indenter)).encode()
@@ -296,12 +299,15 @@ def open_solver(
     names = tuple(str(Path(folder).resolve()) for folder in folders)
     key = hashlib.sha256(repr((specification.gel, specification.solver, TOLERANCE_M)).encode())
     key.update(skin.rest_position_m.tobytes())
+    material = specification.material
+    key.update(np.array([*material.prony_shares, *material.prony_times_s]).tobytes())
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(
         workers, mp_context=context, initializer=_begin, initargs=(specification, skin, names)
     ) as pool:
         try:
-            yield Solver(pool, directory, key.hexdigest(), skin.rest_position_m, names)
+            library = load_effects(names)
+            yield Solver(pool, directory, key.hexdigest(), skin.rest_position_m, library)
         except BaseException:
             pool.shutdown(wait=True, cancel_futures=True)
             raise

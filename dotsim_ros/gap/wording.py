@@ -10,6 +10,8 @@ from dotsim_ros.gap.measurement import Measurement, protocol_of
 from dotsim_ros.gap.recording import Phase
 
 FEW = 4
+STABLE = 0.9
+"""A name that fewer bootstrap repetitions give is not stable."""
 
 
 def data_warnings(
@@ -110,3 +112,63 @@ def sentence(
         others = ", ".join(effect.title for effect in alternatives)
         text += f" The data do not tell it from: {others}."
     return text
+
+
+def optical_sentence(
+    verdict: Verdict,
+    named: Sequence[tuple[Effect, Sequence[Estimate]]],
+    alternatives: Sequence[Effect],
+    gap: ChannelGap,
+    *,
+    nearest: Effect | None,
+) -> str:
+    """Return what the pictures told, in one or two sentences.
+
+    Args:
+        verdict: of the pictures.
+        named: effects that are added, with their estimates.
+        alternatives: effects that the first is not told from.
+        gap: of the tiles' colours.
+        nearest: the effect that comes nearest, where none is named.
+    """
+    if verdict is Verdict.NO_GAP:
+        return "Images: no gap beyond noise and the twin's own error."
+    if verdict is Verdict.UNKNOWN:
+        text = "Images: they differ from the twin's, and no effect of the library explains it."
+        if nearest is not None:
+            text += f" Nearest comes: {nearest.title[0].lower()}{nearest.title[1:]}."
+        return text
+    parts = [
+        f"{effect.title[0].lower()}{effect.title[1:]} is missing: "
+        f"{', '.join(shown(e) for e in estimates)}"
+        for effect, estimates in named
+    ]
+    text = "Images: " + "; and ".join(parts)
+    text += (
+        f"; gap of the colours: {gap.recalibrated:.3g} -> {gap.after:.3g} grey levels (floor "
+        f"{gap.floor:.2g})."
+    )
+    if alternatives:
+        others = ", ".join(effect.title for effect in alternatives)
+        text += f" The images do not tell it from: {others}."
+    return text
+
+
+def picture_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
+    """Return what pictures cannot tell.
+
+    Args:
+        noise_sensor, noise_source: whose pictures the thresholds come from, and which.
+        sensor: name of the twin.
+        count: of the trajectories with pictures.
+    """
+    texts = []
+    if noise_sensor != sensor:
+        texts.append(
+            f"the images' thresholds come from {noise_source}, not from {sensor}: its twin may err "
+            "more; make your own from pictures in which nothing is wrong, with find-gap "
+            "--fit-optical-noise"
+        )
+    if count < FEW:
+        texts.append(f"{count} trajectories with images are few: record {FEW} at least")
+    return texts

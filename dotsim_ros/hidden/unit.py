@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import GelValues, values_of
+from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.calibration.simulation import GelSimulator, SolveError
 from dotsim_ros.evaluation.presses import Press
-from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.specification import SensorSpecification
 from dotsim_ros.hidden.reality import Truth, answer_of
@@ -39,11 +39,13 @@ def protocols(random: np.random.Generator) -> list[tuple[str, str, Motion, Array
     found = []
     for number in range(2):
         motion = press_hold_release(_site(random), depth_m=2.4e-3, hold_s=3.0)
-        found.append((f"hold_{number}", "sphere_4mm", motion, _touching(motion, 12)))
+        found.append(
+            (f"hold_{number}", "sphere_4mm", motion, np.linspace(0.0, motion.duration_s, 12))
+        )
     for number, indenter in enumerate(("sphere_4mm", "sphere_4mm", "cone")):
         motion = press_hold_release(_site(random), depth_m=2.4e-3, hold_s=0.0)
         half = motion.duration_s / 2.0
-        times = _touching(motion, 12)
+        times = np.linspace(0.0, motion.duration_s, 12)
         found.append((f"press_{indenter}_{number}", indenter, motion, times[times <= half]))
     for number in range(2):
         motion = slide(
@@ -53,7 +55,7 @@ def protocols(random: np.random.Generator) -> list[tuple[str, str, Motion, Array
             heading_rad=float(random.uniform(0.0, 2.0 * np.pi)),
             slide_speed_m_s=0.005,
         )
-        times = _touching(motion, 13)
+        times = np.linspace(0.0, motion.duration_s, 13)
         found.append((f"slide_{number}", "sphere_4mm", motion, times[: len(times) - 3]))
     return found
 
@@ -64,10 +66,6 @@ def _site(random: np.random.Generator) -> Site:
         azimuth_rad=float(random.uniform(0.0, 2.0 * np.pi)),
         clearance_m=0.1e-3,
     )
-
-
-def _touching(motion: Motion, count: int) -> Array:
-    return np.linspace(0.0, motion.duration_s, count)
 
 
 def measure_unit(
@@ -109,7 +107,10 @@ def measure_unit(
         poses = [motion.at(float(t)) for t in time_s]
         press = Press(name, indenter_name, poses, time_s + 1.0)
         try:
-            press = replace(press, force_n=_without(simulator, values, indenter, press))
+            _, without = answer_of(
+                simulator, values, indenter, press, Truth(()), session_s=0.0, seed=0
+            )
+            press = replace(press, force_n=without)
             skin_m, force_n = answer_of(
                 simulator, values, indenter, press, truth, session_s=session_s, seed=seed + number
             )
@@ -119,11 +120,6 @@ def measure_unit(
         data_set.add(_measured(press, skin_m, force_n, skin.rest_position_m, random), indenter, {})
         if progress is not None:
             progress(number + 1, len(planned))
-
-
-def _without(simulator: GelSimulator, values: GelValues, indenter: Indenter, press: Press) -> Array:
-    _, force = answer_of(simulator, values, indenter, press, Truth(()), session_s=0.0, seed=0)
-    return force
 
 
 def _measured(

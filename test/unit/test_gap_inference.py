@@ -5,8 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dotsim_ros.gap.decision import threshold_of
-from dotsim_ros.gap.inference import Evidence, cosines, draw_null, fit, lengths
+from dotsim_ros.gap.decision import HEAVIER, limit_factor, threshold_of
+from dotsim_ros.gap.effect import FORCE, Effect, EffectParameter
+from dotsim_ros.gap.evidence import Segment, Variant
+from dotsim_ros.gap.inference import (
+    Evidence,
+    cosines,
+    draw_null,
+    fit,
+    fit_nuisances,
+    lengths,
+    log_evidence,
+)
+from dotsim_ros.gap.screening import Screen, best_trial
 
 TRAJECTORIES, EACH = 6, 80
 
@@ -99,7 +110,50 @@ def test_a_part_of_the_evidence_is_that_of_its_trajectories(random: np.random.Ge
 
 def test_the_threshold_is_the_nulls_quantile_and_grows_beyond_their_number() -> None:
     gains = np.random.default_rng(0).chisquare(1, 4000).tolist()
-    assert threshold_of(gains, 0.02, heavier=1.0) == pytest.approx(5.41, rel=0.1)
+    assert threshold_of(gains, 0.02) == pytest.approx(5.41, rel=0.1)
     few = gains[:20]
-    assert threshold_of(few, 0.001, heavier=1.0) > threshold_of(few, 0.02, heavier=1.0)
-    assert threshold_of(few, 0.02, heavier=2.0) == 2.0 * threshold_of(few, 0.02, heavier=1.0)
+    assert threshold_of(few, 0.001) > threshold_of(few, 0.02)
+    assert limit_factor("latency", {"latency": 9.7}) == 9.7
+    assert limit_factor("adhesion", {"latency": 9.7, "adhesion": 0.1}) == HEAVIER
+    assert limit_factor("one's own", {"latency": 9.7, "adhesion": 0.1}) == 9.7
+
+
+def segment_of(random: np.random.Generator, count: int) -> Segment:
+    effect = Effect(
+        "any", "Any", (EffectParameter("size", "1", 0.0, 0.0, 1.0, (0.5,)),), (FORCE,), "", bool
+    )
+    return Segment(
+        Variant(effect, {}),
+        0.5,
+        0.3 * random.standard_normal(count),
+        random.standard_normal(count),
+        -0.05,
+        0.06,
+    )
+
+
+def test_segments_screened_together_gain_what_each_gains_alone(
+    random: np.random.Generator,
+) -> None:
+    evidence = evidence_of(random)
+    seen = evidence.with_residual(1.3 * random.standard_normal(len(evidence.residual)))
+    segments = [segment_of(random, len(seen.residual)) for _ in range(4)]
+    base, gains = Screen(evidence, segments).gains(seen.residual)
+    assert base == pytest.approx(fit_nuisances(seen).objective)
+    assert gains == pytest.approx([best_trial(seen, [s], base).gain for s in segments])
+    assert Screen(evidence).gains(seen.residual)[0] == base
+
+
+def test_the_evidence_of_many_data_is_that_of_the_integral(random: np.random.Generator) -> None:
+    # One trajectory whose noise is as expected, so that its scale hardly matters.
+    n = 400
+    column, noise = random.standard_normal(n), random.standard_normal(n)
+    noise *= np.sqrt(n) / np.linalg.norm(noise)
+    seen = Evidence(0.2 * column + noise, np.zeros((n, 1)), np.zeros(n, dtype=np.int64))
+    found = fit(seen, column[:, None])
+    gained = log_evidence(seen, found, column[:, None], np.array([1.0]))
+    gained -= log_evidence(seen, fit_nuisances(seen), np.zeros((n, 0)), np.zeros(0))
+    # Of normal noise of one deviation and a normal prior of one deviation, in closed form.
+    square, right = column @ column, column @ seen.residual
+    exact = 0.5 * right**2 / (square + 1.0) - 0.5 * np.log(square + 1.0)
+    assert gained == pytest.approx(exact, abs=0.5)

@@ -6,7 +6,7 @@ from optical_presses import dented
 
 from dotsim_ros.gap.effect import Active
 from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.optical_model import IDLE, OpticalMeasurement, PictureModel
+from dotsim_ros.gap.optical_model import PictureModel, resized
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.sensor import skin_of
 
@@ -80,14 +80,24 @@ def test_effects_act_on_every_frame_with_fresh_filters(film):
     np.testing.assert_array_equal(film.with_effects([]), film.pixels)
 
 
-def test_the_idle_images_are_a_trajectory_of_their_own(model):
-    images = np.stack([model.idle, model.idle])
-    lit = model.idle.max(axis=2) > 10
-    measured = OpticalMeasurement(model, lit, images, (), ())
-    (idle,) = measured.trajectories()
-    assert idle.name == IDLE
-    np.testing.assert_array_equal(idle.measured[0], model.idle)
-    assert idle.film.session_s.tolist() == [0.0]
+def test_a_film_keeps_its_view_at_another_size(film):
+    half = resized(film, WIDTH // 2, HEIGHT // 2)
+    assert half.pixels.shape == (3, HEIGHT // 2, WIDTH // 2, 3)
+    assert half.focal_px == pytest.approx(0.5 * film.focal_px)
+    assert half.centre_px == pytest.approx(0.5 * film.centre_px - 0.25)
+    np.testing.assert_allclose(half.pixels.mean(), film.pixels.mean(), rtol=1e-3)
+    np.testing.assert_allclose(
+        np.abs(half.flow_px_s[2]).sum(), np.abs(film.flow_px_s[2]).sum() / 8.0, rtol=0.1
+    )
+    assert resized(film, WIDTH, HEIGHT) is film
+
+
+def test_the_unit_s_own_idle_frame_takes_the_twin_s_place(sensor, model):
+    darker = (0.8 * model.idle).astype(np.uint8)
+    own = PictureModel(sensor, width=WIDTH, height=HEIGHT, idle=darker)
+    rest = skin_of(sensor.gel).rest_position_m
+    film = own.film(rest[None], np.zeros(1), 0.0)
+    np.testing.assert_allclose(film.pixels[0], darker, atol=0.5)
 
 
 def test_a_picture_of_another_shape_is_refused(sensor):

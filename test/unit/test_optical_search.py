@@ -1,15 +1,33 @@
 """The search for optical effects on synthetic films: nulls, power, what cannot be told apart."""
 
 from dataclasses import replace
-from functools import cache
 
 import cv2
 import numpy as np
 import pytest
+from optical_films import (
+    CENTRE,
+    CHANGES,
+    CHOSEN,
+    FILMS,
+    FOCAL,
+    HEIGHT,
+    IDLE,
+    LIT,
+    METER,
+    NULLS,
+    REFERENCES,
+    WIDTH,
+    changes_of,
+    drawn,
+    film_of,
+    null_residual,
+    truth,
+    vignetted,
+)
 
 from dotsim_ros.gap.effect import IMAGE, Effect, EffectParameter
 from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.optical_model import Film
 from dotsim_ros.gap.optical_search import (
     OpticalSearch,
     alike,
@@ -18,114 +36,7 @@ from dotsim_ros.gap.optical_search import (
     score_optical,
     signatures_of,
 )
-from dotsim_ros.gap.tile_noise import Correlation, TileNoise, contact_change, estimate_noise
-from dotsim_ros.gap.tiles import NAMES, TileMeter, tile_grid
-
-HEIGHT, WIDTH = 60, 80
-FRAMES = 4
-CENTRE, FOCAL = np.array([39.5, 29.5]), 20.0
-LIT = np.hypot(*np.meshgrid(np.arange(WIDTH) - 39.5, np.arange(HEIGHT) - 29.5)) < 28.0
-CHOSEN = (
-    "ambient_light",
-    "auto_exposure",
-    "camera_intrinsics",
-    "gamma",
-    "led_imbalance_red",
-    "vignetting",
-)
-REFERENCES, NULLS = range(20, 28), 40
-
-
-def idle_frame():
-    """Return a speckled picture (H, W, 3) lit from three sides."""
-    random = np.random.default_rng(1)
-    speckle = cv2.GaussianBlur(random.standard_normal((HEIGHT, WIDTH)), (0, 0), 1.0)
-    level = 100.0 + 40.0 * np.tanh(4.0 * speckle)
-    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
-    side = np.stack(
-        [
-            1.0 + 0.4 * np.cos(a) * (x - 40) / 40 + 0.4 * np.sin(a) * (y - 30) / 30
-            for a in (0, 2, 4)
-        ],
-        axis=-1,
-    )
-    return np.where(LIT[..., None], level[..., None] * side, 0.0)
-
-
-IDLE = idle_frame()
-
-
-def film_of(number):
-    """Return a film of a contact that darkens a place of the picture."""
-    random = np.random.default_rng(100 + number)
-    middle = random.uniform([25.0, 20.0], [55.0, 40.0])
-    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
-    dent = np.exp(-((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / 60.0)[..., None]
-    depth = np.linspace(0.0, 0.4, FRAMES)[:, None, None, None]
-    return Film(
-        0.1 * np.arange(FRAMES),
-        10.0 * number + 0.1 * np.arange(FRAMES),
-        (IDLE * (1.0 - depth * dent)).astype(np.float32),
-        np.zeros((FRAMES, HEIGHT, WIDTH, 2), dtype=np.float32),
-        IDLE,
-        CENTRE,
-        FOCAL,
-    )
-
-
-def truth():
-    """Return the covariance that the synthetic residuals are drawn from."""
-    tiles = len(METER.grid)
-    scale = np.array([0.5, 0.5, 0.5, 0.02, 0.05, 0.05])
-    mixing = np.eye(6)
-    mixing[:3, :3] = np.linalg.inv(np.linalg.cholesky(0.7 * np.eye(3) + 0.3))
-    return TileNoise(
-        METER.grid.centre_px,
-        np.tile(0.2 * scale, (tiles, 1)),
-        np.tile(scale, (tiles, 1)),
-        0.1 * scale,
-        mixing,
-        tuple(Correlation(0.6, 2.0, 20.0) for _ in NAMES),
-        len(REFERENCES),
-    )
-
-
-METER = TileMeter(tile_grid(LIT, columns=6, rows=4), IDLE)
-FILMS = [film_of(number) for number in range(6)]
-
-
-def changes_of(films):
-    rest = [np.broadcast_to(IDLE, film.pixels.shape) for film in films]
-    return [
-        contact_change(METER.difference(film.pixels, one))
-        for film, one in zip(films, rest, strict=True)
-    ]
-
-
-CHANGES = changes_of(FILMS)
-
-
-@cache
-def roots():
-    """Return what turns normal numbers into correlated ones, of any channel of `truth`."""
-    distance = np.linalg.norm(METER.grid.centre_px[:, None] - METER.grid.centre_px[None], axis=2)
-    lag = np.abs(np.subtract.outer(np.arange(FRAMES), np.arange(FRAMES)))
-    one = truth().correlations[0]
-    shared = np.kron(np.exp(-lag / one.frames), np.exp(-distance / one.length_px))
-    return np.linalg.cholesky(one.white * np.eye(len(shared)) + (1.0 - one.white) * shared)
-
-
-def drawn(change, random):
-    """Return a residual (F, T, 6) of the true covariance, by inverting what whitens it."""
-    noise = truth()
-    values = roots() @ random.standard_normal((len(roots()), 6))
-    unmixed = values @ np.linalg.inv(noise.mixing).T
-    return unmixed.reshape(change.shape) * noise.deviation(change)
-
-
-def null_residual(seed):
-    random = np.random.default_rng(seed)
-    return [drawn(change, random) for change in CHANGES]
+from dotsim_ros.gap.tile_noise import estimate_noise
 
 
 @pytest.fixture(scope="module")
@@ -177,14 +88,6 @@ def with_law(law, seed):
         METER.difference(picture, film.pixels) + one
         for picture, film, one in zip(changed, FILMS, noise, strict=True)
     ]
-
-
-def vignetted(pixels):
-    # cos^4 and not r^2: 10 % at half the picture's height from the axis.
-    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
-    radius = np.hypot(x - CENTRE[0], y - CENTRE[1]) / (0.5 * HEIGHT)
-    angle = np.arccos(0.9**0.25)
-    return pixels * (np.cos(np.minimum(radius * angle, 1.5)) ** 4)[..., None]
 
 
 def test_the_estimated_noise_is_that_which_was_drawn(noise):

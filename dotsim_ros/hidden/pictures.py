@@ -1,0 +1,152 @@
+"""Hidden effects of the camera and its lights, with other laws than those that are looked for.
+
+They act on measured pictures: vignetting falls with the fourth power of a cosine (a thin lens), the
+camera answers by a logarithm instead of a power, LEDs dim with two time constants, a colour's LEDs
+leak into the other channels, the exposure lags behind what it follows, a turned camera is resampled
+by splines, a worn spot has a ragged edge. Two are of no library: a lens out of focus, and bands of
+a flickering lamp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+Array = NDArray[np.float64]
+
+FULL_SCALE = 255.0
+LEAK = 0.06
+"""Share of a colour's light that the other channels see."""
+
+
+@dataclass(frozen=True)
+class Takes:
+    """Pictures of one trajectory.
+
+    Attributes:
+        pixels: (F, H, W, 3), 0 to 255.
+        session_s: (F,) since the session's start.
+        idle: (H, W, 3) without contact.
+    """
+
+    pixels: Array
+    session_s: Array
+    idle: Array
+
+
+@dataclass(frozen=True)
+class PictureLaw:
+    """A hidden effect.
+
+    Attributes:
+        name: in the truth.
+        library: name of the effect that the library knows it by; empty for one of no library.
+        sizes: from hardly to be seen to obvious.
+        unit: of the size.
+        change: from pictures and the size to the pictures (F, H, W, 3) as they are taken.
+    """
+
+    name: str
+    library: str
+    sizes: tuple[float, ...]
+    unit: str
+    change: Callable[[Takes, float], Array]
+
+
+def taken(takes: Takes, law: PictureLaw, size: float) -> NDArray[np.uint8]:
+    """Return the pictures (F, H, W, 3) as a camera gives them."""
+    return np.clip(np.rint(law.change(takes, size)), 0.0, FULL_SCALE).astype(np.uint8)
+
+
+def _radius(pixels: Array) -> Array:
+    """Return (H, W) the distance from the picture's centre over half its height."""
+    height, width = pixels.shape[1:3]
+    y, x = np.mgrid[0:height, 0:width]
+    return np.asarray(np.hypot(x - 0.5 * (width - 1), y - 0.5 * (height - 1)) / (0.5 * height))
+
+
+def _cosine_fourth(takes: Takes, size: float) -> Array:
+    # The size is the loss at half the height.
+    angle = np.arctan(_radius(takes.pixels) * np.tan(np.arccos((1.0 - size) ** 0.25)))
+    return takes.pixels * (np.cos(angle) ** 4)[..., None]
+
+
+def _logarithm(takes: Takes, size: float) -> Array:
+    return FULL_SCALE * np.log1p(size * takes.pixels / FULL_SCALE) / np.log1p(size)
+
+
+def _two_times(takes: Takes, size: float) -> Array:
+    fast, slow = (-np.expm1(-takes.session_s / time_s) for time_s in (4.0, 30.0))
+    return takes.pixels * (1.0 - size * (0.6 * fast + 0.4 * slow))[:, None, None, None]
+
+
+def _leaking(takes: Takes, size: float) -> Array:
+    gain = np.array([1.0 - size, 1.0 - LEAK * size, 1.0 - LEAK * size])
+    return takes.pixels * gain
+
+
+def _lagging(takes: Takes, size: float) -> Array:
+    wanted = float(takes.idle.mean())
+    followed, result = wanted, []
+    for picture in takes.pixels:
+        followed += 0.7 * (float(picture.mean()) - followed)
+        result.append(picture * (wanted / followed) ** size)
+    return np.stack(result)
+
+
+def _veil(takes: Takes, size: float) -> Array:
+    # A window at the right: more on that side.
+    width = takes.pixels.shape[2]
+    side = 1.0 + 0.3 * (np.arange(width) / width - 0.5)
+    return takes.pixels + FULL_SCALE * size * side[None, None, :, None]
+
+
+def _shifted(takes: Takes, size: float) -> Array:
+    # The size is in pixels of a picture 240 px high.
+    moved = size * takes.pixels.shape[1] / 240.0
+    shift = (0.0, 0.4 * moved, moved, 0.0)
+    return np.asarray(ndimage.shift(takes.pixels, shift, order=3, mode="nearest"))
+
+
+def _ragged_spot(takes: Takes, size: float) -> Array:
+    height, width = takes.pixels.shape[1:3]
+    random = np.random.default_rng(5)
+    rough = cv2.GaussianBlur(random.standard_normal((height, width)), (0, 0), 0.012 * height)
+    y, x = np.mgrid[0:height, 0:width]
+    distance = np.hypot(x - 0.62 * width, y - 0.4 * height) / (0.15 * height)
+    worn = (distance + 0.15 * rough / rough.std() < 1.0).astype(np.float64)
+    return takes.pixels * (1.0 - size * worn)[..., None]
+
+
+def _defocused(takes: Takes, size: float) -> Array:
+    blur = size * takes.pixels.shape[1] / 240.0
+    return np.stack([cv2.GaussianBlur(picture, (0, 0), blur) for picture in takes.pixels])
+
+
+def _banded(takes: Takes, size: float) -> Array:
+    rows = np.arange(takes.pixels.shape[1]) / takes.pixels.shape[1]
+    phase = 37.0 * takes.session_s
+    bands = np.sin(2.0 * np.pi * 3.0 * rows[None, :] + phase[:, None])
+    return takes.pixels * (1.0 + size * bands)[:, :, None, None]
+
+
+LAWS: Mapping[str, PictureLaw] = {
+    law.name: law
+    for law in (
+        PictureLaw("cosine_fourth", "vignetting", (0.02, 0.05, 0.1, 0.2), "edge", _cosine_fourth),
+        PictureLaw("logarithm", "gamma", (0.1, 0.2, 0.4, 0.8), "k", _logarithm),
+        PictureLaw("two_times", "led_dimming", (0.02, 0.05, 0.1, 0.2), "share", _two_times),
+        PictureLaw("leaking_red", "led_imbalance_red", (0.01, 0.03, 0.06, 0.12), "", _leaking),
+        PictureLaw("lagging_exposure", "auto_exposure", (0.15, 0.3, 0.6, 0.9), "", _lagging),
+        PictureLaw("window", "ambient_light", (0.004, 0.01, 0.02, 0.04), "share", _veil),
+        PictureLaw("knocked", "camera_intrinsics", (0.1, 0.3, 0.6, 1.2), "px", _shifted),
+        PictureLaw("ragged_spot", "worn_coat", (0.05, 0.1, 0.2, 0.4), "share", _ragged_spot),
+        PictureLaw("defocused", "", (0.4, 0.6, 0.9, 1.4), "px", _defocused),
+        PictureLaw("banded", "", (0.01, 0.02, 0.05, 0.1), "share", _banded),
+    )
+}

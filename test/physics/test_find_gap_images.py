@@ -1,0 +1,210 @@
+"""The search with pictures from bags to overlay, on small cases with another law of vignetting.
+
+Two trajectories of a unit of `sensor_a` with a coarse gel. Its pictures are those that the twin's
+camera has of its gel, with noise, and with what a hidden law does to them; so what is tested is
+that all parts find each other. `benchmarks/gap_images.py` judges the rule on pictures that were
+made by other means.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from dotsim_ros.calibration.parameters import values_of
+from dotsim_ros.gap.findings import Findings, Verdict
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.optical_find import find_gap_with_pictures
+from dotsim_ros.gap.optical_model import Film, PictureModel
+from dotsim_ros.gap.optical_pictures import Pictures, read_pictures
+from dotsim_ros.gap.overlay import Overlay, active_effects
+from dotsim_ros.gap.search import Request
+from dotsim_ros.gap.simulate import open_solver, request_of
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
+from dotsim_ros.hidden.pictures import LAWS, Takes
+from dotsim_ros.hidden.reality import Truth
+from dotsim_ros.hidden.unit import measure_unit
+from dotsim_ros.measured.trajectory import ImageChannel, read_trajectory, write_trajectory
+from dotsim_ros.sensor import skin_of
+
+PROTOCOLS = ("hold_0", "slide_0")
+SKIN_SPACING_M = 2.0e-3
+WIDTH, HEIGHT = 160, 120
+SEED = 11
+NOISE_LEVELS = 1.2
+CANDIDATES = ("gamma", "led_imbalance_red", "saturation", "vignetting")
+DRIFTS = ("force_drift", "permanent_set")
+
+Law = Callable[[Takes], np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of the solves: the cases have the same poses, so they share them."""
+    return tmp_path_factory.mktemp("run")
+
+
+@pytest.fixture(scope="module")
+def sensor() -> SensorSpecification:
+    sensor = load_sensor("sensor_a")
+    # A refined gel needs tables for each skin and Poisson's ratio: minutes.
+    return replace(
+        sensor,
+        # The skin that is measured: its solves serve both parts of the search.
+        gel=replace(sensor.gel, skin_spacing_m=SKIN_SPACING_M),
+        solver=replace(sensor.solver, refined=False),
+    )
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit that was measured without pictures, and what the twin's camera has of it.
+
+    Attributes:
+        data: its data set.
+        idle: (H, W, 3) without contact.
+        films: by trajectory.
+    """
+
+    data: Path
+    idle: np.ndarray
+    films: dict[str, Film]
+
+
+@pytest.fixture(scope="module")
+def unit(sensor: SensorSpecification, run: Path, tmp_path_factory: pytest.TempPathFactory) -> Unit:
+    data = tmp_path_factory.mktemp("unit") / "measured"
+    skin = dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M)
+    measure_unit(data, sensor, skin, Truth(()), seed=SEED, only=PROTOCOLS)
+    model = PictureModel(sensor, width=WIDTH, height=HEIGHT)
+    dark = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
+    assert cv2.imwrite(str(data / "idle_0.png"), cv2.cvtColor(model.idle, cv2.COLOR_RGB2BGR))
+    blank = _with_images(data, lambda name, count: np.repeat(dark[None], count, axis=0))
+    recordings = [one.recording for one in blank.trajectories]
+    with open_solver(sensor, skin_of(sensor.gel), run / "solves", workers=1) as solver:
+        answers = solver.run([request_of(r, values_of(sensor)) for r in recordings])
+    films = {
+        r.name: model.film(answer.skin_position_m, r.press.stamp_s, r.session_s)
+        for r, answer in zip(recordings, answers, strict=True)
+    }
+    return Unit(data, model.idle.astype(np.float64), films)
+
+
+def measure(unit: Unit, directory: Path, law: Law | None = None) -> Path:
+    """Write the unit's data set with pictures that a law changed; return its folder."""
+    data = directory / "measured"
+    shutil.copytree(unit.data, data)
+    random = np.random.default_rng(SEED)
+
+    def camera(pixels: np.ndarray, session_s: np.ndarray) -> np.ndarray:
+        takes = Takes(pixels.astype(np.float64), session_s, unit.idle)
+        seen = takes.pixels if law is None else law(takes)
+        noisy = seen + NOISE_LEVELS * random.standard_normal(seen.shape)
+        return np.clip(np.rint(noisy), 0.0, 255.0).astype(np.uint8)
+
+    for number in range(4):
+        image = camera(unit.idle[None], np.zeros(1))[0]
+        path = str(data / f"idle_{number}.png")
+        assert cv2.imwrite(path, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+    _with_images(data, lambda name, _: camera(unit.films[name].pixels, unit.films[name].session_s))
+    return data
+
+
+def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> Pictures:
+    """Write bags with images beside those that are there, and an index of them; read them."""
+    folder = data / "filmed"
+    shutil.rmtree(folder, ignore_errors=True)
+    index = yaml.safe_load((data / "dataset.yaml").read_text(encoding="utf-8"))
+    for name, entry in zip(PROTOCOLS, index["trajectories"], strict=True):
+        trajectory = read_trajectory(data / "bags" / name)
+        assert trajectory.pose is not None
+        stamps = trajectory.pose.stamp_ns
+        pixels = images(name, len(stamps))
+        write_trajectory(folder / name, replace(trajectory, image=ImageChannel(stamps, pixels)))
+        entry.update(bag=f"filmed/{name}", images=True)
+    (data / "dataset.yaml").write_text(yaml.safe_dump(index), encoding="utf-8")
+    skin = dome_skin(load_sensor("sensor_a").gel.outer_radius_m, SKIN_SPACING_M)
+    return read_pictures(data, skin=skin, indenters=data / "indenters")
+
+
+def searched(
+    data: Path,
+    sensor: SensorSpecification,
+    run: Path,
+    *,
+    channels: tuple[str, ...] = ("image",),
+    candidates: tuple[str, ...] = CANDIDATES,
+    reference: Path | None = None,
+) -> tuple[Findings, Overlay | None]:
+    return find_gap_with_pictures(
+        Request(
+            measured=data,
+            sensor=sensor,
+            directory=run,
+            reference=reference,
+            indenters=data / "indenters",
+            channels=channels,
+            candidates=candidates,
+            seed=1,
+            workers=1,
+        ),
+        lambda step, done, total: None,
+    )
+
+
+def vignetted(takes: Takes) -> np.ndarray:
+    return LAWS["cosine_fourth"].change(takes, 0.12)
+
+
+def test_pictures_with_nothing_wrong_have_no_gap(
+    tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification
+) -> None:
+    findings, overlay = searched(measure(unit, tmp_path), sensor, run)
+    assert findings.verdict is Verdict.NO_GAP
+    assert overlay is None
+    assert findings.optical is not None
+    assert findings.optical.trajectories == ("idle", *PROTOCOLS)
+    assert "sensor_a" in findings.optical.noise_source
+    assert findings.sentence == "Images: no gap beyond noise and the twin's own error."
+
+
+def test_a_camera_that_changed_is_in_the_overlay(
+    tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification
+) -> None:
+    data = measure(unit, tmp_path, lambda takes: LAWS["cosine_fourth"].change(takes, 0.12))
+    findings, overlay = searched(data, sensor, run)
+    assert findings.verdict is Verdict.NAMED
+    assert findings.named == ("vignetting",)
+    assert findings.optical is not None
+    assert findings.optical.share_closed is not None
+    assert findings.optical.share_closed > 0.7
+    assert overlay is not None
+    (active,) = active_effects(overlay, load_effects())
+    assert active.values["edge_loss"] == pytest.approx(0.12, rel=0.2)
+    # With these pictures as the commissioning, nothing has changed since.
+    again, _ = searched(data, sensor, run, reference=data)
+    assert again.verdict is Verdict.NO_GAP
+    assert again.mode == "differential"
+
+
+def test_another_unit_s_pictures_are_refused_and_the_gel_is_still_judged(
+    tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification
+) -> None:
+    data = measure(unit, tmp_path, lambda takes: takes.pixels[:, :, ::-1])
+    findings, overlay = searched(
+        data, sensor, run, channels=("skin", "force", "image"), candidates=("gamma", *DRIFTS)
+    )
+    assert findings.verdict is Verdict.NO_GAP
+    assert overlay is None
+    assert findings.optical is not None
+    assert findings.optical.verdict is Verdict.UNUSABLE
+    assert "they belong to another unit" in findings.sentence
+    assert findings.sentence.startswith("No gap")

@@ -1,0 +1,312 @@
+"""The pictures' part of a search: its rule, its noise file, whose camera it is, what is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from gap_findings import named, no_gap, unknown
+from optical_films import (
+    CHOSEN,
+    FILMS,
+    FRAMES,
+    METER,
+    REFERENCES,
+    changes_of,
+    drawn,
+    film_of,
+    null_residual,
+    truth,
+    vignetted,
+)
+
+from dotsim_ros.gap.findings import (
+    Candidate,
+    ChannelGap,
+    Estimate,
+    OpticalFindings,
+    TileGap,
+    Verdict,
+    as_record,
+    findings_of,
+)
+from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.optical_case import OpticalCase, Shot
+from dotsim_ros.gap.optical_find import channels_of, combined
+from dotsim_ros.gap.optical_fit import PictureSearch, mean_squares, without_effects
+from dotsim_ros.gap.optical_null import fit_optical_null, load_optical_null, save_optical_null
+from dotsim_ros.gap.optical_pictures import check_same_unit, pattern_likeness
+from dotsim_ros.gap.optical_search import signatures_of
+from dotsim_ros.gap.report_sections import page_of
+from dotsim_ros.view.page import as_markdown
+
+LIBRARY = load_effects()
+EFFECTS = [LIBRARY[name] for name in CHOSEN]
+
+
+def case_of(films, residuals):
+    """Return films with residuals as a case, as if they had been measured."""
+    shots = [
+        Shot(f"press_{k}", None, film.pixels, film, residual, change)
+        for k, (film, residual, change) in enumerate(
+            zip(films, residuals, changes_of(films), strict=True)
+        )
+    ]
+    return OpticalCase(tuple(shots), METER, truth().camera)
+
+
+@pytest.fixture(scope="module")
+def null():
+    films = [film_of(number) for number in REFERENCES]
+    random = np.random.default_rng(7)
+    residuals = [drawn(change, random) for change in changes_of(films)]
+    return fit_optical_null(
+        case_of(films, residuals), EFFECTS, sensor="synthetic", source="eight synthetic films"
+    )
+
+
+@pytest.fixture(scope="module")
+def signatures():
+    return signatures_of(EFFECTS, FILMS, METER)
+
+
+@pytest.fixture(scope="module")
+def searched(null, signatures):
+    case = case_of(FILMS, null_residual(0))
+    return PictureSearch(case, case.shots, EFFECTS, null, alpha=0.02, seed=0, signatures=signatures)
+
+
+def residuals_with(law, seed):
+    return [
+        METER.difference(np.stack([law(p.astype(np.float64)) for p in film.pixels]), film.pixels)
+        + one
+        for film, one in zip(FILMS, null_residual(seed), strict=True)
+    ]
+
+
+def test_pictures_with_nothing_wrong_have_no_gap(searched):
+    for seed in range(6):
+        answer = searched.answer(null_residual(seed))
+        assert answer.verdict is Verdict.NO_GAP
+        assert answer.named == ()
+        assert answer.excess < answer.largest_excess
+
+
+def test_another_law_of_vignetting_is_named_with_its_interval(searched):
+    answer = searched.answer(residuals_with(vignetted, 1))
+    assert answer.verdict is Verdict.NAMED
+    assert [one.effect.name for one in answer.named] == ["vignetting"]
+    (estimate,) = answer.estimates["vignetting"]
+    assert estimate.name == "edge_loss"
+    assert estimate.low < estimate.value < estimate.high
+    assert estimate.value == pytest.approx(0.1, rel=0.25)
+    assert answer.stability == 1.0
+    before, after = (
+        mean_squares(searched.shots, residuals, searched.noise, searched.case).mean()
+        for residuals in (
+            residuals_with(vignetted, 1),
+            [
+                one + measured - shot.residual
+                for one, measured, shot in zip(
+                    without_effects(searched.case, searched.shots, answer.named),
+                    residuals_with(vignetted, 1),
+                    searched.shots,
+                    strict=True,
+                )
+            ],
+        )
+    )
+    assert after < 1.2
+    assert before > 2.0 * after
+
+
+def test_two_effects_at_once_are_both_named(searched):
+    answer = searched.answer(
+        residuals_with(lambda p: vignetted(p) * np.array([0.9, 0.995, 1.0]), 2)
+    )
+    assert answer.verdict is Verdict.NAMED
+    assert {one.effect.name for one in answer.named} == {"vignetting", "led_imbalance_red"}
+    (loss,) = answer.estimates["led_imbalance_red"]
+    assert loss.value == pytest.approx(0.1, abs=0.03)
+
+
+def test_a_lens_out_of_focus_is_unknown(searched):
+    answer = searched.answer(residuals_with(lambda p: cv2.GaussianBlur(p, (0, 0), 1.0), 3))
+    assert answer.verdict is Verdict.UNKNOWN
+    assert answer.named == ()
+    assert answer.excess > answer.largest_excess
+
+
+def test_the_noise_of_pictures_comes_back_from_its_file(null, signatures, tmp_path):
+    path = tmp_path / "noise.npz"
+    save_optical_null(null, path)
+    again = load_optical_null(path)
+    assert (again.sensor, again.source) == ("synthetic", "eight synthetic films")
+    assert again.spurious == null.spurious
+    np.testing.assert_array_equal(again.excess, null.excess)
+    for name, several in signatures.items():
+        for one in several:
+            np.testing.assert_array_equal(again.variances(name, one), null.variances(name, one))
+    # Tiles of another camera take the deviations of the nearest ones; its own noise where known.
+    told = again.at(METER, np.full_like(null.noise.camera, np.nan))
+    np.testing.assert_array_equal(told.model, null.noise.model)
+    np.testing.assert_array_equal(told.camera, null.noise.camera)
+    np.testing.assert_array_equal(
+        again.at(METER, 2.0 * null.noise.camera).camera, 2.0 * null.noise.camera
+    )
+
+
+def test_broken_noise_files_are_refused(tmp_path):
+    with pytest.raises(FileNotFoundError, match="find-gap --fit-optical-noise makes one"):
+        load_optical_null(tmp_path / "none.npz")
+    np.savez(tmp_path / "other.npz", version=np.array(99))
+    with pytest.raises(ValueError, match="no noise of images of version 1"):
+        load_optical_null(tmp_path / "other.npz")
+
+
+def test_an_effect_whose_scatter_is_not_known_is_told_apart(null, signatures):
+    assert null.knows(LIBRARY["gamma"])
+    assert not null.knows(LIBRARY["motion_blur"])
+    with pytest.raises(ValueError, match="knows nothing of motion_blur"):
+        null.variances("motion_blur", signatures["gamma"][0])
+
+
+def test_the_shipped_noise_knows_every_effect_of_the_camera():
+    null = load_optical_null()
+    assert null.sensor == "sensor_a"
+    assert all(null.knows(effect) for effect in LIBRARY.values() if effect.image is not None)
+    # Trajectories of one sensor scatter, but not by orders of magnitude.
+    assert 0.7 < null.usual_excess < 1.3
+    assert null.usual_excess < null.largest_excess(0.02) < 3.0
+
+
+def test_the_bound_of_the_excess_rises_where_few_trajectories_tell_it(null):
+    few = replace(null, excess=null.excess[:3])
+    assert few.largest_excess(0.02) > null.largest_excess(0.02) > null.largest_excess(0.2)
+
+
+def pattern(seed):
+    random = np.random.default_rng(seed)
+    spots = cv2.GaussianBlur(random.standard_normal((240, 320)), (0, 0), 3.0)
+    level = np.where(spots > 0.0, 150.0, 70.0)
+    y, x = np.mgrid[0:240, 0:320]
+    level[np.hypot(x - 160, y - 120) > 115] = 0.0
+    return np.repeat(level[..., None], 3, axis=2).astype(np.uint8)
+
+
+def test_the_pattern_tells_units_apart_whatever_happened_to_the_camera():
+    own = pattern(1)
+    assert pattern_likeness(own, own) > 0.99
+    turned = cv2.warpAffine(own, cv2.getRotationMatrix2D((160, 120), 3.0, 1.0), (320, 240))
+    dimmed = (0.6 * np.roll(own, 4, axis=1)).astype(np.uint8)
+    for changed in (turned, dimmed):
+        check_same_unit(own, changed, owner="the twin's")
+    for other in (pattern(2), own[:, ::-1].copy()):
+        assert pattern_likeness(own, other) < 0.45
+        with pytest.raises(ValueError, match="another pattern than the twin's"):
+            check_same_unit(own, other, owner="the twin's")
+    with pytest.raises(ValueError, match="the idle images are 160x120, the twin's is 320x240"):
+        check_same_unit(own, own[::2, ::2], owner="the twin's")
+
+
+def test_images_are_used_where_bags_and_idle_images_are_there(tmp_path):
+    (tmp_path / "bags" / "press").mkdir(parents=True)
+    index = tmp_path / "dataset.yaml"
+
+    def write(images):
+        entry = {"bag": "bags/press", "indenter": "ball", "frames": 3, "images": images}
+        index.write_text(yaml.safe_dump({"trajectories": [entry]}))
+
+    write(False)
+    assert channels_of(tmp_path) == ("skin", "force")
+    write(True)
+    assert channels_of(tmp_path) == ("skin", "force")
+    assert cv2.imwrite(str(tmp_path / "idle_0.png"), pattern(1))
+    assert channels_of(tmp_path) == ("skin", "force", "image")
+    write(False)
+    assert channels_of(tmp_path) == ("skin", "force")
+
+
+def optical(verdict):
+    """Return a part of the pictures with a verdict."""
+    found = verdict in (Verdict.NAMED, Verdict.SET)
+    loss = Estimate("edge_loss", "", 0.1, 0.08, 0.12)
+    vignetting = Candidate(
+        "vignetting", "Vignetting", True, 88.0, 0.1, 0.9, None, (loss,) if found else ()
+    )
+    return OpticalFindings(
+        verdict,
+        f"Images: {verdict.value}.",
+        named=("vignetting",) if found else (),
+        alternatives=("gamma",) if verdict is Verdict.SET else (),
+        statistic=88.0,
+        threshold=11.0,
+        candidates=(vignetting, Candidate("motion_blur", "Motion blur", False, 0.0, 0.0)),
+        gap=ChannelGap("image", "levels", 2.0, 1.9, 0.8, 0.8),
+        share_closed=0.97 if found else None,
+        share_closed_low=0.9 if found else None,
+        share_closed_high=1.0 if found else None,
+        stability=1.0 if found else None,
+        tiles=(TileGap(0.4, 0.5, 3.0, 1.0), TileGap(0.6, 0.5, 2.0, 1.0)),
+        warnings=("2 trajectories with images are few",),
+        trajectories=("idle", "press_0"),
+        frame_count=1 + FRAMES,
+        noise_source="19 trajectories of sensor_a",
+    )
+
+
+@pytest.mark.parametrize(
+    ("gel", "pictures", "expected"),
+    [
+        (no_gap, Verdict.NO_GAP, Verdict.NO_GAP),
+        (no_gap, Verdict.NAMED, Verdict.NAMED),
+        (named, Verdict.NO_GAP, Verdict.NAMED),
+        (named, Verdict.UNKNOWN, Verdict.NAMED),
+        (named, Verdict.SET, Verdict.NAMED),
+        (unknown, Verdict.NAMED, Verdict.NAMED),
+        (unknown, Verdict.NO_GAP, Verdict.UNKNOWN),
+        (no_gap, Verdict.UNKNOWN, Verdict.UNKNOWN),
+        (no_gap, Verdict.SET, Verdict.SET),
+        (no_gap, Verdict.UNUSABLE, Verdict.NO_GAP),
+        (named, Verdict.UNUSABLE, Verdict.NAMED),
+    ],
+)
+def test_both_parts_make_one_verdict(gel, pictures, expected):
+    both = combined(gel(), optical(pictures))
+    assert both.verdict is expected
+    assert both.sentence.startswith(gel().sentence)
+    assert both.sentence.endswith(f"Images: {pictures.value}.")
+    assert both.named == gel().named + optical(pictures).named
+    assert "2 trajectories with images are few" in both.warnings
+
+
+def test_pictures_alone_give_the_verdict():
+    alone = replace(no_gap(), sentence="")
+    assert combined(alone, optical(Verdict.UNUSABLE)).verdict is Verdict.UNUSABLE
+    assert combined(alone, optical(Verdict.NAMED)).sentence == "Images: named."
+
+
+@pytest.mark.parametrize("verdict", list(Verdict))
+def test_findings_with_pictures_come_back_from_their_record(verdict):
+    both = combined(named(), optical(verdict))
+    assert findings_of(as_record(both)) == both
+    assert as_record(both)["optical"]["verdict"] == verdict.value
+
+
+def test_the_report_keeps_the_parts_apart(tmp_path: Path):
+    both = combined(named(), optical(Verdict.NAMED))
+    text = as_markdown(page_of(both, {}, LIBRARY))
+    assert "## Images" in text
+    assert "1. Vignetting (vignetting), added" in text
+    assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
+    assert "19 trajectories of sensor_a" in text
+    assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
+    # What no picture excites stands beside what no press does.
+    assert "| Motion blur |" in text
+    refused = as_markdown(page_of(combined(no_gap(), optical(Verdict.UNUSABLE)), {}, LIBRARY))
+    assert "Images: unusable." in refused
+    assert "Images: candidates by rank" not in refused
