@@ -229,8 +229,11 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                 (
                     Table(told_head, told),
                     Paragraph(
-                        "Deviations are of the coordinate that is fitted: the logarithm of E, "
-                        "friction and 1/2 - nu, the others themselves. Without force, E has no "
+                        "Information is Fisher's, with the other parameters known. Deviations "
+                        "are with the others free, each within its prior, which to second order "
+                        "is the width of the profile likelihood; they are of the coordinate that "
+                        "is fitted: the logarithm of E, friction and 1/2 - nu, the others "
+                        "themselves. Without force, E has no "
                         "information at all: the skin of a quasi-static press does not depend on "
                         "it. What a fit to surfaces alone calls E is the softness of its contact "
                         "and, in a scheme with inertia, its compressed time."

@@ -308,8 +308,13 @@ def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
     parts.append(
         entry_list(
             {
-                name: ", ".join(f"{key} {value}" for key, value in figures[name]["origin"].items())
+                f"{name}{part}": ", ".join(f"{key} {value}" for key, value in origin.items())
                 for name in models
+                for part, origin in (
+                    ("", figures[name]["origin"]),
+                    (", indenters left out", figures[name].get("origin_indenter_left_out")),
+                )
+                if origin is not None
             }
         )
     )

@@ -43,6 +43,7 @@ GEOMETRY_COLUMNS = (
 RUNTIME_COLUMNS = (
     Column("spacing_mm", "spacing mm", 2),
     Column("effort", "tolerance / substeps"),
+    Column("frames_per_cpu_second", "frames/CPU s ↑", 2),
     Column("frames_per_second", "frames/s ↑", 2),
     Column("skin_rms_mm", "skin RMS mm ↓"),
     Column("contact_rms_mm", "contact RMS mm ↓"),
