@@ -19,11 +19,12 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: help setup demo test bench soak lint clean
+.PHONY: help setup demo demo-loop test bench soak lint clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
 	@echo "make demo    the node, real presses replayed into it, a bag and a video in $(OUT)/demo"
+	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff and mypy"
@@ -40,8 +41,12 @@ $(INSTALLED): setup.py
 demo: setup
 	$(RUN) dotsim_ros demo --out $(OUT)/demo
 
+demo-loop: setup
+	$(RUN) dotsim_ros demo-loop --out $(OUT)/demo-loop
+
 test: setup
-	$(RUN) python -m pytest $(PYTEST_OPTIONS)
+	$(RUN) python -m pytest -n 2 --dist loadfile $(PYTEST_OPTIONS) test/unit test/physics
+	$(RUN) python -m pytest $(PYTEST_OPTIONS) test/ros
 
 bench: setup
 	$(RUN) python benchmarks/realtime.py --seconds 60 --json $(OUT)/realtime.json

@@ -26,6 +26,8 @@ TEST = [
     "psutil",
     # pytest 9 breaks the launch_testing plugin of ROS 2 Jazzy
     "pytest<9",
+    # nodes are tested one after the other, all else in two processes
+    "pytest-xdist>=3.5",
 ]
 LEARNING = [
     "onnx>=1.17",
@@ -81,6 +83,7 @@ setup(
         "onnxruntime>=1.20",
         "opencv-python-headless>=4.6",
         "pillow>=9.4",
+        "pin>=3.0",
         "PyYAML>=6.0",
         "rosbags>=0.10.7",
         "safetensors>=0.4",
@@ -97,8 +100,11 @@ setup(
             "find_gap = dotsim_ros.nodes.find_gap:main",
             "indenter_player = dotsim_ros.nodes.indenter_player:main",
             "plan_gap = dotsim_ros.nodes.plan_gap:main",
+            "tactile_policy = dotsim_ros.nodes.tactile_policy:main",
             "tactile_record = dotsim_ros.nodes.tactile_record:main",
             "tactile_sim = dotsim_ros.nodes.tactile_sim:main",
+            "xarm_adapter = dotsim_ros.nodes.xarm_adapter:main",
+            "xarm_sim = dotsim_ros.nodes.xarm_sim:main",
         ]
     },
 )

@@ -15,6 +15,7 @@ from msg_adapters.image import (
     encode_compressed_image,
     encode_image,
 )
+from msg_adapters.joints import decode_joint_state, encode_joint_state
 from msg_adapters.rigid import (
     decode_pose_stamped,
     decode_twist,
@@ -27,6 +28,7 @@ from msg_adapters.rigid import (
 )
 from msg_adapters.stamps import decode_stamp, encode_header, encode_stamp, message_stamp_ns
 from msg_adapters.types import ROS, BagTypes, Message, MessageTypes, RosTypes, message_class
+from msg_adapters.xarm import RobotState, decode_robot_state, encode_move_velocity
 
 __all__ = [
     "ROS",
@@ -36,6 +38,7 @@ __all__ = [
     "Level",
     "Message",
     "MessageTypes",
+    "RobotState",
     "RosTypes",
     "Status",
     "decode_camera_info",
@@ -44,8 +47,10 @@ __all__ = [
     "decode_compressed_image",
     "decode_diagnostics",
     "decode_image",
+    "decode_joint_state",
     "decode_pose_stamped",
     "decode_rgb",
+    "decode_robot_state",
     "decode_stamp",
     "decode_twist",
     "decode_twist_stamped",
@@ -56,6 +61,8 @@ __all__ = [
     "encode_diagnostics",
     "encode_header",
     "encode_image",
+    "encode_joint_state",
+    "encode_move_velocity",
     "encode_pose_stamped",
     "encode_stamp",
     "encode_twist",

@@ -8,7 +8,9 @@ their others; it writes optics.md, optics.json and sheets of images. A row that 
 not made again, so a run that was broken off goes on. `gelsight` does the same on real presses of a
 ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. `gap` hides
 effects in measured presses and lets the gap finder look for them; it writes gap.md and gap.json.
-docs/evaluation.md says what the figures mean.
+`trajectory` lets a policy lead the simulated arm over ROS topics, on the sensor that it was trained
+on and on others; a trial that was run before is not run again. docs/evaluation.md says what the
+figures mean.
 
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
@@ -20,14 +22,16 @@ examples:
   dotsim_ros evaluate real_pair --data ../shared/real/densetact --out docs/results
   dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
+  dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -35,7 +39,9 @@ from typing import Any
 MODELS = ("ours", "explicit", "tacto", "taxim", "difftactile")
 IMAGE_MODELS = (
     "idle",
+    "idle_refined",
     "tacto",
+    "tacto_refined",
     "taxim",
     "difftactile",
     "paper",
@@ -46,6 +52,8 @@ IMAGE_MODELS = (
 )
 OPTIONAL_MODELS = ("unet",)
 LEVELS = ("easy", "medium", "hard")
+MOTIONS = ("line", "arc", "figure_eight", "press")
+SENSORS = ("simulated", "transferred", "shifted")
 BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 RUNTIME_PRESS_COUNT = 3
 
@@ -82,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fit-discrepancy",
         type=Path,
         metavar="FILE",
-        help="only fit the model's own error on all presses, and write it here",
+        help="only measure the model's own error, and the effects' limits, and write them here",
     )
     geometry.add_argument(
         "--models", nargs="+", choices=MODELS, default=list(MODELS), help="which (all)"
@@ -106,6 +114,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             action="store_true",
             help="keep the other rows of the table that lies in --out, and add these",
         )
+    _add_trajectory_arguments(
+        subjects.add_parser("trajectory", help="paths that a policy follows by touch")
+    )
     _add_optics_arguments(optics)
     gelsight.add_argument(
         "--models", nargs="+", choices=BALL_MODELS, default=list(BALL_MODELS), help="which (all)"
@@ -140,11 +151,25 @@ def _add_optics_arguments(optics: argparse.ArgumentParser) -> None:
     )
 
 
+def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
+    add = trajectory.add_argument
+    add("--policy", default="densetact2_sphere", help="folder or name of the policy")
+    add("--trials", type=int, default=10, help="of each path in each setting (10)")
+    add("--paths", nargs="+", choices=MOTIONS, default=list(MOTIONS), help="which (all)")
+    add("--settings", nargs="+", choices=SENSORS, default=list(SENSORS), help="which (all)")
+    add("--seconds", type=float, default=12.0, help="of a trial, its approach included (12)")
+    add("--seed", type=int, default=0, help="of the starts (0)")
+    add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
+    add("--images", type=Path, default=Path("docs/images"), help="folder of the picture")
+    add("--json", type=Path, help="write the figures here as well")
+    add("--cache", type=Path, help="folder of the trials run before (the user's cache)")
+
+
 def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
     subject.add_argument(
         "--budget-minutes",
         type=float,
-        help="end the training of one published network after so long",
+        help="end the training of one published network after so much CPU time",
     )
     subject.add_argument(
         "--network-width",
@@ -235,8 +260,9 @@ def _geometry(arguments: argparse.Namespace) -> int:
         progress=_say,
     )
     figures = with_origin(figures, arguments.models, source) | {"provenance": source}
-    if before is not None:
-        figures = with_kept_rows(figures, before, MODELS)
+    if arguments.keep:
+        # Read anew: another run may have added rows meanwhile.
+        figures = with_kept_rows(figures, read_geometry(arguments.out / "geometry.json"), MODELS)
     models = [name for name in MODELS if name in figures]
     return _write(arguments, figures, origin, lambda f: geometry_page(f, models))
 
@@ -258,13 +284,13 @@ def _optics(arguments: argparse.Namespace) -> int:
     )
     from dotsim_ros.evaluation.optics_rows import RowMaker
     from dotsim_ros.evaluation.optics_sheet import known_sheets, write_sheets
-    from dotsim_ros.evaluation.optics_source import clipped_presses
+    from dotsim_ros.evaluation.optics_source import clipped_presses, refined_data
     from dotsim_ros.evaluation.provenance import provenance
     from dotsim_ros.evaluation.registry import sensor_file
     from dotsim_ros.gel.refinement import cache_directory
     from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.measured.data_set import read_data_set
-    from dotsim_ros.optics.frames import read_optical_data
+    from dotsim_ros.optics.frames import camera_for, lights_of, read_filmed_data, render_filmed
     from dotsim_ros.optics.idle_check import read_idle_images
 
     settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
@@ -274,10 +300,14 @@ def _optics(arguments: argparse.Namespace) -> int:
     @lru_cache(maxsize=1)
     def maker_of(file: Path | str) -> RowMaker:
         sensor = load_sensor(file)
-        data = read_optical_data(arguments.data, sensor, progress=_say)
+        filmed = read_filmed_data(arguments.data, sensor, progress=_say)
+        camera = camera_for(sensor, filmed.idle, str(arguments.data))
+        lighting, vignetting = lights_of(sensor)
+        data = render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
         return RowMaker(
             data,
             cache(lambda: clipped_presses(data_set, sensor, data)),
+            lru_cache(maxsize=1)(lambda split: refined_data(filmed, sensor, data, split)),
             arguments.cache or cache_directory() / "optics",
             settings,
             _say,
@@ -336,18 +366,18 @@ def _gelsight(arguments: argparse.Namespace) -> int:
 
 
 def _gap(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.cli.find_gap import Progress
     from dotsim_ros.evaluation.gap_null import discrepancy_of
     from dotsim_ros.evaluation.gap_page import gap_page
-    from dotsim_ros.evaluation.gap_study import run_study
+    from dotsim_ros.evaluation.gap_study import measure_limit_factors, run_study
     from dotsim_ros.gap.covariance import save_discrepancy
+    from dotsim_ros.gap.progress import PrintedProgress
     from dotsim_ros.gel.refinement import cache_directory
     from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.hidden.laws import LAWS
 
     sensor = load_sensor(arguments.sensor)
     run = arguments.run or cache_directory() / "gap"
-    progress = Progress()
+    progress = PrintedProgress()
     if arguments.fit_discrepancy is not None:
         found = discrepancy_of(
             arguments.data,
@@ -356,6 +386,15 @@ def _gap(arguments: argparse.Namespace) -> int:
             workers=arguments.workers,
             progress=lambda done, total: progress("discrepancy", done, total),
         )
+        factors = measure_limit_factors(
+            arguments.data,
+            sensor,
+            run,
+            seed=arguments.seed,
+            workers=arguments.workers,
+            progress=progress,
+        )
+        found = replace(found, limit_factors=factors)
         save_discrepancy(found, arguments.fit_discrepancy)
         print(f"{arguments.fit_discrepancy}: {found.source}")
         return 0
@@ -430,6 +469,50 @@ def _runtime(arguments: argparse.Namespace) -> int:
     return _write(arguments, {"presses": names, "rows": rows}, origin, runtime_page)
 
 
+def _trajectory(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.provenance import provenance, write_json
+    from dotsim_ros.evaluation.table import write_text
+    from dotsim_ros.evaluation.trajectory import (
+        TrialPlan,
+        limits_shown,
+        run_trials,
+        setting_of,
+        trajectory_figures,
+    )
+    from dotsim_ros.evaluation.trajectory_page import trajectory_page, write_grid
+    from dotsim_ros.gel.refinement import cache_directory
+    from dotsim_ros.nodes.tactile_policy import policy_folder
+    from dotsim_ros.nodes.trials import TrialLoop
+    from dotsim_ros.tasks.policy_card import read_policy
+
+    folder = policy_folder(arguments.policy)
+    card, _ = read_policy(folder)
+    cache = arguments.cache or cache_directory() / "trajectory"
+    plan = TrialPlan(
+        tuple(setting_of(name, cache, trained_on=card.sensor) for name in arguments.settings),
+        tuple(arguments.paths),
+        trial_count=arguments.trials,
+        seconds=arguments.seconds,
+        seed=arguments.seed,
+        policy=card.weights_sha256,
+    )
+    with TrialLoop(folder) as loop:
+        trials = run_trials(plan, loop, loop.limits, cache, progress=_say)
+    picture = arguments.images / "closed_loop.png"
+    write_grid(picture, trials.recordings)
+    figures = trajectory_figures(plan, trials) | {
+        "plan": {"trials": plan.trial_count, "seconds": plan.seconds, "paths": list(plan.paths)},
+        "limits": limits_shown(loop.limits),
+        "provenance": provenance() | {"policy": card.name, "seed": str(arguments.seed)},
+    }
+    page = trajectory_page(figures, os.path.relpath(picture, arguments.out))
+    for path in filter(None, (arguments.out / "trajectory.json", arguments.json)):
+        write_json(path, figures)
+    write_text(arguments.out / "trajectory.md", page)
+    print(page)
+    return 0
+
+
 _SUBJECTS = {
     "geometry": _geometry,
     "optics": _optics,
@@ -437,4 +520,5 @@ _SUBJECTS = {
     "real_pair": _real_pair,
     "gap": _gap,
     "runtime": _runtime,
+    "trajectory": _trajectory,
 }

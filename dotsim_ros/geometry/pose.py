@@ -66,6 +66,36 @@ class Pose:
         return np.asarray(points, dtype=np.float64) @ self.rotation().T + self.position_m
 
 
+def quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Return the (4,) rotation that does `second`, then `first`, of unit length."""
+    x, y, z, w = first.tolist()
+    u, v, t, s = second.tolist()
+    product = np.array(
+        [
+            w * u + x * s + y * t - z * v,
+            w * v - x * t + y * s + z * u,
+            w * t + x * v - y * u + z * s,
+            w * s - x * u - y * v - z * t,
+        ]
+    )
+    return product / np.linalg.norm(product)
+
+
+def compose(outer: Pose, inner: Pose) -> Pose:
+    """Return the pose of a frame that is at `inner` in a frame that is at `outer`."""
+    return Pose(
+        outer.apply(inner.position_m),
+        quaternion_product(outer.quaternion_xyzw, inner.quaternion_xyzw),
+    )
+
+
+def inverse(pose: Pose) -> Pose:
+    """Return the pose of the parent frame in the child frame."""
+    return Pose(
+        -pose.position_m @ pose.rotation(), pose.quaternion_xyzw * np.array([-1, -1, -1, 1.0])
+    )
+
+
 def interpolate(start: Pose, end: Pose, fraction: float) -> Pose:
     """Return the pose between two: linear in position, spherical-linear in rotation."""
     a = start.quaternion_xyzw

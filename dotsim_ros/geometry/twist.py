@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.pose import FloatArray, Pose, quaternion_product
 
 
 class TwistFrame(Enum):
@@ -45,23 +45,15 @@ def advance(
     turn = _quaternion_of_rotation_vector(rotation_vector)
     if along is TwistFrame.PARENT:
         position = pose.position_m + linear * duration_s
-        return Pose(position, _product(turn, pose.quaternion_xyzw))
+        return Pose(position, quaternion_product(turn, pose.quaternion_xyzw))
     travelled = _screw_integral(rotation_vector) @ (linear * duration_s)
-    return Pose(pose.apply(travelled), _product(pose.quaternion_xyzw, turn))
+    return Pose(pose.apply(travelled), quaternion_product(pose.quaternion_xyzw, turn))
 
 
 def _quaternion_of_rotation_vector(vector: FloatArray) -> FloatArray:
     angle = float(np.linalg.norm(vector))
     # np.sinc(x) is sin(pi x) / (pi x), finite at 0.
     return np.append(0.5 * np.sinc(angle / (2.0 * np.pi)) * vector, np.cos(0.5 * angle))
-
-
-def _product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the rotation that does `second`, then `first`, of unit length."""
-    a, b = first[:3], second[:3]
-    vector = first[3] * b + second[3] * a + np.cross(a, b)
-    product = np.append(vector, first[3] * second[3] - a @ b)
-    return product / np.linalg.norm(product)
 
 
 def _screw_integral(vector: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 import msg_adapters
 from dotsim_ros.nodes.framing import Framing, encoded_pixels
 from dotsim_ros.nodes.tactile_parameters import TactileSimParameters
+from dotsim_ros.tasks.policy_looks import with_noise
 
 if TYPE_CHECKING:
     from dotsim_ros.nodes.session import Moment
@@ -103,7 +104,7 @@ class FramePublishers:
         if _is_read(self._compressed):
             self._compressed.publish(
                 msg_adapters.encode_compressed_image(
-                    self._framing.apply(moment.render().image),
+                    self._framing.apply(self._noisy(moment.render().image, stamp_ns)),
                     compression=self._parameters.compression,
                     quality=self._parameters.jpeg_quality,
                     **optical,
@@ -130,11 +131,20 @@ class FramePublishers:
 
     def _image_message(self, rgb: np.ndarray[Any, np.dtype[np.uint8]], stamp_ns: int) -> Any:
         return msg_adapters.encode_image(
-            encoded_pixels(self._framing.apply(rgb), self._parameters.encoding),
+            encoded_pixels(
+                self._framing.apply(self._noisy(rgb, stamp_ns)), self._parameters.encoding
+            ),
             encoding=self._parameters.encoding,
             stamp_ns=stamp_ns,
             frame_id=self._parameters.optical_frame,
         )
+
+    def _noisy(
+        self, rgb: np.ndarray[Any, np.dtype[np.uint8]], stamp_ns: int
+    ) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        """Return an image with the camera's noise, which the stamp draws: the raw and the
+        compressed image of a frame have the same, and so has a frame that is simulated again."""
+        return with_noise(rgb, self._parameters.image_noise_levels, stamp_ns)
 
     @staticmethod
     def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:

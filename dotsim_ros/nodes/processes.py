@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 STOP_TIMEOUT_S = 30.0
@@ -23,6 +23,8 @@ class NodeProcess:
         executable: its name, which is that of its module in `dotsim_ros.nodes`.
         parameters: ROS parameters, as on the command line.
         environment: variables to set beside those of this process.
+        arguments: further ROS arguments, such as remappings.
+        code: Python code to run in the module's place.
     """
 
     def __init__(
@@ -31,9 +33,12 @@ class NodeProcess:
         parameters: Mapping[str, Any],
         *,
         environment: Mapping[str, str] | None = None,
+        arguments: Sequence[str] = (),
+        code: str = "",
     ) -> None:
         self.executable = executable
-        command = [sys.executable, "-u", "-m", f"dotsim_ros.nodes.{executable}", "--ros-args"]
+        program = ["-c", code] if code else ["-m", f"dotsim_ros.nodes.{executable}"]
+        command = [sys.executable, "-u", *program, "--ros-args", *arguments]
         for name, value in parameters.items():
             command += ["-p", f"{name}:={value}"]
         self._process = subprocess.Popen(
@@ -70,6 +75,14 @@ class NodeProcess:
             if not self._reader.is_alive() or time.monotonic() > end_s:
                 raise OSError(f"{self.executable} did not get as far as {text!r}")
             time.sleep(0.02)
+
+    def signal(self, number: int) -> None:
+        """Send a signal to the node."""
+        self._process.send_signal(number)
+
+    def is_running(self) -> bool:
+        """Return whether it has not ended."""
+        return self._process.poll() is None
 
     def wait(self) -> int:
         """Wait for the node to end by itself and return its exit status."""

@@ -115,6 +115,12 @@ class TactileSimParameters:
         "beside it may describe it. Empty: the sensor's own.",
         read_only=True,
     )
+    image_noise_levels: float = option(
+        0.0,
+        "Standard deviation of the camera's noise, in grey levels of 255.",
+        minimum=0.0,
+        maximum=50.0,
+    )
     effects: str = option(
         "",
         "Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: none.",

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from dotsim_ros.baselines import taxim
 from dotsim_ros.cli.main import main
 from dotsim_ros.evaluation import geometry
+from dotsim_ros.evaluation.explicit import ExplicitModel
 from dotsim_ros.evaluation.geometry import (
     FrameScore,
     by_indenter,
@@ -30,6 +31,7 @@ from dotsim_ros.evaluation.ours import steps
 from dotsim_ros.evaluation.presses import Prediction, Press, press_of, read_press
 from dotsim_ros.evaluation.registry import factory_of, sensor_for
 from dotsim_ros.evaluation.report import read_measured
+from dotsim_ros.evaluation.runtime import Effort, model_of
 from dotsim_ros.evaluation.split import (
     Split,
     hold_out,
@@ -39,6 +41,7 @@ from dotsim_ros.evaluation.split import (
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.geometry.specification import MaterialSpecification, SensorSpecification
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.trajectory import (
     PoseChannel,
@@ -436,6 +439,25 @@ def test_a_model_is_added_to_a_table(
     assert drawn.index("| tacto |") < drawn.index("| taxim |") < drawn.index("| floor |")
     assert "| taxim |" not in left_out
     assert "Not judged here: taxim." in left_out
+
+    assert main([*arguments, "--models", "tacto", "--splits", "held_out", "--keep"]) == 0
+    figures = json.loads((tmp_path / "geometry.json").read_text())
+    assert figures["tacto"]["indenter_left_out"] == first["tacto"]["indenter_left_out"]
+    assert figures["tacto"]["origin_indenter_left_out"] == first["tacto"]["origin"]
+    assert figures["tacto"]["origin"]["date"] >= first["tacto"]["origin"]["date"]
+    assert "- tacto, indenters left out: commit" in (tmp_path / "geometry.md").read_text()
+
+
+def test_the_runtime_tables_explicit_gel_has_the_moduli_of_the_sensors_law() -> None:
+    # A Yeoh sensor's file has moduli of its own that its law does not use.
+    law = MaterialSpecification(law="yeoh", c10_pa=3.0e4, c20_pa=2.0e3, bulk_modulus_pa=1.2e6)
+    sensor = replace(SensorSpecification(), material=law)
+    model = model_of(Effort("explicit", 2.4e-3, substeps=50), sensor)
+    assert isinstance(model, ExplicitModel)
+    # mu = 2 C10, E = 9 K mu / (3 K + mu), nu = E / (2 mu) - 1.
+    youngs = 9.0 * 1.2e6 * 6.0e4 / (3.0 * 1.2e6 + 6.0e4)
+    assert model.material.youngs_modulus_pa == pytest.approx(youngs)
+    assert model.material.poisson_ratio == pytest.approx(youngs / 1.2e5 - 1.0)
 
 
 def test_command_names_a_press_that_is_not_there(

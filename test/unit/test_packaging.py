@@ -20,6 +20,7 @@ import yaml
 import dotsim_ros
 from dotsim_ros.nodes.player_parameters import PlayerParameters
 from dotsim_ros.nodes.tactile_parameters import TactileSimParameters
+from dotsim_ros.nodes.tactile_policy_parameters import TactilePolicyParameters
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dotsim_ros", "msg_adapters")
@@ -54,13 +55,18 @@ LAUNCH_KEYWORDS = {
 }
 """What launch files may use, with its keywords, as the reference of ROS 2 Jazzy documents it."""
 
-NODE_PARAMETERS = {"tactile_sim": TactileSimParameters, "indenter_player": PlayerParameters}
+NODE_PARAMETERS = {
+    "tactile_sim": TactileSimParameters,
+    "tactile_policy": TactilePolicyParameters,
+    "indenter_player": PlayerParameters,
+}
 
 NAMES_ELSEWHERE = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
     "imageio_ffmpeg": "imageio-ffmpeg",
     "ot": "POT",
+    "pinocchio": "pin",
     "skimage": "scikit-image",
     "warp": "warp-lang",
     "yaml": "PyYAML",
@@ -245,7 +251,8 @@ def test_rosdep_file_defines_only_what_the_manifest_uses() -> None:
 
 
 def test_there_is_a_launch_file() -> None:
-    assert [path.name for path in LAUNCH_FILES] == ["tactile_sim.launch.py"]
+    names = [path.name for path in LAUNCH_FILES]
+    assert names == ["closed_loop.launch.py", "tactile_sim.launch.py"]
 
 
 @each_launch_file

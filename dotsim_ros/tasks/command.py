@@ -1,0 +1,134 @@
+"""Velocity commands of a tool: their axes, their limits, and how they change from one to the next.
+
+A command is a `Twist`: (6,) float64, the linear velocity of the tool's origin in m/s, then the
+angular velocity in rad/s, both along the axes of one frame.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from dotsim_ros.geometry.pose import Pose
+
+Twist = NDArray[np.float64]
+
+LINEAR, ANGULAR = slice(0, 3), slice(3, 6)
+
+
+def zero_twist() -> Twist:
+    """Return the command to stand still."""
+    return np.zeros(6)
+
+
+def in_base_axes(twist: Twist, pose: Pose) -> Twist:
+    """Return a command along the tool's axes along those of the base.
+
+    Args:
+        twist: (6,) along the tool's axes.
+        pose: of the tool in the base.
+    """
+    return np.asarray((twist.reshape(2, 3) @ pose.rotation().T).reshape(6))
+
+
+def in_tool_axes(twist: Twist, pose: Pose) -> Twist:
+    """Return a command along the base's axes along those of the tool; see `in_base_axes`."""
+    return np.asarray((twist.reshape(2, 3) @ pose.rotation()).reshape(6))
+
+
+def turn_between(pose: Pose, wanted: Pose) -> NDArray[np.float64]:
+    """Return the (3,) rotation vector (rad) along the tool's axes that turns it as is wanted."""
+    present = Rotation.from_quat(pose.quaternion_xyzw)
+    return np.asarray((present.inv() * Rotation.from_quat(wanted.quaternion_xyzw)).as_rotvec())
+
+
+def righting_rate(
+    pose: Pose, wanted: Pose, *, gain_per_s: float, limit_rad_s: float
+) -> NDArray[np.float64]:
+    """Return the (3,) angular velocity (rad/s), along the tool's axes, back to an orientation.
+
+    Args:
+        pose: of the tool.
+        wanted: how it should be turned.
+        gain_per_s: rate for each radian of error.
+        limit_rad_s: the fastest.
+    """
+    return _shortened(gain_per_s * turn_between(pose, wanted), limit_rad_s)
+
+
+def within_speed(twist: Twist, *, linear_m_s: float, angular_rad_s: float) -> Twist:
+    """Return a command whose two speeds are at most these; directions stay."""
+    return np.concatenate(
+        [_shortened(twist[LINEAR], linear_m_s), _shortened(twist[ANGULAR], angular_rad_s)]
+    )
+
+
+def approached(
+    present: Twist,
+    target: Twist,
+    duration_s: float,
+    *,
+    linear_m_s2: float,
+    angular_rad_s2: float,
+) -> Twist:
+    """Return what a command may become within a time, on the straight way to the target.
+
+    Args:
+        present: the command in force.
+        target: where it shall go, along the same axes.
+        duration_s: since the present one was given.
+        linear_m_s2: the most that the linear velocity changes a second.
+        angular_rad_s2: the same of the angular velocity.
+    """
+    step = target - present
+    return present + np.concatenate(
+        [
+            _shortened(step[LINEAR], linear_m_s2 * duration_s),
+            _shortened(step[ANGULAR], angular_rad_s2 * duration_s),
+        ]
+    )
+
+
+def brake_time_s(twist: Twist, *, linear_m_s2: float, angular_rad_s2: float) -> float:
+    """Return how long it takes to come to rest at these decelerations."""
+    return float(
+        max(
+            np.linalg.norm(twist[LINEAR]) / linear_m_s2,
+            np.linalg.norm(twist[ANGULAR]) / angular_rad_s2,
+        )
+    )
+
+
+class CommandInterpolator:
+    """Goes from each command to the next on a straight line, never beyond.
+
+    The line ends one period after its command has come, so it lags by half a period on average: the
+    price of steps a quarter as large at four times the rate.
+
+    Args:
+        period_s: between commands.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._start, self._end = zero_twist(), zero_twist()
+        self._begun_s = -np.inf
+
+    def put(self, command: Twist, now_s: float) -> None:
+        """Begin to go to a command from wherever the line is."""
+        self._start, self._end, self._begun_s = self.at(now_s), command.copy(), now_s
+
+    def reset(self) -> None:
+        """Go on from rest."""
+        self._start, self._end, self._begun_s = zero_twist(), zero_twist(), -np.inf
+
+    def at(self, now_s: float) -> Twist:
+        """Return the command of a time."""
+        share = min(1.0, max(0.0, (now_s - self._begun_s) / self._period_s))
+        return self._start + share * (self._end - self._start)
+
+
+def _shortened(vector: NDArray[np.float64], longest: float) -> NDArray[np.float64]:
+    length = float(np.linalg.norm(vector))
+    return vector if length <= longest else vector * (longest / length)

@@ -1,0 +1,105 @@
+"""Brings up the closed loop: tactile_sim, tactile_policy, xarm_sim, and on request the recorder.
+
+ros2 launch dotsim_ros closed_loop.launch.py path:=figure_eight record:=true
+ros2 service call /tactile_policy/calibrate_idle std_srvs/srv/Trigger
+ros2 service call /tactile_policy/set_enabled std_srvs/srv/SetBool "{data: true}"
+
+The arm stays until the last line; docs/closed_loop.md tells what to check before it.
+"""
+
+from pathlib import Path
+
+from ament_index_python.packages import get_package_share_directory
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+
+def generate_launch_description() -> LaunchDescription:
+    """Return the description that `ros2 launch` runs."""
+    params = Path(get_package_share_directory("dotsim_ros")) / "params"
+    namespace = LaunchConfiguration("namespace")
+    params_file = LaunchConfiguration("params_file")
+    simulate_sensor = LaunchConfiguration("simulate_sensor")
+    simulate_arm = LaunchConfiguration("simulate_arm")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
+            DeclareLaunchArgument(
+                "params_file",
+                default_value=str(params / "closed_loop.yaml"),
+                description="parameters of all nodes",
+            ),
+            DeclareLaunchArgument(
+                "policy",
+                default_value="densetact2_sphere",
+                description="the policy: a folder, or a name below params/policies",
+            ),
+            DeclareLaunchArgument(
+                "path",
+                default_value="",
+                description="which of the policy's paths to follow; empty: the first",
+            ),
+            DeclareLaunchArgument(
+                "simulate_sensor",
+                default_value="true",
+                choices=["true", "false"],
+                description="false: the real sensor's driver publishes the images",
+            ),
+            DeclareLaunchArgument(
+                "simulate_arm",
+                default_value="true",
+                choices=["true", "false"],
+                description="false: the real arm's adapter is started on its own",
+            ),
+            DeclareLaunchArgument(
+                "record",
+                default_value="false",
+                choices=["true", "false"],
+                description="record a bag in the working directory",
+            ),
+            Node(
+                package="dotsim_ros",
+                executable="tactile_sim",
+                namespace=namespace,
+                parameters=[params_file],
+                condition=IfCondition(simulate_sensor),
+                output="screen",
+            ),
+            Node(
+                package="dotsim_ros",
+                executable="xarm_sim",
+                namespace=namespace,
+                parameters=[params_file],
+                condition=IfCondition(simulate_arm),
+                output="screen",
+            ),
+            Node(
+                package="dotsim_ros",
+                executable="tactile_policy",
+                namespace=namespace,
+                parameters=[
+                    params_file,
+                    {
+                        "policy": ParameterValue(LaunchConfiguration("policy"), value_type=str),
+                        "path": ParameterValue(LaunchConfiguration("path"), value_type=str),
+                    },
+                ],
+                remappings=[("~/cmd_vel", "cmd_vel")],
+                output="screen",
+            ),
+            Node(
+                package="dotsim_ros",
+                executable="tactile_record",
+                namespace=namespace,
+                parameters=[params_file],
+                condition=IfCondition(LaunchConfiguration("record")),
+                # The bag appears once all that waits is written: the usual 5 s could lose it.
+                sigterm_timeout="60",
+                output="screen",
+            ),
+        ]
+    )

@@ -1,0 +1,149 @@
+"""Demonstrations on the real gel, and a roll-out that closes the loop over its images."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dotsim_ros.cli.main import main
+from dotsim_ros.geometry.indenter import box, load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.resources import parameter_path
+from dotsim_ros.tasks.demonstration import (
+    CARD,
+    DEPTHS_M,
+    Demonstrator,
+    Plan,
+    approach,
+    demonstrate,
+    episode_file,
+    motion_of,
+    read_episode,
+)
+from dotsim_ros.tasks.paths import PATHS, DomeContact, reference_path
+from dotsim_ros.tasks.policy_examples import moved_picture, moved_position
+from dotsim_ros.tasks.policy_network import load_policy
+from dotsim_ros.tasks.rollout import follow
+
+SENSOR = load_sensor("densetact2")
+BALL = load_indenter("sphere_4mm")
+PLAN = Plan(sensor="densetact2", paths=PATHS, episode_count=2, frame_count=12, look_count=2)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder of two short episodes."""
+    folder = tmp_path_factory.mktemp("demonstrations")
+    demonstrate(SENSOR, BALL, PLAN, folder, progress=lambda done, count: None)
+    return folder
+
+
+def test_motions_stay_where_the_ball_may_be_and_differ():
+    contact = DomeContact()
+    plan = Plan(sensor="densetact2", paths=PATHS, episode_count=8, frame_count=200)
+    kinds, motions = zip(*(motion_of(plan, number, contact) for number in range(8)), strict=True)
+    assert sorted(kinds) == sorted([*PATHS, *["wander"] * 4])
+    for motion in motions:
+        assert motion.shape == (200, 3)
+        tilt, depth = contact.tilt_and_depth(motion)
+        assert np.linalg.norm(tilt, axis=1).max() < 0.48
+        assert depth.min() > DEPTHS_M[0] - 1e-9
+        assert depth.max() < DEPTHS_M[1] + 1e-9
+        assert np.linalg.norm(np.diff(motion, axis=0), axis=1).max() < 0.7e-3
+    np.testing.assert_array_equal(motions[1], motion_of(plan, 1, contact)[1])
+    assert not np.array_equal(motions[1], motions[3])
+
+
+def test_an_episode_shows_the_contact_where_the_ball_is(made):
+    episode = read_episode(episode_file(made, 0))
+    looks, frames, side = episode.picture.shape[:3]
+    assert (looks, frames) == (2, 12)
+    assert episode.command.shape == (12, 4, 6)
+    assert episode.fingerprint.shape == (2, 12, 96)
+    contact = DomeContact()
+    tilt, depth = contact.tilt_and_depth(episode.position_m)
+    deep = int(np.argmax(depth))
+    camera_height = SENSOR.camera.position_m[2]
+    for look in range(looks):
+        change = np.abs(episode.picture[look, deep].astype(float) - episode.idle[look]).sum(axis=2)
+        rows, columns = np.mgrid[0:side, 0:side]
+        weight = change**2
+        found = np.array([np.average(columns, weights=weight), np.average(rows, weights=weight)])
+        # Where the camera sees the middle of the contact, from 0.56 of 86 degrees each way.
+        tip = contact.dome_radius_m * tilt[deep]
+        angle = np.arctan2(np.linalg.norm(tip), contact.dome_radius_m - camera_height)
+        expected = (side - 1) / 2 + side / 2 * np.degrees(angle) / 48.2 * tip / np.linalg.norm(tip)
+        assert np.linalg.norm(found - expected) < 0.1 * side
+
+
+def test_a_run_that_was_broken_off_makes_what_is_missing(made):
+    first, second = episode_file(made, 0), episode_file(made, 1)
+    kept, before = first.stat().st_mtime_ns, read_episode(second)
+    second.unlink()
+    count = demonstrate(SENSOR, BALL, PLAN, made, progress=lambda done, count: None)
+    assert count == 48
+    assert first.stat().st_mtime_ns == kept
+    again = read_episode(second)
+    np.testing.assert_array_equal(again.position_m, before.position_m)
+    np.testing.assert_array_equal(again.picture, before.picture)
+
+
+def test_another_plan_is_not_mixed_in(made, capsys):
+    assert main(["demonstrate", "--episodes", "2", "--frames", "20", "--out", str(made)]) == 1
+    assert "another plan" in capsys.readouterr().err
+    assert (made / CARD).is_file()
+
+
+def test_a_sensor_or_indenter_without_paths_is_refused():
+    with pytest.raises(ValueError, match="ball"):
+        Demonstrator(SENSOR, box([0.01, 0.01, 0.01]), PLAN)
+
+
+@pytest.mark.parametrize("name", ["figure_eight", "press"])
+def test_the_shipped_policy_follows_its_path_by_touch(name):
+    from dotsim_ros.sensor import TactileSensor
+
+    sensor = TactileSensor(SENSOR, indenter=BALL)
+    contact = DomeContact()
+    policy = load_policy(parameter_path("policies/densetact2_sphere"), name)
+    path = reference_path(name, contact)
+    start = path.position_m[300] + np.array([0.3e-3, -0.3e-3, 0.0])
+    for place in approach(start, contact):
+        sensor.press(Pose(place), 0.04)
+    result = follow(
+        policy,
+        lambda pose: sensor.step(pose, 0.04).image,
+        sensor.idle_image,
+        path,
+        Pose(start),
+        frame_count=125,
+        rate_hz=policy.rate_hz,
+    )
+    figures = result.figures()
+    assert figures["ended"] == ""
+    assert figures["mean_error_mm"] < 0.5
+    assert figures["laps"] > 0.6 * figures["laps_of_expert"]
+
+
+def test_turning_a_picture_is_turning_the_sensor():
+    """What training takes for granted: the turned picture is what the turned place gives."""
+    from dotsim_ros.sensor import TactileSensor
+    from dotsim_ros.tasks.policy_images import PolicyView
+
+    sensor = TactileSensor(SENSOR, indenter=BALL)
+    view = PolicyView(side_px=48)
+    contact = DomeContact()
+    depths = {}
+    place = contact.position_m([0.2, 0.1], 1.5e-3)
+    for symmetry in (0, 1, 6):
+        sensor.reset()
+        frame = sensor.step(Pose(moved_position(place, symmetry)), 0.04)
+        # From 8 mm to 16 mm of depth.
+        grey = np.clip(3e4 * (np.nan_to_num(frame.depth_m) - 0.008), 0.0, 255.0).astype(np.uint8)
+        depths[symmetry] = view.picture(np.repeat(grey[..., None], 3, axis=2)).astype(int)
+    for symmetry in (1, 6):
+        expected = moved_picture(depths[0].astype(np.uint8), symmetry).astype(int)
+        change = np.abs(depths[0] - depths[symmetry])
+        assert change.max() > 25
+        assert np.abs(expected - depths[symmetry]).max() < 0.2 * change.max()

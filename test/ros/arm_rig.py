@@ -1,0 +1,191 @@
+"""A user's program that leads an arm: velocities out, poses in, all kept with their arrival."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+import msg_adapters
+
+PATIENCE_S = 20.0
+TOPICS: dict[str, type] = {
+    "ee_pose": PoseStamped,
+    "ee_twist": TwistStamped,
+    "joint_states": JointState,
+    "indenter/pose": PoseStamped,
+}
+
+
+class ArmClient:
+    """Leads the arm of a node and records what comes.
+
+    Args:
+        node_name: whose services and parameters are called.
+        topics: what to read.
+    """
+
+    def __init__(self, node_name: str, topics: dict[str, type] = TOPICS) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("arm_client", context=self._context)
+        self._node_name = node_name
+        self._changed = threading.Condition()
+        self.heard: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in topics}
+        self.diagnostics: dict[str, msg_adapters.Status] = {}
+        self.commands = self.node.create_publisher(TwistStamped, "cmd_vel", 1)
+        for topic, kind in topics.items():
+            self.node.create_subscription(kind, topic, self._collector(topic), 50)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join(10.0)
+        self.node.destroy_node()
+
+    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
+        """Wait until something holds."""
+        end_s = time.monotonic() + PATIENCE_S
+        with self._changed:
+            while not (reached := is_reached()):
+                assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}"
+                self._changed.wait(0.02)
+        return reached
+
+    def meet(self) -> None:
+        """Wait until the arm hears and is heard."""
+        self.wait(lambda: self.commands.get_subscription_count() > 0, "a reader of cmd_vel")
+        for topic in self.heard:
+            self.wait(lambda topic=topic: self.heard[topic], topic)
+
+    def send(
+        self,
+        linear_m_s: Sequence[float],
+        angular_rad_s: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        frame_id: str = "link_base",
+    ) -> float:
+        """Publish a velocity as it is given, valid or not; return when."""
+        message = TwistStamped()
+        message.header.frame_id = frame_id
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        linear, angular = message.twist.linear, message.twist.angular
+        linear.x, linear.y, linear.z = map(float, linear_m_s)
+        angular.x, angular.y, angular.z = map(float, angular_rad_s)
+        self.commands.publish(message)
+        return time.monotonic()
+
+    def lead(
+        self,
+        duration_s: float,
+        velocity: Callable[[float], tuple[Sequence[float], Sequence[float]]],
+        *,
+        frame_id: str = "link_base",
+        rate_hz: float = 50.0,
+    ) -> float:
+        """Send velocities of the time since the start; return when the last one was sent."""
+        begin_s = last_s = time.monotonic()
+        index = 0
+        while (now_s := time.monotonic()) - begin_s < duration_s:
+            last_s = self.send(*velocity(now_s - begin_s), frame_id=frame_id)
+            index += 1
+            time.sleep(max(0.0, begin_s + index / rate_hz - time.monotonic()))
+        return last_s
+
+    def newest(self, topic: str, after_s: float = -np.inf) -> Any:
+        """Return the newest message of a topic, of those that come after a time."""
+        return self.wait(
+            lambda: (found := self.heard[topic]) and found[-1][0] > after_s and found[-1][1],
+            topic,
+        )
+
+    def position_m(self) -> np.ndarray[Any, Any]:
+        """Return where the tool is now."""
+        return msg_adapters.decode_pose_stamped(self.newest("ee_pose", time.monotonic()))[0]
+
+    def positions(self, since_s: float = -np.inf) -> tuple[np.ndarray[Any, Any], ...]:
+        """Return the stamps (N,) in seconds and positions (N, 3) of the poses since a time."""
+        with self._changed:
+            found = [message for arrival_s, message in self.heard["ee_pose"] if arrival_s > since_s]
+        stamps = np.array([msg_adapters.message_stamp_ns(message) for message in found])
+        places = np.array([msg_adapters.decode_pose_stamped(message)[0] for message in found])
+        return 1e-9 * (stamps - stamps[:1]), places
+
+    def count(self, topic: str) -> int:
+        """Return how many messages of a topic have come."""
+        with self._changed:
+            return len(self.heard[topic])
+
+    def state(self, part: str, is_wanted: Callable[[msg_adapters.Status], bool]) -> Any:
+        """Wait for a diagnostic of a part of the node that is wanted."""
+        name = f"{self._node_name}: {part}"
+        return self.wait(
+            lambda: (found := self.diagnostics.get(name)) and is_wanted(found) and found,
+            f"a state of {part}",
+        )
+
+    def trigger(self, name: str) -> Any:
+        """Call a service of the node without arguments."""
+        return self._call(Trigger, f"/{self._node_name}/{name}", Trigger.Request())
+
+    def set_parameters(self, **values: Any) -> Any:
+        """Set parameters of the node together; return the result with its reason."""
+        parameters = [Parameter(name, value=value) for name, value in values.items()]
+        request = SetParametersAtomically.Request(
+            parameters=[parameter.to_parameter_msg() for parameter in parameters]
+        )
+        name = f"/{self._node_name}/set_parameters_atomically"
+        return self._call(SetParametersAtomically, name, request).result
+
+    def _call(self, kind: type, name: str, request: Any) -> Any:
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(PATIENCE_S), name
+        future = client.call_async(request)
+        self.wait(future.done, f"an answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def _collector(self, topic: str) -> Callable[[Any], None]:
+        def collect(message: Any) -> None:
+            with self._changed:
+                self.heard[topic].append((time.monotonic(), message))
+                self._changed.notify_all()
+
+        return collect
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        with self._changed:
+            for status in msg_adapters.decode_diagnostics(message):
+                self.diagnostics[status.name] = status
+            self._changed.notify_all()
+
+
+@contextmanager
+def arm_client(node_name: str, topics: dict[str, type] = TOPICS) -> Iterator[ArmClient]:
+    """Lead an arm in the block."""
+    client = ArmClient(node_name, topics)
+    try:
+        yield client
+    finally:
+        client.close()

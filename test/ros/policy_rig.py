@@ -1,0 +1,388 @@
+"""What `tactile_policy` talks to in the tests: a stream of images, an arm that obeys, a small real
+network. The streams can be cut and spoilt."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event, Lock, Thread
+from typing import Any
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from harness import PATIENCE_S, Executable, running
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from sensor_msgs.msg import CompressedImage, Image
+from std_srvs.srv import SetBool, Trigger
+
+import msg_adapters
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.twist import TwistFrame, advance
+
+MODULE = "dotsim_ros.nodes.tactile_policy"
+HEIGHT, WIDTH = 120, 160
+FOLLOWED = (0.004, 0.0, 0.001, 0.0, 0.0, 0.02)
+"""What the network commands, but for 1e-5 of it."""
+DOWN = (1.0, 0.0, 0.0, 0.0)
+IMAGE_PERIOD_S, POSE_PERIOD_S = 0.04, 0.01
+QUIET_S = 0.25
+_numbers = itertools.count()
+
+
+def idle_picture() -> np.ndarray[Any, Any]:
+    """Return (H, W, 3) what the sensor sees at rest."""
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    waves = [100.0 + 40.0 * np.sin(x / a) * np.cos(y / b) for a, b in ((9, 7), (6, 11), (13, 5))]
+    return np.stack(waves, axis=-1).astype(np.uint8)
+
+
+def with_white_spot(picture: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a picture with a spot in the middle that makes the network's root a NaN."""
+    spoilt = picture.copy()
+    spoilt[55:65, 75:85] = 255
+    return spoilt
+
+
+def write_network(folder: Path) -> Path:
+    """Write a small real policy whose output is `FOLLOWED`, or NaN where a spot is white."""
+    import torch
+    from torch import Tensor, nn
+
+    from dotsim_ros.tasks.policy_card import FORMAT, PolicyCard
+    from dotsim_ros.tasks.policy_images import CHANNEL_COUNT, fingerprint
+    from dotsim_ros.tasks.policy_network import save_policy
+
+    class Steady(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.features = nn.Conv2d(CHANNEL_COUNT, 8, 3, stride=2)
+            self.commands = nn.Linear(8, 6)
+            self.followed = nn.Parameter(torch.tensor(FOLLOWED))
+
+        def forward(self, picture: Tensor) -> Tensor:
+            features = torch.tanh(self.features(picture)).mean(dim=(2, 3))
+            brightest = picture[:, :3].amax(dim=(1, 2, 3))
+            small = 1e-5 * torch.tanh(self.commands(features)) * torch.sqrt(3.5 - brightest)
+            return (self.followed + small)[:, None]
+
+    torch.manual_seed(1)
+    idle = idle_picture()
+    usual_mean = fingerprint(idle, idle)
+    card = PolicyCard(
+        version=FORMAT,
+        name="steady",
+        sensor="test",
+        indenter="none",
+        paths=("line",),
+        rate_hz=25.0,
+        image_height=HEIGHT,
+        image_width=WIDTH,
+        share=0.7,
+        side_px=48,
+        largest_distance=3.0,
+    )
+    save_policy(
+        folder,
+        Steady().eval(),
+        card,
+        usual_mean=usual_mean,
+        usual_root=np.eye(usual_mean.size, dtype=np.float32),
+    )
+    return folder
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command as it came.
+
+    Attributes:
+        stamp_s: the node's time.
+        frame_id: whose axes.
+        twist: (6,).
+    """
+
+    stamp_s: float
+    frame_id: str
+    twist: np.ndarray[Any, Any]
+
+    def moves(self) -> bool:
+        return bool(self.twist.any())
+
+
+class Observer:
+    """Reads what the node says, and calls its services.
+
+    Args:
+        namespace: of all names.
+        commands: the topic that they are read from.
+
+    Attributes:
+        commands: all that came.
+        diagnostics: the newest, by name.
+        tool: the newest pose of the arm.
+        last_pose_s: its stamp.
+    """
+
+    def __init__(self, namespace: str, *, commands: str = "tactile_policy/cmd_vel") -> None:
+        self.commands: list[Command] = []
+        self.diagnostics: dict[str, msg_adapters.Status] = {}
+        self.tool = Pose((0.3, 0.0, 0.2), DOWN)
+        self.last_pose_s = 0.0
+        self._prefix = f"{namespace}/" if namespace else ""
+        self._lock = Lock()
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("observer", context=self._context, namespace=namespace)
+        self.node.create_subscription(TwistStamped, commands, self._on_command, 100)
+        self.node.create_subscription(PoseStamped, "ee_pose", self._on_pose, 10)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        self._stop = Event()
+        self._threads = [Thread(target=self._spin, daemon=True)]
+        self._threads[0].start()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._stop.set()
+        rclpy.try_shutdown(context=self._context)
+        for thread in self._threads:
+            thread.join(10.0)
+        self.node.destroy_node()
+
+    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
+        """Wait until something holds."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not (reached := is_reached()):
+            assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}; {self.diagnostics}"
+            time.sleep(0.01)
+        return reached
+
+    def call(self, kind: type, name: str, **fields: Any) -> Any:
+        """Call a service and return its response; a name without / is the policy's."""
+        name = name if "/" in name else f"tactile_policy/{name}"
+        client = self.node.create_client(kind, name)
+        assert client.wait_for_service(PATIENCE_S), name
+        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
+        self.wait(future.done, f"an answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def enable(self, wanted: bool = True) -> Any:
+        """Call set_enabled."""
+        return self.call(SetBool, "set_enabled", data=wanted)
+
+    def calibrate(self) -> None:
+        """Let the node take its idle image."""
+        self.wait(lambda: self.call(Trigger, "calibrate_idle").success, "an idle image to be taken")
+
+    def newest(self) -> Command:
+        """Return the newest command."""
+        with self._lock:
+            return self.commands[-1] if self.commands else Command(0.0, "", np.zeros(6))
+
+    def after(self, time_s: float) -> list[Command]:
+        """Return the commands stamped after a time."""
+        with self._lock:
+            return [command for command in self.commands if command.stamp_s > time_s]
+
+    def rest_s(self, after_s: float) -> float:
+        """Wait until commands are zero and stay so; return the stamp of the first of these zeros.
+
+        A busy machine may stop the arm for a moment, which is another stop.
+        """
+
+        def first() -> float:
+            later = self.after(after_s)
+            moving = [index for index, command in enumerate(later) if command.moves()]
+            rest = later[moving[-1] + 1 :] if moving else later
+            if not rest or rest[-1].stamp_s - rest[0].stamp_s < QUIET_S:
+                return 0.0
+            return rest[0].stamp_s
+
+        return self.wait(first, "the arm to stand still")
+
+    def state(self, part: str = "control") -> msg_adapters.Status:
+        """Return the newest diagnostic of a part of the node."""
+        name = f"{self._prefix}tactile_policy: {part}"
+        return self.wait(lambda: self.diagnostics.get(name), f"the diagnostic {name}")
+
+    def wait_for_reason(self, state: str, reason: str) -> msg_adapters.Status:
+        """Wait for a state of the loop."""
+        self.wait(
+            lambda: (
+                (values := self.state().values).get("state") == state and values["reason"] == reason
+            ),
+            f"the state {state} for {reason}",
+        )
+        return self.state()
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+    def _on_command(self, message: TwistStamped) -> None:
+        twist = np.concatenate(msg_adapters.decode_twist_stamped(message))
+        stamp_s = 1e-9 * msg_adapters.message_stamp_ns(message)
+        with self._lock:
+            self.commands.append(Command(stamp_s, message.header.frame_id, twist))
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        self.tool = Pose(*msg_adapters.decode_pose_stamped(message))
+        self.last_pose_s = 1e-9 * msg_adapters.message_stamp_ns(message)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in msg_adapters.decode_diagnostics(message):
+            self.diagnostics[status.name] = status
+
+
+class Rig(Observer):
+    """Images at 25 Hz, an arm that obeys at once at 100 Hz, and a force.
+
+    Attributes:
+        picture: what the images show.
+        has_images, has_poses: cut a stream.
+        image_lag_s: how long before now images are stamped.
+        image_frame, pose_frame: frames of the messages.
+        encoding: of the images that are not compressed, rgb8 or bgr8.
+        force_n: the force.
+        images: their publisher.
+        last_image_s: stamp of the newest that was sent.
+    """
+
+    def __init__(
+        self, namespace: str, *, compressed: bool = False, along_tool: bool = True
+    ) -> None:
+        super().__init__(namespace)
+        self.idle = idle_picture()
+        self.picture = self.idle
+        self.has_images = self.has_poses = True
+        self.image_lag_s = 0.0
+        self.image_frame = "densetact_optical_frame"
+        self.pose_frame = "link_base"
+        self.encoding = "rgb8"
+        self.force_n = 0.0
+        self.last_image_s = 0.0
+        self._axes = TwistFrame.OWN if along_tool else TwistFrame.PARENT
+        self._compressed = compressed
+        kind, topic = (
+            (CompressedImage, "image_raw/compressed") if compressed else (Image, "image_raw")
+        )
+        self.images = self.node.create_publisher(kind, topic, 5)
+        self._poses = self.node.create_publisher(PoseStamped, "ee_pose", 5)
+        self._wrenches = self.node.create_publisher(WrenchStamped, "wrench", 5)
+        beats = [(IMAGE_PERIOD_S, self._send_image), (POSE_PERIOD_S, self._send_pose)]
+        for beat in beats:
+            self._threads.append(Thread(target=self._beat, args=beat, daemon=True))
+            self._threads[-1].start()
+
+    def start(self) -> None:
+        """Mend everything, enable, and wait until the arm moves."""
+        self.enable(False)
+        self.picture = self.idle
+        self.has_images = self.has_poses = True
+        self.image_lag_s, self.force_n = 0.0, 0.0
+        self.image_frame, self.pose_frame = "densetact_optical_frame", "link_base"
+        # What was spoilt must have passed.
+        time.sleep(0.3)
+        self.calibrate()
+        self.wait(lambda: self.enable().success, "the start")
+        self.wait(lambda: self.newest().moves(), "a motion")
+        time.sleep(0.3)
+
+    def next_image_s(self) -> float:
+        """Wait for an image that is sent from now on and return when it was."""
+        last_s = self.last_image_s
+        self.wait(lambda: self.last_image_s != last_s, "an image")
+        return self.last_image_s
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        """Its own poses are known here before they are sent."""
+
+    def _beat(self, period_s: float, send: Callable[[], None]) -> None:
+        due_s = time.monotonic()
+        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
+            due_s += period_s
+            with suppress(Exception):
+                # Publishing fails once the context is down.
+                send()
+
+    def _send_image(self) -> None:
+        if not self.has_images:
+            return
+        stamp_ns = time.time_ns() - round(1e9 * self.image_lag_s)
+        known = {"stamp_ns": stamp_ns, "frame_id": self.image_frame}
+        message = (
+            msg_adapters.encode_compressed_image(self.picture, compression="png", **known)
+            if self._compressed
+            else msg_adapters.encode_image(
+                self.picture[..., :: -1 if self.encoding == "bgr8" else 1],
+                encoding=self.encoding,
+                **known,
+            )
+        )
+        self.images.publish(message)
+        self.last_image_s = 1e-9 * time.time_ns()
+
+    def _send_pose(self) -> None:
+        command = self.newest()
+        self.tool = advance(
+            self.tool,
+            command.twist[:3],
+            command.twist[3:],
+            duration_s=POSE_PERIOD_S,
+            along=self._axes,
+        )
+        stamp_ns = time.time_ns()
+        self._wrenches.publish(
+            msg_adapters.encode_wrench_stamped(
+                (0.0, 0.0, self.force_n), (0.0, 0.0, 0.0), stamp_ns=stamp_ns, frame_id="tool"
+            )
+        )
+        if self.has_poses:
+            self._poses.publish(
+                msg_adapters.encode_pose_stamped(
+                    self.tool.position_m,
+                    self.tool.quaternion_xyzw,
+                    stamp_ns=stamp_ns,
+                    frame_id=self.pose_frame,
+                )
+            )
+            self.last_pose_s = 1e-9 * stamp_ns
+
+
+@contextmanager
+def policy_and_rig(
+    folder: Path, *, compressed: bool = False, code: str = "", **parameters: Any
+) -> Iterator[tuple[Executable, Rig]]:
+    """Run a node with the small network, and the rig that it talks to, in a namespace of theirs."""
+    namespace = f"bench_{next(_numbers)}"
+    with suppress(PermissionError):
+        # What is measured is the node, not what else the machine does; children take it over.
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    given = {
+        "policy": folder,
+        "diagnostics_period_s": 0.1,
+        "workspace_m": "[0.5, 0.5, 0.5]",
+        **parameters,
+    }
+    if compressed:
+        given["image_transport"] = "compressed"
+    with running(
+        MODULE, parameters=given, code=code, arguments=("-r", f"__ns:=/{namespace}")
+    ) as executable:
+        along_tool = given.get("command_frame", "link_tcp") == "link_tcp"
+        rig = Rig(namespace, compressed=compressed, along_tool=along_tool)
+        try:
+            yield executable, rig
+        finally:
+            rig.close()
+            with suppress(PermissionError):
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))

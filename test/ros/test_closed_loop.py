@@ -1,0 +1,120 @@
+"""The closed loop as it is evaluated: shipped policy, simulated sensor and arm, real contact.
+
+How closely a path is followed depends on how busy the machine is, so that is not judged here. Only
+the limits of time are wider than a user's: a busy machine gives few frames a second.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import msg_adapters
+from dotsim_ros.evaluation.loop_bag import read_loop_bag
+from dotsim_ros.evaluation.trajectory import judge, trial_start
+from dotsim_ros.nodes.closed_loop import SENSOR, ClosedLoop, LoopSetup
+from dotsim_ros.tasks.loop_recording import LoopRecording
+from dotsim_ros.tasks.paths import reference_path
+
+PATH = "figure_eight"
+SECONDS = 6.0
+PATIENT = {"stop_within_s": 1.0, "maximum_delay_s": 10.0}
+
+
+@pytest.fixture(scope="module")
+def loop() -> Iterator[ClosedLoop]:
+    with ClosedLoop(LoopSetup("densetact2_sphere", policy_parameters=PATIENT)) as running:
+        running.start(PATH)
+        yield running
+
+
+@pytest.fixture(scope="module")
+def led(loop: ClosedLoop, tmp_path_factory: pytest.TempPathFactory) -> tuple[LoopRecording, Path]:
+    """What the observer and what the recorder heard of one trial."""
+    bag = tmp_path_factory.mktemp("bag") / "loop"
+    path = reference_path(PATH, loop.contact)
+    start_m = trial_start(path, loop.contact, seed=0, number=0)
+    recording = loop.trial(start_m, SECONDS, bag=bag)
+    first_m = recording.indenter_m()[0]
+    np.testing.assert_allclose(first_m, start_m, atol=1e-6)
+    return recording, bag
+
+
+def test_the_policy_moves_the_arm_in_contact_within_every_limit(
+    loop: ClosedLoop, led: tuple[LoopRecording, Path]
+) -> None:
+    recording, _ = led
+    row = judge(recording, reference_path(PATH), loop.setup.limits())
+    assert row["exceeded"] == []
+    assert 1.0 < row["speed_mm_s"] < 15.0
+    assert np.linalg.norm(recording.force_n[0]) > 0.1
+    assert np.isfinite(row["mean_error_mm"])
+
+
+def test_the_bag_tells_the_same_motion(
+    loop: ClosedLoop, led: tuple[LoopRecording, Path], tmp_path: Path
+) -> None:
+    recording, bag = led
+    recorded = read_loop_bag(bag, notes=recording.notes)
+    np.testing.assert_allclose(
+        recorded.indenter.position_m, recording.indenter.position_m, atol=1e-9
+    )
+    # Both heard the same commands, but for the first and last of each.
+    assert set(recorded.command_s) & set(recording.command_s)
+    limits, path = loop.setup.limits(), reference_path(PATH)
+    told, seen = judge(recorded, path, limits), judge(recording, path, limits)
+    assert told["exceeded"] == []
+    assert told["mean_error_mm"] == pytest.approx(seen["mean_error_mm"], abs=0.02)
+    recording.save(tmp_path / "trial.npz")
+    assert judge(LoopRecording.load(tmp_path / "trial.npz"), path, limits) == seen
+
+
+def wait_for_motion(loop: ClosedLoop) -> None:
+    loop.observer.forget()
+    loop.observer.wait(lambda: any(map(moves, loop.observer.heard("cmd_vel"))), "a motion")
+
+
+def moves(heard: object) -> bool:
+    twist = msg_adapters.decode_twist_stamped(heard.message)  # type: ignore[attr-defined]
+    return bool(np.any(np.concatenate(twist)))
+
+
+def wait_for_stop(loop: ClosedLoop, reasons: set[str]) -> None:
+    """Wait for one of the reasons, then see that the commands stay zero and the arm stays."""
+    loop.observer.wait(
+        lambda: loop.state()[0] == "stopped" and loop.state()[1] in reasons, f"a stop for {reasons}"
+    )
+    time.sleep(0.3)
+    loop.observer.forget()
+    time.sleep(0.5)
+    commands = loop.observer.heard("cmd_vel")
+    assert commands
+    assert not any(map(moves, commands))
+
+
+def test_feedback_that_is_dropped_stops_the_arm(
+    loop: ClosedLoop, led: tuple[LoopRecording, Path]
+) -> None:
+    loop.enable()
+    wait_for_motion(loop)
+    loop.set_arm(fail_drop_feedback=True)
+    wait_for_stop(loop, {"pose_stale"})
+    loop.set_arm(fail_drop_feedback=False)
+    wait_for_motion(loop)
+
+
+def test_a_sensor_that_is_killed_stops_the_arm(
+    loop: ClosedLoop, led: tuple[LoopRecording, Path]
+) -> None:
+    wait_for_motion(loop)
+    loop.process(SENSOR).signal(signal.SIGKILL)
+    wait_for_stop(loop, {"image_stale", "force_stale"})
+    places = [
+        msg_adapters.decode_pose_stamped(h.message)[0] for h in loop.observer.heard("ee_pose")
+    ]
+    assert np.ptp(places, axis=0).max() < 1e-6

@@ -1,0 +1,494 @@
+"""`tactile_policy` over DDS: its rates, its services, and every fault that must stop the arm."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="writes a network: pip install '.[learning]'")
+pytest.importorskip("onnxscript", reason="writes a network: pip install '.[learning]'")
+
+from geometry_msgs.msg import PoseStamped
+from harness import Executable
+from policy_rig import (
+    FOLLOWED,
+    MODULE,
+    Rig,
+    policy_and_rig,
+    with_white_spot,
+    write_network,
+)
+from std_srvs.srv import Trigger
+
+STOP_S = 0.08
+SLACK_S = 0.15
+"""What a busy machine that runs the tests may add."""
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_network(tmp_path_factory.mktemp("policy") / "steady")
+
+
+@pytest.fixture(scope="module")
+def shared(network: Path) -> Iterator[tuple[Executable, Rig]]:
+    """A node at 25 commands a second that reads the force; faults are mended by `start`."""
+    with policy_and_rig(network, force_limit_n=2.0, retreat_m=0.2) as (executable, rig):
+        yield executable, rig
+
+
+@pytest.fixture
+def rig(shared: tuple[Executable, Rig]) -> Rig:
+    return shared[1]
+
+
+def may_have_priority() -> bool:
+    code = "import os; os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(2))"
+    tried = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False)
+    return tried.returncode == 0
+
+
+def rate_hz(stamps: list[float]) -> float:
+    return (len(stamps) - 1) / (stamps[-1] - stamps[0])
+
+
+def test_it_is_off_at_start_and_cannot_start_without_an_idle_image(rig: Rig) -> None:
+    rig.wait(lambda: len(rig.commands) > 20, "commands")
+    assert not any(command.moves() for command in rig.commands)
+    answer = rig.enable()
+    assert not answer.success
+    assert "no idle image" in answer.message
+    assert "no idle image" in rig.state("inference").message
+
+
+def test_enabled_it_follows_the_network_at_25_hz_and_controls_at_100(rig: Rig) -> None:
+    rig.start()
+    begun_s = time.time()
+    time.sleep(4.0)
+    commands = rig.after(begun_s)
+    # Above, it is the rate that must hold; below, a machine that runs other tests may be slow.
+    assert 18.0 < rate_hz([command.stamp_s for command in commands]) < 26.0
+    assert {command.frame_id for command in commands} == {"link_tcp"}
+    moving = [command.twist for command in commands if command.moves()]
+    assert len(moving) > 0.8 * len(commands)
+    np.testing.assert_allclose(np.median(moving, axis=0)[:3], FOLLOWED[:3], atol=5e-5)
+    values = rig.state().values
+    assert 50.0 < float(values["control_rate_hz"]) < 104.0
+    inference = rig.state("inference").values
+    assert 18.0 < float(inference["rate_hz"]) < 26.0
+    assert float(inference["image_age_at_command_p50_p99_ms"].split(",")[0]) < 60.0
+
+
+def test_disabled_it_goes_on_with_zeros(rig: Rig) -> None:
+    rig.start()
+    begun_s = time.time()
+    assert rig.enable(False).success
+    assert rig.rest_s(begun_s) - begun_s < SLACK_S
+    time.sleep(0.5)
+    assert len(rig.after(begun_s + 0.2)) > 5
+    assert rig.state().values["state"] == "disabled"
+
+
+@pytest.mark.parametrize(("stream", "reason"), [("images", "image_stale"), ("poses", "pose_stale")])
+def test_a_cut_stream_stops_the_arm_in_time_and_resumes(rig: Rig, stream: str, reason: str) -> None:
+    rig.start()
+    setattr(rig, f"has_{stream}", False)
+    time.sleep(0.05)
+    last_s = rig.last_image_s if stream == "images" else rig.last_pose_s
+    assert rig.rest_s(last_s) - last_s < STOP_S + SLACK_S
+    state = rig.wait_for_reason("stopped", reason)
+    assert "ms ago" in state.message
+    setattr(rig, f"has_{stream}", True)
+    rig.wait(lambda: rig.newest().moves(), "the motion to go on")
+
+
+def test_a_nan_of_the_network_is_never_commanded_and_latched(rig: Rig) -> None:
+    rig.start()
+    begun_s = time.time()
+    rig.picture = with_white_spot(rig.idle)
+    assert rig.rest_s(begun_s) - begun_s < STOP_S + SLACK_S
+    assert "nan" in rig.wait_for_reason("latched", "not_finite").message
+    assert all(np.isfinite(command.twist).all() for command in rig.commands)
+    rig.picture = rig.idle
+    time.sleep(0.5)
+    assert not rig.newest().moves()
+    assert rig.enable().success
+    rig.wait(lambda: rig.newest().moves(), "the motion to go on")
+
+
+def test_images_of_another_sensor_are_latched(rig: Rig) -> None:
+    rig.start()
+    begun_s = time.time()
+    rig.picture = 255 - rig.idle
+    assert rig.rest_s(begun_s) - begun_s < STOP_S + SLACK_S
+    assert "another sensor" in rig.wait_for_reason("latched", "wrong_sensor").message
+
+
+def test_images_of_another_frame_are_latched(rig: Rig) -> None:
+    rig.start()
+    rig.image_frame = "other_optical_frame"
+    assert "other_optical_frame" in rig.wait_for_reason("latched", "wrong_sensor").message
+
+
+@pytest.mark.parametrize("lag_s", [-1.0, 1.0])
+def test_a_jump_of_the_clock_is_latched(rig: Rig, lag_s: float) -> None:
+    rig.start()
+    begun_s = time.time()
+    rig.image_lag_s = lag_s
+    assert rig.rest_s(begun_s) - begun_s < STOP_S + SLACK_S
+    assert "image: the stamp" in rig.wait_for_reason("latched", "clock_jump").message
+
+
+def test_old_images_are_told_from_cut_ones(rig: Rig) -> None:
+    rig.start()
+    begun_s = time.time()
+    rig.image_lag_s = 0.4
+    # Stamps that go back a little would be a jump of the clock: nothing comes meanwhile.
+    rig.has_images = False
+    time.sleep(0.45)
+    rig.has_images = True
+    rig.rest_s(begun_s)
+    assert "after the time of its stamp" in rig.wait_for_reason("stopped", "image_delayed").message
+
+
+def test_a_force_above_the_limit_retreats_along_the_tool(rig: Rig) -> None:
+    rig.start()
+    rig.force_n = 3.0
+    rig.wait_for_reason("retreating", "force_limit")
+    rig.wait(lambda: rig.newest().twist[2] < 0.0, "the retreat")
+    np.testing.assert_allclose(rig.newest().twist, [0, 0, -0.01, 0, 0, 0], atol=1e-9)
+    rig.force_n = 0.5
+    rig.wait(lambda: rig.newest().twist[2] > 0.0, "the motion to go on")
+
+
+def test_no_limit_was_exceeded_in_any_of_this(rig: Rig) -> None:
+    twists = np.array([command.twist for command in rig.commands])
+    assert len(twists) > 250
+    assert np.linalg.norm(twists[:, :3], axis=1).max() <= 0.05
+    assert np.linalg.norm(twists[:, 3:], axis=1).max() <= 0.4
+
+
+def test_speed_and_acceleration_are_those_of_the_parameters(network: Path) -> None:
+    limits = {"maximum_linear_m_s": 0.002, "maximum_linear_m_s2": 0.1, "retreat_m_s": 0.001}
+    with policy_and_rig(network, command_rate_hz=100.0, **limits) as (_, rig):
+        rig.start()
+        rig.enable(False)
+        rig.rest_s(time.time())
+        speeds_m_s = [np.linalg.norm(command.twist[:3]) for command in rig.commands]
+        assert max(speeds_m_s) == pytest.approx(0.002)
+        moved = [command for command in rig.commands if command.moves()]
+        for before, after in itertools.pairwise(moved):
+            step_m_s = np.linalg.norm(after.twist[:3] - before.twist[:3])
+            # A stamp is that of the message, which may come a little after the command's time.
+            assert step_m_s <= 0.1 * (after.stamp_s - before.stamp_s + 0.005)
+
+
+def test_it_stops_inside_of_the_workspace(network: Path) -> None:
+    with policy_and_rig(network, workspace_m="[0.01, 0.01, 0.01]") as (_, rig):
+        rig.start()
+        start_m = rig.tool.position_m
+        rig.wait_for_reason("latched", "workspace")
+        assert (np.abs(rig.tool.position_m - start_m) < 0.005 + 0.002).all()
+        assert not rig.newest().moves()
+
+
+def test_interpolated_commands_come_at_100_hz_along_the_base(network: Path) -> None:
+    parameters = {"command_rate_hz": 100.0, "command_frame": "link_base"}
+    with policy_and_rig(network, **parameters) as (_, rig):
+        rig.start()
+        begun_s = time.time()
+        time.sleep(3.0)
+        commands = rig.after(begun_s)
+        assert 50.0 < rate_hz([command.stamp_s for command in commands]) < 104.0
+        assert {command.frame_id for command in commands} == {"link_base"}
+        # The tool looks down: its +z is the base's -z.
+        np.testing.assert_allclose(
+            np.median([command.twist[:3] for command in commands], axis=0),
+            (FOLLOWED[0], 0.0, -FOLLOWED[2]),
+            atol=2e-4,
+        )
+
+
+def test_the_order_of_the_colours_is_that_of_the_encoding(rig: Rig) -> None:
+    rig.start()
+    distance = float(rig.state("inference").values["image_distance"])
+    rig.encoding = "bgr8"
+    time.sleep(0.5)
+    # Read wrongly, the colours would differ from those of the idle image.
+    assert float(rig.state("inference").values["image_distance"]) == distance
+    assert rig.state().values["state"] == "running"
+    rig.encoding = "rgb8"
+
+
+def test_compressed_images_do_as_well(network: Path) -> None:
+    with policy_and_rig(network, compressed=True) as (_, rig):
+        rig.start()
+        assert rig.newest().twist[0] == pytest.approx(FOLLOWED[0], abs=1e-4)
+
+
+def test_without_resuming_a_cut_stream_needs_somebody(network: Path) -> None:
+    with policy_and_rig(network, resume_when_fresh=False) as (_, rig):
+        rig.start()
+        rig.has_images = False
+        rig.wait_for_reason("latched", "image_stale")
+        rig.has_images = True
+        time.sleep(0.5)
+        assert not rig.newest().moves()
+
+
+SLOW_POLICY = """
+import time
+from dotsim_ros.nodes import tactile_policy
+from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.tasks.policy_network import load_policy
+
+def load_slow(folder, path):
+    policy = load_policy(folder, path)
+    ask = type(policy).__call__
+
+    class Slow(type(policy)):
+        def __call__(self, image, idle):
+            # A picture whose first pixel is white stands for an overload.
+            if image[0, 0].min() == 255:
+                time.sleep(0.3)
+            return ask(self, image, idle)
+
+    policy.__class__ = Slow
+    return policy
+
+raise SystemExit(run_node(lambda: tactile_policy.TactilePolicy(load_slow)))
+"""
+
+
+def test_a_policy_that_does_not_keep_up_stops_the_arm_and_is_told(network: Path) -> None:
+    with policy_and_rig(network, code=SLOW_POLICY) as (executable, rig):
+        rig.start()
+        slow = rig.idle.copy()
+        slow[0, 0] = 255
+        begun_s = time.time()
+        rig.picture = slow
+        # The last command in time may answer an image that came before.
+        assert rig.rest_s(begun_s) - begun_s < 0.04 + 0.04 + STOP_S + SLACK_S
+        rig.wait_for_reason("stopped", "policy_late")
+        executable.wait_for_line("inference: a deadline was missed by")
+        rig.wait(
+            lambda: int(rig.state("inference").values["deadline_misses_over_40_ms"]) > 2, "misses"
+        )
+        rig.picture = rig.idle
+        rig.wait(lambda: rig.newest().moves(), "the motion to go on")
+
+
+def cut_images(rig: Rig) -> float:
+    rig.has_images = False
+    time.sleep(0.05)
+    return rig.last_image_s
+
+
+def cut_poses(rig: Rig) -> float:
+    rig.has_poses = False
+    time.sleep(0.02)
+    return rig.last_pose_s
+
+
+def show(picture: Callable[[Rig], np.ndarray]) -> Callable[[Rig], float]:
+    def spoil(rig: Rig) -> float:
+        rig.picture = picture(rig)
+        return rig.next_image_s()
+
+    return spoil
+
+
+def overload(rig: Rig) -> float:
+    slow = rig.idle.copy()
+    slow[0, 0] = 255
+    rig.picture = slow
+    # The image before is the last one that is answered in time, a little after it came.
+    return rig.next_image_s()
+
+
+def jump(lag_s: float) -> Callable[[Rig], float]:
+    def spoil(rig: Rig) -> float:
+        rig.image_lag_s = lag_s
+        return rig.next_image_s()
+
+    return spoil
+
+
+def change_frame(rig: Rig) -> float:
+    rig.image_frame = "other_optical_frame"
+    return rig.next_image_s()
+
+
+FAULTS: dict[str, Callable[[Rig], float]] = {
+    "images cut": cut_images,
+    "poses cut": cut_poses,
+    "NaN": show(lambda rig: with_white_spot(rig.idle)),
+    "another sensor": show(lambda rig: 255 - rig.idle),
+    "policy overloaded": overload,
+    "clock ahead": jump(-1.0),
+    "clock back": jump(1.0),
+    "frame changed": change_frame,
+}
+"""Inject a fault; return when the first message was sent that shows it, or the last before it."""
+
+
+def test_many_faults_at_random_moments_all_stop_the_arm(network: Path) -> None:
+    generator = np.random.default_rng(7)
+    took_s: dict[str, list[float]] = {name: [] for name in FAULTS}
+    names = list(itertools.islice(itertools.cycle(FAULTS), int(os.environ.get("DOTSIM_FAULTS", 8))))
+    generator.shuffle(names)
+    with policy_and_rig(network, code=SLOW_POLICY) as (_, rig):
+        for name in names:
+            rig.start()
+            time.sleep(generator.uniform(0.0, 0.1))
+            since_s = FAULTS[name](rig)
+            took_s[name].append(rig.rest_s(since_s) - since_s)
+    for name, times_s in took_s.items():
+        in_time = sum(time_s <= STOP_S for time_s in times_s)
+        worst_ms = 1e3 * max(times_s, default=0.0)
+        print(f"{name}: {in_time} of {len(times_s)} within 80 ms, the slowest {worst_ms:.0f} ms")
+    assert sum(map(len, took_s.values())) == len(names)
+    assert max(itertools.chain.from_iterable(took_s.values())) < STOP_S + SLACK_S
+
+
+SENSOR = """
+import time, rclpy
+from policy_rig import idle_picture
+from sensor_msgs.msg import Image
+import msg_adapters
+rclpy.init()
+node = rclpy.create_node("sensor")
+images = node.create_publisher(Image, "image_raw", 5)
+print("ready:", flush=True)
+while True:
+    images.publish(msg_adapters.encode_image(
+        idle_picture(), encoding="rgb8", stamp_ns=time.time_ns(), frame_id="sensor"))
+    time.sleep(0.04)
+"""
+
+
+def test_a_sensor_that_is_killed_stops_the_arm(
+    network: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = str(Path(__file__).parent)
+    monkeypatch.setenv("PYTHONPATH", f"{folder}:{Path(__file__).parents[2]}")
+    with policy_and_rig(network) as (_, rig):
+        # The rig's own sensor is off.
+        rig.has_images = False
+        rig.node.destroy_publisher(rig.images)
+        namespace = rig.node.get_namespace()
+        sensor = Executable("", code=SENSOR, arguments=("-r", f"__ns:={namespace}"))
+        try:
+            sensor.wait_for_line("ready:")
+            rig.calibrate()
+            rig.wait(lambda: rig.enable().success, "the start")
+            rig.wait(lambda: rig.newest().moves(), "a motion")
+            time.sleep(0.5)
+            killed_s = time.time()
+            sensor.process.kill()
+            assert rig.rest_s(killed_s) - killed_s < STOP_S + SLACK_S
+            rig.wait_for_reason("stopped", "image_stale")
+        finally:
+            sensor.end()
+
+
+def test_two_senders_on_a_topic_are_no_start(network: Path) -> None:
+    with policy_and_rig(network) as (_, rig):
+        rig.calibrate()
+        second = rig.node.create_publisher(PoseStamped, "ee_pose", 5)
+        rig.wait(lambda: "2 publishers" in rig.enable().message, "the refusal")
+        rig.node.destroy_publisher(second)
+        rig.wait(lambda: rig.enable().success, "the start")
+
+
+def test_the_idle_image_is_not_taken_while_the_arm_moves(rig: Rig) -> None:
+    rig.start()
+    answer = rig.call(Trigger, "calibrate_idle")
+    assert not answer.success
+    assert "disable first" in answer.message
+    assert "enabled already" in rig.enable().message
+
+
+def test_poses_in_another_frame_are_refused_and_the_arm_stops(
+    shared: tuple[Executable, Rig],
+) -> None:
+    executable, rig = shared
+    rig.start()
+    rig.pose_frame = "world"
+    rig.wait_for_reason("stopped", "pose_stale")
+    executable.wait_for_line("its frame is 'world', expected 'link_base'")
+    assert int(rig.state("input").values["refused"]) > 0
+
+
+def test_images_of_another_shape_are_latched(rig: Rig) -> None:
+    rig.start()
+    rig.picture = np.zeros((120, 200, 3), dtype=np.uint8)
+    assert "160x120" in rig.wait_for_reason("latched", "wrong_sensor").message
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_sigint_ends_it_with_status_0(network: Path, count: int) -> None:
+    with policy_and_rig(network) as (executable, rig):
+        rig.start()
+        assert executable.interrupt(count) == 0, executable.log
+        assert "Traceback" not in executable.log
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"policy": "/no/such/policy"}, "no policy folder"),
+        ({}, "parameter policy is empty"),
+        ({"path": "spiral"}, "choose one of line"),
+        ({"idle_image": "/no/such.png"}, "no idle image"),
+        ({"command_rate_hz": 60.0}, "expected 25 or 100"),
+        ({"maximum_linear_m_s2": 0.1}, "brakes for"),
+    ],
+)
+def test_a_start_that_cannot_work_is_refused_with_the_reason(
+    network: Path, parameters: dict[str, object], reason: str
+) -> None:
+    given = {"policy": network, **parameters} if parameters else {}
+    node = Executable(MODULE, given)
+    try:
+        assert node.exit_status() == 2
+        assert reason in node.log
+        assert "Traceback" not in node.log
+    finally:
+        node.end()
+
+
+def test_the_limits_do_not_change_while_it_runs(rig: Rig) -> None:
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    changed = Parameter("maximum_linear_m_s", value=0.04).to_parameter_msg()
+    (result,) = rig.call(SetParameters, "set_parameters", parameters=[changed]).results
+    assert not result.successful
+
+
+def test_its_threads_have_the_priority_that_is_asked_for_or_it_is_refused(network: Path) -> None:
+    node = Executable(MODULE, {"policy": network, "realtime_priority": 2})
+    try:
+        if not may_have_priority():
+            assert node.exit_status() == 2
+            assert "realtime_priority 2 is not allowed" in node.log
+            return
+        node.wait_for_line("ready:")
+        threads = [int(path.name) for path in Path(f"/proc/{node.process.pid}/task").iterdir()]
+        assert {os.sched_getparam(thread).sched_priority for thread in threads} == {2}
+    finally:
+        node.end()
+
+
+def test_stamps_of_commands_run_on(rig: Rig) -> None:
+    stamps_s = [command.stamp_s for command in rig.commands]
+    assert all(later > earlier for earlier, later in itertools.pairwise(stamps_s))

@@ -1,0 +1,107 @@
+"""The whole loop over DDS: tactile_sim, xarm_sim and tactile_policy, with faults of the other two.
+
+The network is a small one that goes sideways, whatever it sees: this is about the loop.
+"""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch", reason="writes a network: pip install '.[learning]'")
+pytest.importorskip("onnxscript", reason="writes a network: pip install '.[learning]'")
+
+from harness import Executable, running
+from policy_rig import FOLLOWED, MODULE, Observer, write_network
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+SLACK_S = 0.25
+"""What a busy machine may add to 80 ms and to the arm's own answer."""
+
+
+@pytest.fixture(scope="module")
+def loop(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[tuple[Executable, Executable, Observer]]:
+    """The sensor, the policy and somebody who looks; the arm is in the air above the indenter."""
+    parameters = {
+        "policy": write_network(tmp_path_factory.mktemp("policy") / "steady"),
+        "maximum_image_distance": 1e6,
+        "diagnostics_period_s": 0.1,
+        "force_limit_n": 5.0,
+        # It goes on sideways for as long as the tests take.
+        "workspace_m": "[0.6, 0.6, 0.6]",
+    }
+    remap = ("-r", "~/cmd_vel:=cmd_vel")
+    with (
+        running() as sensor,
+        running("dotsim_ros.nodes.xarm_sim"),
+        running(MODULE, parameters=parameters, arguments=remap) as policy,
+        observer() as seen,
+    ):
+        yield sensor, policy, seen
+
+
+@contextmanager
+def observer() -> Iterator[Observer]:
+    seen = Observer("", commands="cmd_vel")
+    try:
+        yield seen
+    finally:
+        seen.close()
+
+
+def set_arm(seen: Observer, **values: object) -> None:
+    parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    answer = seen.call(SetParameters, "/xarm_sim/set_parameters", parameters=parameters)
+    assert all(result.successful for result in answer.results), answer
+
+
+def test_the_arm_moves_by_what_the_policy_says(
+    loop: tuple[Executable, Executable, Observer],
+) -> None:
+    _, _, seen = loop
+    seen.calibrate()
+    seen.wait(lambda: seen.enable().success, "the start")
+    seen.wait(lambda: seen.newest().moves(), "a motion")
+    start_m, begun_s = seen.tool.position_m, time.time()
+    seen.wait(lambda: seen.tool.position_m[0] - start_m[0] > 0.002, "the arm to move by 2 mm")
+    moved_m, passed_s = seen.tool.position_m - start_m, time.time() - begun_s
+    # A busy machine may have stopped it for a moment; it has never been too fast.
+    assert moved_m[0] / passed_s < 1.2 * FOLLOWED[0]
+    assert abs(moved_m[1]) < 1e-4
+
+
+def test_a_pose_stream_that_is_cut_stops_the_arm(
+    loop: tuple[Executable, Executable, Observer],
+) -> None:
+    _, _, seen = loop
+    seen.wait(lambda: seen.newest().moves(), "a motion")
+    set_arm(seen, fail_drop_feedback=True)
+    seen.wait(lambda: time.time() - seen.last_pose_s > 0.02, "the silence")
+    assert seen.rest_s(seen.last_pose_s) - seen.last_pose_s < 0.08 + SLACK_S
+    seen.wait_for_reason("stopped", "pose_stale")
+    set_arm(seen, fail_drop_feedback=False)
+    seen.wait(lambda: seen.newest().moves(), "the motion to go on")
+
+
+def test_a_sensor_that_is_killed_stops_the_arm_itself(
+    loop: tuple[Executable, Executable, Observer],
+) -> None:
+    sensor, _, seen = loop
+    seen.wait(lambda: seen.newest().moves(), "a motion")
+    killed_s = time.time()
+    sensor.process.send_signal(signal.SIGKILL)
+    assert seen.rest_s(killed_s) - killed_s < 0.08 + SLACK_S
+    state = seen.wait_for_reason("stopped", "force_stale")
+    assert "the newest force came" in state.message
+    time.sleep(0.5)
+    rest_m = seen.tool.position_m
+    time.sleep(0.5)
+    np.testing.assert_allclose(seen.tool.position_m, rest_m, atol=1e-6)

@@ -1,0 +1,383 @@
+"""The adapter to a real arm, against a driver that speaks UFACTORY's own messages over DDS.
+
+The driver is a stand-in, its messages are real: built by ROS's generators from their public
+definitions, with the same type hashes as UFACTORY's package.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+import xarm_messages
+from arm_rig import ArmClient, arm_client
+from geometry_msgs.msg import PoseStamped
+from harness import Executable, running
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from scipy.spatial.transform import Rotation
+
+import msg_adapters
+
+MODULE = "dotsim_ros.nodes.xarm_adapter"
+TYPE_HASHES = {
+    "msg/RobotMsg": "RIHS01_fdb17c24941fbbe2773b899604de978780d6c9f72bda695f87bb1dce26b9cd49",
+    "srv/MoveVelocity": "RIHS01_ffce29aa93365d67add3e542c1ac7c2e9967b98d3242bed14c430861519ec499",
+}
+"""Those of xarm_msgs of xArm-Developer/xarm_ros2 when it is built for ROS 2 Jazzy."""
+PARAMETERS = {"diagnostics_period_s": 0.1, "answer_s": 0.3}
+STATE_PERIOD_S = 0.02
+POSE_MM_RAD = [350.0, -20.0, 300.0, 3.0, 0.2, -1.1]
+
+
+@pytest.fixture(scope="session")
+def xarm_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Put xarm_msgs on the paths of this process and of those that it starts."""
+    if lacking := xarm_messages.missing():
+        pytest.skip(f"xarm_msgs cannot be built here: {lacking} is missing")
+    folder = xarm_messages.build(tmp_path_factory.mktemp("xarm_msgs"))
+    before = os.environ.get("PYTHONPATH", "")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(folder), before]))
+    sys.path.insert(0, str(folder))
+    yield folder
+    sys.path.remove(str(folder))
+    os.environ["PYTHONPATH"] = before
+
+
+@dataclass
+class Heard:
+    """A call that the driver has got."""
+
+    at_s: float
+    speeds: list[float]
+    is_tool_coord: bool
+    duration: float
+
+
+@dataclass
+class Robot:
+    """What the driver reports, and how it behaves."""
+
+    mode: int = 5
+    state: int = 2
+    err: int = 0
+    answer: int = 0
+    takes_s: float = 0.0
+    is_silent: bool = False
+    pose: list[float] = field(default_factory=lambda: list(POSE_MM_RAD))
+
+
+class FakeDriver:
+    """Stands where UFACTORY's driver would, with its names and messages."""
+
+    def __init__(self) -> None:
+        messages = importlib.import_module("xarm_msgs.msg")
+        services = importlib.import_module("xarm_msgs.srv")
+        self._message = messages.RobotMsg
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("ufactory_driver", context=self._context)
+        self.robot = Robot()
+        self.calls: list[Heard] = []
+        self.under_way = 0
+        self.most_under_way = 0
+        self._lock = threading.Lock()
+        group = ReentrantCallbackGroup()
+        self._publisher = self.node.create_publisher(self._message, "/xarm/robot_states", 10)
+        self._service = self.node.create_service(
+            services.MoveVelocity,
+            "/xarm/vc_set_cartesian_velocity",
+            self._on_call,
+            callback_group=group,
+        )
+        self.node.create_timer(STATE_PERIOD_S, self._report, callback_group=group)
+        # Several threads: were two calls under way, it would see both.
+        self._executor = MultiThreadedExecutor(num_threads=4, context=self._context)
+        self._executor.add_node(self.node)
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join(10.0)
+        self.node.destroy_node()
+
+    def since(self, begin_s: float) -> list[Heard]:
+        """Return the calls after a time."""
+        with self._lock:
+            return [call for call in self.calls if call.at_s > begin_s]
+
+    def _report(self) -> None:
+        robot = self.robot
+        if robot.is_silent:
+            return
+        message = self._message()
+        message.header.stamp = self.node.get_clock().now().to_msg()
+        message.mode, message.state, message.err = robot.mode, robot.state, robot.err
+        message.pose = np.array(robot.pose, dtype=np.float32)
+        message.angle = [0.1] * 7
+        self._publisher.publish(message)
+
+    def _on_call(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            self.under_way += 1
+            self.most_under_way = max(self.most_under_way, self.under_way)
+            self.calls.append(
+                Heard(
+                    time.monotonic(),
+                    list(request.speeds),
+                    request.is_tool_coord,
+                    request.duration,
+                )
+            )
+        time.sleep(self.robot.takes_s)
+        with self._lock:
+            self.under_way -= 1
+        response.ret = self.robot.answer
+        response.message = "told to refuse" if self.robot.answer else ""
+        return response
+
+    def _spin(self) -> None:
+        with suppress(ExternalShutdownException):
+            self._executor.spin()
+
+
+@dataclass
+class Rig:
+    """A driver, the adapter, and a program that commands it."""
+
+    driver: FakeDriver
+    adapter: Executable
+    client: ArmClient
+
+
+@pytest.fixture(scope="module")
+def started(xarm_package: Path) -> Iterator[Rig]:
+    driver = FakeDriver()
+    try:
+        with (
+            running(MODULE, parameters=PARAMETERS) as adapter,
+            arm_client("xarm_adapter", {"ee_pose": PoseStamped}) as client,
+        ):
+            client.meet()
+            yield Rig(driver, adapter, client)
+    finally:
+        driver.close()
+
+
+@pytest.fixture
+def rig(started: Rig) -> Iterator[Rig]:
+    started.driver.robot = Robot()
+    yield started
+    started.driver.robot = Robot()
+    # The last velocity must have become zero, and been answered.
+    time.sleep(0.3)
+
+
+def lead(rig: Rig, duration_s: float, **frame: str) -> tuple[float, list[Heard]]:
+    """Command 50 mm/s and a turn; return when the last was sent, and what the driver heard."""
+    begin_s = time.monotonic()
+    last_s = rig.client.lead(duration_s, lambda t: ((0.05, 0.0, -0.01), (0.0, 0.1, 0.0)), **frame)
+    return last_s, rig.driver.since(begin_s)
+
+
+def test_the_messages_are_those_of_the_real_driver(xarm_package: Path) -> None:
+    for name, expected in TYPE_HASHES.items():
+        (path,) = xarm_package.parent.glob(f"c/xarm_msgs/{name}.json")
+        hashes = json.loads(path.read_text())["type_hashes"]
+        found = {entry["type_name"]: entry["hash_string"] for entry in hashes}
+        assert found[f"xarm_msgs/{name}"] == expected
+
+
+def test_without_the_package_it_does_not_start_and_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Another test may have built it.
+    entries = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    bare = [entry for entry in entries if not (Path(entry) / "xarm_msgs").is_dir()]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(bare))
+    looked_up = subprocess.run([sys.executable, "-c", "import xarm_msgs"], capture_output=True)
+    if looked_up.returncode == 0:
+        pytest.skip("xarm_msgs is installed")
+    node = Executable(MODULE)
+    try:
+        assert node.exit_status() == 2
+        assert "'xarm_msgs' is not installed" in node.log
+        assert "without an arm use xarm_sim" in node.log
+        assert "Traceback" not in node.log
+    finally:
+        node.end()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"), [({"duration_s": 0.0}, "duration_s"), ({"stale_s": 9.0}, "stale_s")]
+)
+def test_dangerous_parameters_are_refused_at_the_start(
+    xarm_package: Path, parameters: dict[str, float], reason: str
+) -> None:
+    node = Executable(MODULE, parameters)
+    try:
+        assert node.exit_status() == 2
+        assert reason in node.log
+    finally:
+        node.end()
+
+
+def test_sigint_ends_it_with_status_0(xarm_package: Path) -> None:
+    with running(MODULE) as node:
+        assert node.interrupt(2) == 0, node.log
+        assert "Traceback" not in node.log
+
+
+def test_velocities_arrive_in_millimetres_with_a_watchdog(rig: Rig) -> None:
+    _, calls = lead(rig, 0.5)
+    assert len(calls) > 5
+    for call in calls:
+        assert call.duration == pytest.approx(0.1)
+        assert not call.is_tool_coord
+        assert len(call.speeds) == 6
+    np.testing.assert_allclose(calls[0].speeds, [50.0, 0.0, -10.0, 0.0, 0.1, 0.0], rtol=1e-6)
+    _, calls = lead(rig, 0.3, frame_id="link_tcp")
+    assert all(call.is_tool_coord for call in calls if any(call.speeds))
+
+
+def test_speeds_are_limited(rig: Rig) -> None:
+    begin_s = time.monotonic()
+    rig.client.lead(0.3, lambda t: ((3.0, 4.0, 0.0), (0.0, 0.0, -9.0)))
+    np.testing.assert_allclose(
+        rig.driver.since(begin_s)[0].speeds, [60.0, 80.0, 0.0, 0.0, 0.0, -0.5], rtol=1e-6
+    )
+
+
+def test_silence_becomes_zero_speed_once_and_then_nothing(rig: Rig) -> None:
+    last_s, _ = lead(rig, 0.4)
+    time.sleep(0.6)
+    after = rig.driver.since(last_s)
+    moving = [call.at_s for call in after if any(call.speeds)]
+    stops = [call.at_s for call in after if not any(call.speeds)]
+    assert len(stops) == 1
+    assert stops[0] > max(moving, default=last_s)
+    # 0.1 s, a tick, and the machine.
+    assert stops[0] - last_s > 0.09
+    assert stops[0] - last_s < 0.1 + 0.02 + 0.25
+
+
+def test_one_call_is_under_way_at_most(rig: Rig) -> None:
+    rig.driver.most_under_way = 0
+    rig.driver.robot.takes_s = 0.1
+    _, calls = lead(rig, 1.0)
+    assert len(calls) >= 4
+    assert rig.driver.most_under_way == 1
+    assert (np.diff([call.at_s for call in calls]) > 0.095).all()
+    rig.client.state("arm", lambda status: int(status.values["held_back"]) > 10)
+
+
+def test_a_driver_that_does_not_answer_is_given_up_and_taken_up_again(rig: Rig) -> None:
+    rig.driver.robot.takes_s = 0.8
+    lead(rig, 0.6)
+    status = rig.client.state("arm", lambda status: int(status.values["failed"]) > 0)
+    assert "no answer within 0.3 s" in status.values["last_refusal"]
+    rig.driver.robot.takes_s = 0.0
+    time.sleep(1.2)
+    _, calls = lead(rig, 0.5)
+    assert len(calls) > 5
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"err": 24}, "error 24"),
+        ({"mode": 0}, "mode 0, expected 5"),
+        ({"state": 4}, "state 4 (stopped)"),
+        ({"is_silent": True}, "the arm's state was heard"),
+    ],
+)
+def test_an_arm_that_is_not_ready_is_left_alone_and_why_is_said(
+    rig: Rig, change: dict[str, Any], words: str
+) -> None:
+    for name, value in change.items():
+        setattr(rig.driver.robot, name, value)
+    time.sleep(0.7)
+    _, calls = lead(rig, 0.5)
+    assert calls == []
+    status = rig.client.state("arm", lambda status: words in status.message)
+    assert status.level == msg_adapters.Level.ERROR
+    rig.adapter.wait_for_line(words)
+    rig.driver.robot = Robot()
+    rig.client.state("arm", lambda status: status.level == msg_adapters.Level.OK)
+    _, calls = lead(rig, 0.3)
+    assert any(any(call.speeds) for call in calls)
+
+
+def test_an_error_in_motion_ends_the_calls_within_two_reports(rig: Rig) -> None:
+    lead(rig, 0.3)
+    rig.driver.robot.err = 31
+    failed_s = time.monotonic()
+    _, calls = lead(rig, 0.5)
+    assert all(call.at_s - failed_s < 2 * STATE_PERIOD_S + 0.15 for call in calls)
+
+
+def test_a_refusing_driver_is_reported(rig: Rig) -> None:
+    rig.driver.robot.answer = 9
+    lead(rig, 0.3)
+    status = rig.client.state("arm", lambda status: "answers 9" in status.values["last_refusal"])
+    assert "told to refuse" in status.values["last_refusal"]
+    rig.adapter.wait_for_line("the driver answers 9: told to refuse")
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_a_velocity_that_is_no_number_becomes_zero_at_once(rig: Rig, number: float) -> None:
+    lead(rig, 0.3)
+    sent_s = rig.client.send((number, 0.0, 0.0))
+    time.sleep(0.3)
+    after = rig.driver.since(sent_s + 0.05)
+    assert all(not any(call.speeds) for call in after)
+    assert all(np.isfinite(call.speeds).all() for call in rig.driver.calls)
+
+
+def test_a_velocity_of_another_frame_is_not_passed_on(rig: Rig) -> None:
+    _, calls = lead(rig, 0.4, frame_id="world")
+    assert calls == []
+    rig.client.state("input", lambda status: int(status.values["wrong_frame"]) > 5)
+
+
+def test_the_arms_state_becomes_a_pose(rig: Rig) -> None:
+    message = rig.client.newest("ee_pose", time.monotonic())
+    assert message.header.frame_id == "link_base"
+    position, quaternion = msg_adapters.decode_pose_stamped(message)
+    np.testing.assert_allclose(position, [0.35, -0.02, 0.3], atol=1e-6)
+    turned = Rotation.from_quat(quaternion) * Rotation.from_euler("xyz", POSE_MM_RAD[3:]).inv()
+    assert turned.magnitude() < 1e-6
+    stamp_s = 1e-9 * msg_adapters.message_stamp_ns(message)
+    assert abs(stamp_s - 1e-9 * rig.client.node.get_clock().now().nanoseconds) < 1.0
+    rig.driver.robot.pose = [float("nan")] * 6
+    time.sleep(0.2)
+    count = rig.client.count("ee_pose")
+    time.sleep(0.2)
+    assert rig.client.count("ee_pose") == count
+    rig.adapter.wait_for_line("the arm's state is refused")
+
+
+def test_the_watchdog_can_be_changed_but_not_taken_away(rig: Rig) -> None:
+    assert rig.client.set_parameters(duration_s=0.3).successful
+    _, calls = lead(rig, 0.3)
+    assert calls[0].duration == pytest.approx(0.3)
+    for duration_s in (0.0, -1.0):
+        result = rig.client.set_parameters(duration_s=duration_s)
+        assert not result.successful
+        assert "duration_s" in result.reason
+    assert rig.client.set_parameters(duration_s=0.1).successful

@@ -1,0 +1,319 @@
+"""The arm that stands in for an xArm 7: a user's program leads it over DDS and measures it."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from arm_rig import ArmClient, arm_client
+from harness import Executable, running
+
+import msg_adapters
+
+pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
+
+from dotsim_ros.geometry.pose import Pose, compose, inverse
+from dotsim_ros.tasks.arm_kinematics import JOINT_NAMES, ArmKinematics
+
+MODULE = "dotsim_ros.nodes.xarm_sim"
+START_M = np.array([0.35, 0.0, 0.3])
+INDENTER = Pose(np.array([0.35, 0.0, 0.28]), np.array([1.0, 0.0, 0.0, 0.0]))
+PERIOD_S = 0.01
+LIMITS = {"speed_limit_m_s": 0.2, "acceleration_limit_m_s2": 4.0}
+Session = tuple[Executable, ArmClient]
+
+
+@pytest.fixture(scope="module")
+def session() -> Iterator[Session]:
+    with (
+        running(MODULE, parameters={"diagnostics_period_s": 0.1, **LIMITS}) as executable,
+        arm_client("xarm_sim") as client,
+    ):
+        client.meet()
+        yield executable, client
+
+
+@pytest.fixture
+def client(session: Session) -> Iterator[ArmClient]:
+    session[1].trigger("reset")
+    yield session[1]
+    session[1].set_parameters(fail_drop_feedback=False, fail_delay_s=0.0, fail_stop=False)
+
+
+def velocities(stamps: Any, positions: Any) -> Any:
+    """Return the velocities between poses; their times are multiples of the arm's grid."""
+    steps = 0.005 * np.round(np.diff(stamps) / 0.005)
+    return np.diff(positions, axis=0) / steps[:, None], steps
+
+
+def settled(client: ArmClient) -> Any:
+    """Return where the tool is once it stands."""
+
+    def stands() -> bool:
+        _, places = client.positions(time.monotonic() - 0.3)
+        return len(places) > 10 and float(np.ptp(places[-10:], axis=0).max()) < 1e-7
+
+    client.wait(stands, "the arm to stand")
+    return client.position_m()
+
+
+def test_sigint_ends_it_with_status_0() -> None:
+    with running(MODULE) as node:
+        assert node.interrupt(2) == 0, node.log
+        assert "Traceback" not in node.log
+
+
+@pytest.mark.parametrize(
+    ("parameters", "reason"),
+    [
+        ({"start_pose": [1.3, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]}, "start_pose: the arm does not reach"),
+        ({"start_pose": [0.35, 0.0, 0.3]}, "start_pose needs 7 numbers"),
+        ({"indenter_pose": [0.35, 0.0, 0.3, 1.0, 1.0, 0.0, 0.0]}, "indenter_pose: quaternion"),
+        ({"fail_delay_s": -1.0}, "fail_delay_s"),
+        ({"sensor_frame": "link_base"}, "must differ"),
+    ],
+)
+def test_a_start_that_cannot_work_is_refused_with_the_reason(
+    parameters: dict[str, Any], reason: str
+) -> None:
+    node = Executable(MODULE, parameters)
+    try:
+        assert node.exit_status() == 2
+        assert reason in node.log
+        assert "Traceback" not in node.log
+    finally:
+        node.end()
+
+
+def test_simulated_time_without_a_clock_is_told() -> None:
+    with running(MODULE, parameters={"use_sim_time": True}) as node:
+        node.wait_for_line("/clock is silent")
+        assert node.interrupt() == 0
+
+
+def test_poses_carry_the_times_of_their_states_100_a_second(client: ArmClient) -> None:
+    since_s = time.monotonic()
+    time.sleep(3.0)
+    stamps, places = client.positions(since_s)
+    np.testing.assert_allclose(places, np.tile(START_M, (len(places), 1)), atol=1e-6)
+    assert len(stamps) > 100
+    # Every stamp falls on the arm's grid, whenever its tick came.
+    away = np.abs(stamps / 0.005 - np.round(stamps / 0.005)) * 0.005
+    assert np.percentile(away, 95) < 5e-4
+    assert (np.diff(stamps) > 0.004).all()
+    assert np.median(np.diff(stamps)) == pytest.approx(PERIOD_S, abs=2e-4)
+
+
+def test_joints_pose_and_indenter_agree(client: ArmClient) -> None:
+    client.lead(0.5, lambda t: ((0.03, 0.02, -0.01), (0.1, 0.0, 0.2)))
+    settled(client)
+    joints = client.newest("joint_states", time.monotonic())
+    assert joints.header.frame_id == "link_base"
+    assert list(joints.name) == list(JOINT_NAMES)
+    positions, rates = msg_adapters.decode_joint_state(joints, JOINT_NAMES)
+    tool = ArmKinematics().pose(positions)
+    pose = client.newest("ee_pose", time.monotonic())
+    assert pose.header.frame_id == "link_base"
+    place, quaternion = msg_adapters.decode_pose_stamped(pose)
+    np.testing.assert_allclose(place, tool.position_m, atol=1e-9)
+    assert abs(quaternion @ tool.quaternion_xyzw) == pytest.approx(1.0, abs=1e-12)
+    assert not rates.any()
+    seen = client.newest("indenter/pose", time.monotonic())
+    assert seen.header.frame_id == "densetact_base"
+    expected = compose(inverse(tool), INDENTER)
+    np.testing.assert_allclose(
+        msg_adapters.decode_pose_stamped(seen)[0], expected.position_m, atol=1e-9
+    )
+
+
+def test_at_the_start_the_indenter_is_before_the_dome(client: ArmClient) -> None:
+    seen = client.newest("indenter/pose", time.monotonic())
+    place, quaternion = msg_adapters.decode_pose_stamped(seen)
+    np.testing.assert_allclose(place, [0.0, 0.0, 0.02], atol=1e-6)
+    assert abs(quaternion[3]) == pytest.approx(1.0)
+
+
+def test_velocities_along_base_and_tool_move_as_their_frame_says(client: ArmClient) -> None:
+    # The tool points down: its +z is the base's -z, its +y the base's -y, and +x is +x.
+    for frame_id, signs in (("link_base", (1, 1, 1)), ("link_tcp", (1, -1, -1))):
+        before = settled(client)
+        client.lead(0.5, lambda t: ((0.02, 0.03, 0.05), (0.0, 0.0, 0.0)), frame_id=frame_id)
+        moved = settled(client) - before
+        # 0.5 s, and as long as the last velocity stays valid, if the machine lets it.
+        assert 0.01 < np.linalg.norm(moved) < 0.08
+        direction = np.array([0.02, 0.03, 0.05]) * signs
+        expected = direction * np.linalg.norm(moved) / np.linalg.norm(direction)
+        np.testing.assert_allclose(moved, expected, atol=2e-4)
+
+
+def test_no_limit_is_exceeded_on_the_recorded_motion(client: ArmClient) -> None:
+    random = np.random.default_rng(4)
+    since_s = time.monotonic()
+    client.lead(4.0, lambda t: (random.normal(size=3), 0.5 * random.normal(size=3)), rate_hz=25.0)
+    stamps, places = client.positions(since_s)
+    velocity, steps = velocities(stamps, places)
+    assert np.linalg.norm(velocity, axis=1).max() <= 0.2 * 1.001
+    assert np.linalg.norm(velocity, axis=1).max() > 0.15
+    middle_s = 0.5 * (steps[1:] + steps[:-1])
+    acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / middle_s
+    assert acceleration.max() <= 4.0 * 1.02
+    with client._changed:
+        joints = [message for arrival_s, message in client.heard["joint_states"]]
+    rates = np.array([msg_adapters.decode_joint_state(m, JOINT_NAMES)[1] for m in joints])
+    assert np.abs(rates).max() <= 4.0 + 1e-9
+    with client._changed:
+        twists = [message for arrival_s, message in client.heard["ee_twist"]]
+    speeds = [np.linalg.norm(msg_adapters.decode_twist_stamped(m)[0]) for m in twists]
+    assert max(speeds) <= 0.2 * (1.0 + 1e-9)
+
+
+def test_silence_stops_the_arm_after_a_fifth_of_a_second(client: ArmClient) -> None:
+    begin_s = time.monotonic()
+    last_s = client.lead(0.5, lambda t: ((0.0, 0.05, 0.0), (0.0, 0.0, 0.0)))
+    last_ns = client.node.get_clock().now().nanoseconds - round(1e9 * (time.monotonic() - last_s))
+    settled(client)
+    with client._changed:
+        poses = [message for arrival_s, message in client.heard["ee_pose"] if arrival_s > begin_s]
+    since_last_s = 1e-9 * (np.array([msg_adapters.message_stamp_ns(m) for m in poses]) - last_ns)
+    stamps, places = client.positions(begin_s)
+    speed = np.linalg.norm(velocities(stamps, places)[0], axis=1)
+    ends_s = since_last_s[1 : len(speed) + 1]
+    assert (speed[: len(ends_s)][(ends_s > 0.03) & (ends_s < 0.2)] > 0.045).all()
+    # 0.2 s, latency, the lag's way down to a fiftieth, and the message's own way.
+    assert (speed[: len(ends_s)][ends_s > 0.2 + 0.01 + 0.08 + 0.1] < 0.002).all()
+    client.state("input", lambda status: "the arm stands" in status.message)
+
+
+def test_a_velocity_of_an_unknown_frame_is_refused_and_not_said_each_time(session: Session) -> None:
+    executable, client = session
+    client.trigger("reset")
+    before, begin_s = settled(client), time.monotonic()
+    client.lead(0.5, lambda t: ((0.1, 0.0, 0.0), (0.0, 0.0, 0.0)), frame_id="densetact_base")
+    np.testing.assert_allclose(settled(client), before, atol=1e-9)
+    status = client.state("input", lambda status: int(status.values["wrong_frame"]) >= 3)
+    assert status.level == msg_adapters.Level.WARN
+    executable.wait_for_line("frame_id of the velocity is 'densetact_base'")
+    # Not more often than every 5 s, and here once more for the rest of the 5 s before.
+    lines = executable.log.count("frame_id of the velocity")
+    assert lines <= 2 + (time.monotonic() - begin_s) / 5.0
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_a_velocity_that_is_no_number_stops_the_arm(client: ArmClient, number: float) -> None:
+    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    sent_s = client.send((0.0, number, 0.0))
+    settled(client)
+    _, places = client.positions(sent_s)
+    assert np.isfinite(places).all()
+    # Without it the last velocity would have gone on for 0.2 s and 20 mm.
+    assert np.ptp(places, axis=0).max() < 0.012
+
+
+def test_the_emergency_stop_holds_until_reset(client: ArmClient) -> None:
+    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    assert client.trigger("emergency_stop").success
+    stopped_s = time.monotonic()
+    client.lead(0.5, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    _, places = client.positions(stopped_s + 0.06)
+    assert np.ptp(places, axis=0).max() < 1e-7
+    status = client.state("arm", lambda status: "emergency stop" in status.message)
+    assert status.level == msg_adapters.Level.ERROR
+    assert client.trigger("reset").success
+    np.testing.assert_allclose(client.position_m(), START_M, atol=1e-6)
+    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    assert settled(client)[2] > START_M[2] + 0.03
+
+
+def test_feedback_can_be_dropped_while_the_sensor_moves_on(client: ArmClient) -> None:
+    assert client.set_parameters(fail_drop_feedback=True).successful
+    time.sleep(0.1)
+    counts = {topic: client.count(topic) for topic in client.heard}
+    before = client.newest("indenter/pose", time.monotonic())
+    client.lead(0.3, lambda t: ((0.0, 0.0, 0.05), (0.0, 0.0, 0.0)))
+    for topic in ("ee_pose", "ee_twist", "joint_states"):
+        assert client.count(topic) == counts[topic]
+    after = client.newest("indenter/pose", time.monotonic())
+    assert after.pose.position.z > before.pose.position.z + 0.005
+    status = client.state("arm", lambda status: status.values["fail_drop_feedback"] == "true")
+    assert status.level == msg_adapters.Level.WARN
+    assert client.set_parameters(fail_drop_feedback=False).successful
+    assert client.position_m()[2] > START_M[2] + 0.005
+
+
+def test_a_delay_holds_feedback_back_and_leaves_its_stamps(client: ArmClient) -> None:
+    assert client.set_parameters(fail_delay_s=0.3).successful
+    time.sleep(0.6)
+    newest = client.newest("ee_pose", time.monotonic())
+    now_ns = client.node.get_clock().now().nanoseconds
+    assert 1e-9 * (now_ns - msg_adapters.message_stamp_ns(newest)) > 0.29
+    sent_s = client.send((0.0, 0.0, 0.1))
+    time.sleep(0.5)
+    _, places = client.positions(sent_s)
+    # 0.3 s until it acts and 0.3 s until it is heard of.
+    assert np.ptp(places, axis=0).max() < 1e-9
+    time.sleep(0.5)
+    assert client.position_m()[2] > START_M[2] + 0.01
+
+
+def test_a_failed_drive_stops_the_arm_and_lets_it_go_again(client: ArmClient) -> None:
+    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    assert client.set_parameters(fail_stop=True).successful
+    stopped_s = time.monotonic()
+    client.lead(0.4, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    _, places = client.positions(stopped_s + 0.06)
+    assert np.ptp(places, axis=0).max() < 1e-7
+    assert client.set_parameters(fail_stop=False).successful
+    before = client.position_m()
+    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    assert client.position_m()[2] > before[2] + 0.01
+
+
+def test_a_process_that_was_held_up_makes_no_jump(session: Session) -> None:
+    executable, client = session
+    client.trigger("reset")
+    since_s = time.monotonic()
+    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+    executable.process.send_signal(signal.SIGSTOP)
+    led_s = time.monotonic() - since_s
+    time.sleep(0.7)
+    executable.process.send_signal(signal.SIGCONT)
+    settled(client)
+    stamps, places = client.positions(since_s)
+    velocity, _ = velocities(stamps, places)
+    # As far as the last velocity was valid, at its speed.
+    assert np.linalg.norm(velocity, axis=1).max() <= 0.1 * 1.01
+    assert 0.02 < places[-1][2] - START_M[2] < 0.1 * (led_s + 0.2 + 0.05)
+
+
+@pytest.mark.parametrize(
+    ("values", "reason"),
+    [
+        ({"fail_delay_s": 3.0}, "fail_delay_s"),
+        ({"indenter_pose": [0.0, 0.0, 0.0]}, "indenter_pose needs 7 numbers"),
+        ({"start_pose": [0.4, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]}, "read-only"),
+    ],
+)
+def test_a_bad_parameter_is_refused_with_the_reason(
+    client: ArmClient, values: dict[str, Any], reason: str
+) -> None:
+    result = client.set_parameters(**values)
+    assert not result.successful
+    assert reason in result.reason
+
+
+def test_the_indenter_can_be_placed_anew_and_kept_silent(client: ArmClient) -> None:
+    assert client.set_parameters(indenter_pose=[0.35, 0.0, 0.27, 1.0, 0.0, 0.0, 0.0]).successful
+    seen = client.newest("indenter/pose", time.monotonic() + 0.05)
+    assert seen.pose.position.z == pytest.approx(0.03, abs=1e-6)
+    assert client.set_parameters(publish_indenter=False).successful
+    time.sleep(0.1)
+    count = client.count("indenter/pose")
+    time.sleep(0.2)
+    assert client.count("indenter/pose") == count
+    assert client.set_parameters(
+        publish_indenter=True, indenter_pose=[0.35, 0.0, 0.28, 1.0, 0.0, 0.0, 0.0]
+    ).successful

@@ -1,0 +1,222 @@
+"""Cloning an expert: examples, a training that can be broken off, and its files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from dotsim_ros.evaluation.provenance import write_json
+from dotsim_ros.tasks.demonstration import (
+    CARD,
+    Episode,
+    episode_file,
+    labels,
+    read_episode,
+    write_episode,
+)
+from dotsim_ros.tasks.expert import Expert
+from dotsim_ros.tasks.paths import DomeContact, reference_path
+from dotsim_ros.tasks.policy_examples import (
+    LEAST_WEIGHT,
+    Examples,
+    data_hash,
+    exposed,
+    frames_of,
+    read_split,
+)
+from dotsim_ros.tasks.policy_network import load_policy
+
+torch = pytest.importorskip("torch", reason="training needs the extra learning")
+
+CONTACT = DomeContact()
+PATHS = ("line", "press")
+SIDE = 48
+
+
+def drawn_episode(seed: int, count: int = 12) -> Episode:
+    """Return an episode whose pictures show a spot where the contact is."""
+    random = np.random.default_rng(seed)
+    tilt = random.uniform(-0.35, 0.35, (count, 2))
+    depth = random.uniform(0.5e-3, 2.0e-3, count)
+    position = CONTACT.position_m(tilt, depth)
+    idle = random.integers(60, 160, (1, SIDE, SIDE, 3), dtype=np.uint8)
+    pictures = []
+    for place, deep in zip(tilt, depth, strict=True):
+        x, y = np.rint(SIDE / 2 + SIDE * place).astype(int)
+        picture = idle[0].copy()
+        cv2.circle(picture, (int(x), int(y)), 1 + round(2e3 * deep), (250, 250, 250), -1)
+        pictures.append(picture)
+    return Episode(
+        np.array([pictures]),
+        idle,
+        random.standard_normal((1, count, 96), dtype=np.float32),
+        position,
+        labels(PATHS, CONTACT, position),
+        PATHS,
+    )
+
+
+@pytest.fixture(scope="module")
+def demonstrations(tmp_path_factory):
+    """A folder of three episodes."""
+    folder = tmp_path_factory.mktemp("demonstrations")
+    for number in range(3):
+        write_episode(episode_file(folder, number), drawn_episode(number))
+    write_json(
+        folder / CARD,
+        {
+            "plan": {"paths": list(PATHS), "sensor": "densetact2", "indenter": "sphere_4mm"},
+            "rate_hz": 25.0,
+            "view": {"image_shape": [480, 640], "share": 0.7, "side_px": SIDE},
+        },
+    )
+    return folder
+
+
+def test_an_episode_is_read_as_it_was_written(tmp_path):
+    episode = drawn_episode(4)
+    path = episode_file(tmp_path, 3)
+    write_episode(path, episode)
+    read = read_episode(path)
+    np.testing.assert_array_equal(read.picture, episode.picture)
+    np.testing.assert_array_equal(read.command, episode.command)
+    assert read.paths == PATHS
+    path.write_bytes(path.read_bytes()[:500])
+    with pytest.raises(ValueError, match="holds no demonstration"):
+        read_episode(path)
+
+
+def test_whole_episodes_are_held_out(demonstrations):
+    train, held_out = read_split([demonstrations])
+    assert (len(train), len(held_out)) == (24, 12)
+    np.testing.assert_array_equal(held_out.position_m, drawn_episode(2).position_m)
+    assert set(train.idle_of) == {0, 1}
+
+
+def test_folders_of_other_paths_are_refused(demonstrations, tmp_path):
+    plan = {"paths": ["arc"], "sensor": "densetact2", "indenter": "sphere_4mm"}
+    write_json(tmp_path / CARD, {"plan": plan})
+    write_episode(episode_file(tmp_path, 0), drawn_episode(0))
+    with pytest.raises(ValueError, match="same paths and sensor"):
+        read_split([demonstrations, tmp_path])
+    with pytest.raises(ValueError, match="dotsim_ros demonstrate"):
+        read_split([tmp_path / "nothing"])
+    assert data_hash([demonstrations]) != data_hash([tmp_path])
+
+
+def test_answers_are_the_experts_and_count_where_the_path_is_near():
+    examples = Examples(frames_of([drawn_episode(0)]), PATHS, CONTACT, SIDE)
+    path = reference_path("line", CONTACT)
+    places = np.stack([path.position_m[10], path.position_m[10] + [0.0, 0.0, 1.5e-3]])
+    commands, weight, place = examples.answers(places)
+    np.testing.assert_allclose(commands[:, 0], Expert(path).command(places))
+    assert weight[0, 0] == pytest.approx(1.0)
+    assert weight[1, 0] == pytest.approx(0.5, abs=0.1)
+    assert weight[:, 1].max() < 2.0 * LEAST_WEIGHT
+    assert place.shape == (2, 3)
+
+
+def test_a_batch_turns_pictures_and_answers_together():
+    """The spot in each input lies where its answer's place says."""
+    examples = Examples(frames_of([drawn_episode(1, count=40)]), PATHS, CONTACT, SIDE)
+    random = np.random.default_rng(0)
+    pictures, commands, weight, place = examples.batch(np.arange(40), random)
+    assert commands.shape == (40, 2, 6)
+    assert weight.shape == (40, 2)
+    change = np.clip(pictures[:, :3].sum(axis=1), 0.0, None) ** 2
+    line = np.arange(SIDE) - SIDE / 2 + 0.5
+    total = change.sum(axis=(1, 2))
+    found = np.stack(
+        [(change.sum(axis=1) * line).sum(axis=1), (change.sum(axis=2) * line).sum(axis=1)], axis=1
+    )
+    error = found / total[:, None] - SIDE * 0.25 * place[:, :2]
+    assert np.median(np.abs(error)) < 1.0
+
+
+def test_a_new_exposure_changes_both_pictures_alike():
+    random = np.random.default_rng(1)
+    idle = np.full((32, 32, 3), 120, dtype=np.uint8)
+    now, before = exposed(idle, idle, random)
+    assert now.dtype == before.dtype == np.uint8
+    assert not np.array_equal(before, idle)
+    np.testing.assert_allclose(now.mean(axis=(0, 1)), before.mean(axis=(0, 1)), rtol=0.05)
+
+
+def recipe(count: int):
+    from dotsim_ros.tasks.policy_training import Recipe
+
+    return Recipe(example_count=count, batch=8, side_px=SIDE)
+
+
+def weights_of(training):
+    return {name: value.clone() for name, value in training.network.state_dict().items()}
+
+
+def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
+    demonstrations, tmp_path, monkeypatch
+):
+    from dotsim_ros.tasks import policy_training
+
+    monkeypatch.setattr(policy_training, "ROUND", 16)
+    frames = read_split([demonstrations])[0]
+    examples = Examples(frames, PATHS, CONTACT, SIDE)
+
+    def training(folder, count=32):
+        return policy_training.Training(
+            examples, 2, recipe(count), seed=3, key="key", checkpoint=tmp_path / folder / "state.pt"
+        )
+
+    whole = training("whole")
+    reported = []
+    whole.run(reported.append)
+    assert [progress.done for progress in reported] == [16, 32]
+
+    class BrokenOffError(Exception):
+        pass
+
+    def stop(progress):
+        raise BrokenOffError
+
+    with pytest.raises(BrokenOffError):
+        training("parts").run(stop)
+    second = training("parts")
+    assert second.done == 16
+    second.run(reported.append)
+    for name, value in weights_of(whole).items():
+        assert torch.equal(value, weights_of(second)[name]), name
+
+    with pytest.raises(ValueError, match="other data"):
+        training("parts", count=64)
+    (tmp_path / "parts" / "state.pt").write_bytes(b"nothing")
+    with pytest.raises(ValueError, match="no checkpoint"):
+        training("parts")
+
+
+def test_training_learns_and_writes_a_policy(demonstrations, tmp_path):
+    from dotsim_ros.tasks.policy_training import train_policy
+
+    reported = []
+    out = tmp_path / "policy"
+    report = train_policy(
+        [demonstrations],
+        out,
+        record=tmp_path / "record",
+        name="drawn",
+        recipe=replace(recipe(400), learning_rate=1e-3),
+        seed=0,
+        progress=reported.append,
+    )
+    assert reported[-1].done == 400
+    assert set(report["card"]["metrics"]) >= {"place_sideways_m", "place_depth_m"}
+    policy = load_policy(out, "press")
+    assert policy.card.data["train_images"] == 24
+    idle = np.full((480, 640, 3), 100, dtype=np.uint8)
+    assert np.all(np.isfinite(policy(idle, idle)))
+
+
+def test_a_recipe_without_a_batch_is_refused():
+    with pytest.raises(ValueError, match="batch"):
+        recipe(4)

@@ -1,0 +1,444 @@
+"""The control loop's safety, on simulated time: thousands of ticks with faults thrown in."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.twist import TwistFrame, advance
+from dotsim_ros.tasks.arm_control import ArmControl, ControlSettings, Order
+from dotsim_ros.tasks.command import ANGULAR, LINEAR
+from dotsim_ros.tasks.freshness import Heard, StreamWatch
+from dotsim_ros.tasks.safety import Readings, Reason, SafetyLimits, State
+
+TICK_S = 0.01
+LIMITS = SafetyLimits()
+WITH_FORCE = SafetyLimits(force_n=2.0, release_n=1.5)
+SIDEWAYS = np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
+EPOCH_NS = 1_700_000_000 * 10**9
+
+
+def stamp_of(time_s: float) -> int:
+    return EPOCH_NS + round(1e9 * time_s)
+
+
+@dataclass
+class Bench:
+    """An arm that obeys at once, and streams that can be cut; time is counted in ticks."""
+
+    control: ArmControl
+    along_tool: bool = True
+    tool: Pose = field(default_factory=lambda: Pose((0.3, 0.0, 0.2), (1.0, 0.0, 0.0, 0.0)))
+    command: np.ndarray = field(default_factory=SIDEWAYS.copy)
+    force_n: float = 0.0
+    has_image: bool = True
+    has_pose: bool = True
+    has_force: bool = True
+    has_policy: bool = True
+    image_lag_s: float = 0.0
+    tick: int = 0
+    image_s: float = -1.0
+    orders: list[Order] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.image = StreamWatch("image", jump_s=0.5)
+        self.pose = StreamWatch("pose", jump_s=0.5)
+        self.force = StreamWatch("force", jump_s=0.5)
+
+    @property
+    def now_s(self) -> float:
+        return TICK_S * self.tick
+
+    def hear(self, watch: StreamWatch, lag_s: float = 0.0) -> None:
+        heard, why = watch.hear(
+            stamp_of(self.now_s - lag_s), arrival_s=self.now_s, clock_ns=stamp_of(self.now_s)
+        )
+        if heard is Heard.JUMPED:
+            self.control.latch(Reason.CLOCK_JUMP, why)
+
+    def readings(self) -> Readings:
+        return Readings(
+            now_s=self.now_s,
+            image=self.image.reading(self.now_s),
+            pose=self.pose.reading(self.now_s),
+            force=self.force.reading(self.now_s),
+            tool=self.tool,
+            force_n=self.force_n,
+        )
+
+    def step(self, count: int = 1) -> Order:
+        for _ in range(count):
+            self.tick += 1
+            if self.has_pose:
+                self.hear(self.pose)
+            if self.tick % 4 == 0:
+                if self.has_image:
+                    self.hear(self.image, self.image_lag_s)
+                    self.image_s = self.now_s
+                if self.has_force:
+                    self.hear(self.force)
+            if self.has_policy and self.now_s - self.image_s == pytest.approx(2 * TICK_S):
+                self.control.put(self.command, self.now_s, image_s=self.image_s)
+            order = self.control.tick(self.readings())
+            self.orders.append(order)
+            self.tool = advance(
+                self.tool,
+                order.twist[LINEAR],
+                order.twist[ANGULAR],
+                duration_s=TICK_S,
+                along=TwistFrame.OWN if self.along_tool else TwistFrame.PARENT,
+            )
+        return self.orders[-1]
+
+    def start(self) -> None:
+        self.step(10)
+        self.control.enable(self.readings())
+        assert self.step(20).state is State.RUNNING
+
+    def ticks_to_rest(self) -> int:
+        for count in range(1, 100):
+            if not self.step().twist.any():
+                return count
+        raise AssertionError("the arm never stops")
+
+
+def bench(limits: SafetyLimits = LIMITS, **settings) -> Bench:
+    return Bench(ArmControl(limits, ControlSettings(**settings)), settings.get("along_tool", True))
+
+
+def test_it_is_off_at_start_and_commands_zero():
+    rig = bench()
+    rig.step(50)
+    assert {order.state for order in rig.orders} == {State.DISABLED}
+    assert not any(order.twist.any() for order in rig.orders)
+
+
+def test_it_follows_the_policy_once_enabled():
+    rig = bench()
+    rig.start()
+    np.testing.assert_allclose(rig.step().twist, SIDEWAYS)
+    rig.control.disable()
+    assert rig.ticks_to_rest() <= 2
+    assert rig.step().state is State.DISABLED
+
+
+@pytest.mark.parametrize("missing", ["has_image", "has_pose", "has_force"])
+def test_it_cannot_be_enabled_without_its_streams(missing):
+    rig = bench(WITH_FORCE)
+    setattr(rig, missing, False)
+    rig.step(50)
+    with pytest.raises(ValueError, match=f"no {missing.removeprefix('has_')} has come"):
+        rig.control.enable(rig.readings())
+    assert rig.control.state is State.DISABLED
+
+
+def test_it_cannot_be_enabled_under_force():
+    rig = bench(WITH_FORCE)
+    rig.force_n = 1.8
+    rig.step(50)
+    with pytest.raises(ValueError, match=r"1\.80 N already"):
+        rig.control.enable(rig.readings())
+
+
+@pytest.mark.parametrize("speed", [0.001, 0.02, 0.05])
+@pytest.mark.parametrize(
+    ("cut", "reason"),
+    [
+        ("has_image", Reason.IMAGE_STALE),
+        ("has_pose", Reason.POSE_STALE),
+        ("has_policy", Reason.POLICY_LATE),
+        ("has_force", Reason.FORCE_STALE),
+    ],
+)
+@pytest.mark.parametrize("phase", range(4))
+def test_what_goes_silent_stops_the_arm_in_time_and_going_on_resumes(cut, reason, phase, speed):
+    limits = replace(WITH_FORCE, half_box_m=np.full(3, 1.0))
+    rig = bench(limits, interpolates=False)
+    rig.command = speed * SIDEWAYS / 0.02
+    rig.start()
+    rig.step(phase)
+    watch = {"has_pose": rig.pose, "has_force": rig.force}.get(cut, rig.image)
+    setattr(rig, cut, False)
+    rig.ticks_to_rest()
+    if cut == "has_policy":
+        # Its last command came at most one cycle before the cut.
+        assert rig.now_s <= TICK_S * (30 + phase) + limits.stop_within_s
+    else:
+        assert watch.reading(rig.now_s).age_s <= limits.stop_within_s
+    assert rig.orders[-1].state is State.STOPPED
+    assert rig.orders[-1].reason is reason
+    assert rig.orders[-1].detail
+    assert not rig.step(100).twist.any()
+    setattr(rig, cut, True)
+    assert rig.step(20).state is State.RUNNING
+    assert rig.orders[-1].twist.any()
+
+
+@pytest.mark.parametrize("speed", [0.003, 0.02, 0.05])
+def test_one_silence_is_one_stop_and_the_policy_is_not_blamed_afterwards(speed):
+    rig = bench(replace(LIMITS, half_box_m=np.full(3, 1.0)))
+    rig.command = speed * SIDEWAYS / 0.02
+    rig.start()
+    rig.orders.clear()
+    rig.has_image = False
+    rig.step(300)
+    rig.has_image = True
+    rig.step(30)
+    seen = [(order.state, order.reason) for order in rig.orders]
+    changes = [now for before, now in itertools.pairwise(seen) if now != before]
+    assert changes == [(State.STOPPED, Reason.IMAGE_STALE), (State.RUNNING, Reason.NONE)]
+
+
+def test_a_steady_stream_never_counts_as_cut():
+    rig = bench(replace(LIMITS, half_box_m=np.full(3, 10.0)))
+    rig.command = np.array([0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    rig.start()
+    rig.orders.clear()
+    rig.step(2000)
+    assert {order.state for order in rig.orders} == {State.RUNNING}
+
+
+def test_without_resuming_a_silence_is_latched():
+    rig = bench(replace(LIMITS, resumes=False))
+    rig.start()
+    rig.has_image = False
+    rig.step(20)
+    rig.has_image = True
+    order = rig.step(100)
+    assert (order.state, order.reason) == (State.LATCHED, Reason.IMAGE_STALE)
+    rig.control.enable(rig.readings())
+    assert rig.step(10).state is State.RUNNING
+
+
+def test_old_images_stop_it_although_they_come_in_time():
+    rig = bench()
+    rig.start()
+    # Little by little, as a queue grows: no jump of the stamps.
+    for lag_s in np.arange(0.0, 0.32, 0.04):
+        rig.image_lag_s = float(lag_s)
+        rig.step(8)
+    assert (rig.orders[-1].state, rig.orders[-1].reason) == (State.STOPPED, Reason.IMAGE_DELAYED)
+    assert "after the time of its stamp" in rig.orders[-1].detail
+
+
+@pytest.mark.parametrize("lag_s", [-0.7, 0.7])
+def test_a_clock_that_jumps_is_latched(lag_s):
+    rig = bench()
+    rig.start()
+    rig.image_lag_s = lag_s
+    rig.step(5)
+    assert (rig.orders[-1].state, rig.orders[-1].reason) == (State.LATCHED, Reason.CLOCK_JUMP)
+    rig.image_lag_s = 0.0
+    assert not rig.step(100).twist.any()
+    rig.control.enable(rig.readings())
+    assert rig.step(10).state is State.RUNNING
+
+
+def test_stamps_that_run_back_are_a_jump_and_two_that_change_places_are_not():
+    watch = StreamWatch("image", jump_s=0.5)
+    watch.hear(stamp_of(1.0), arrival_s=1.0, clock_ns=stamp_of(1.0))
+    heard, _ = watch.hear(stamp_of(0.99), arrival_s=1.02, clock_ns=stamp_of(1.02))
+    assert heard is Heard.NOTHING_NEW
+    assert watch.reading(1.02).age_s == pytest.approx(0.02)
+    heard, why = watch.hear(stamp_of(0.97), arrival_s=1.04, clock_ns=stamp_of(1.04))
+    assert heard is Heard.JUMPED
+    assert "runs back by 0.030 s" in why
+
+
+def heard(watch, *, stamp_s, arrival_s, clock_s=None):
+    clock_s = arrival_s if clock_s is None else clock_s
+    return watch.hear(stamp_of(stamp_s), arrival_s=arrival_s, clock_ns=stamp_of(clock_s))[0]
+
+
+def test_a_stream_that_is_held_up_and_catches_up_is_delayed_but_no_jump():
+    watch = StreamWatch("image", jump_s=0.5)
+    assert heard(watch, stamp_s=1.0, arrival_s=1.0) is Heard.NEW
+    assert heard(watch, stamp_s=1.04, arrival_s=1.9) is Heard.NEW
+    assert watch.reading(1.9).delay_s == pytest.approx(0.86)
+    assert heard(watch, stamp_s=1.9, arrival_s=1.93) is Heard.NEW
+    assert watch.reading(1.93).delay_s == pytest.approx(0.03)
+
+
+def test_a_machine_whose_time_is_set_is_a_jump_although_the_stamps_follow():
+    watch = StreamWatch("image", jump_s=0.5)
+    heard(watch, stamp_s=1.0, arrival_s=1.0)
+    assert heard(watch, stamp_s=3.04, arrival_s=1.04, clock_s=3.04) is Heard.JUMPED
+    assert heard(watch, stamp_s=3.08, arrival_s=1.08, clock_s=3.08) is Heard.NEW
+
+
+def test_an_image_that_is_repeated_gets_older():
+    watch = StreamWatch("image", jump_s=0.5)
+    for time_s in (1.0, 1.04, 1.08):
+        watch.hear(stamp_of(1.0), arrival_s=time_s, clock_ns=stamp_of(time_s))
+    assert watch.reading(1.08).age_s == pytest.approx(0.08)
+    assert (watch.count, watch.repeated) == (1, 2)
+
+
+@pytest.mark.parametrize("now_s", [0.0, 0.5])
+def test_a_tick_at_no_later_time_changes_nothing(now_s):
+    rig = bench()
+    rig.start()
+    rig.command = np.zeros(6)
+    rig.step(2)
+    before = rig.control.tick(rig.readings()).twist
+    earlier = replace(rig.readings(), now_s=min(now_s, rig.now_s))
+    np.testing.assert_array_equal(rig.control.tick(earlier).twist, before)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("place", range(6))
+def test_a_command_that_is_no_number_is_latched_and_never_given(bad, place):
+    rig = bench()
+    rig.start()
+    rig.command = SIDEWAYS.copy()
+    rig.command[place] = bad
+    rig.ticks_to_rest()
+    assert all(np.isfinite(order.twist).all() for order in rig.orders)
+    assert (rig.orders[-1].state, rig.orders[-1].reason) == (State.LATCHED, Reason.NOT_FINITE)
+    rig.command = SIDEWAYS
+    assert not rig.step(100).twist.any()
+
+
+def test_a_command_for_an_old_image_is_not_taken():
+    control = ArmControl(LIMITS, ControlSettings())
+    assert control.put(SIDEWAYS, 1.0, image_s=0.95)
+    assert not control.put(SIDEWAYS, 1.0, image_s=0.9)
+
+
+@pytest.mark.parametrize("along_tool", [True, False])
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_it_stops_inside_of_the_workspace(along_tool, axis, sign):
+    rig = bench(along_tool=along_tool)
+    rig.command = np.zeros(6)
+    rig.start()
+    start_m = rig.tool.position_m
+    rig.command[axis] = 0.04 * sign
+    for _ in range(400):
+        if rig.step().state is State.LATCHED:
+            break
+    rig.step(20)
+    assert (rig.orders[-1].state, rig.orders[-1].reason) == (State.LATCHED, Reason.WORKSPACE)
+    assert (np.abs(rig.tool.position_m - start_m) <= LIMITS.half_box_m).all()
+    # It used what it was given.
+    assert np.abs(rig.tool.position_m - start_m)[axis] > 0.7 * LIMITS.half_box_m[axis]
+
+
+def test_a_tool_that_is_somewhere_else_is_latched():
+    rig = bench()
+    rig.start()
+    rig.tool = Pose((0.5, 0.0, 0.2), rig.tool.quaternion_xyzw)
+    assert rig.step().reason is Reason.WORKSPACE
+
+
+def test_a_tool_that_turns_too_far_is_latched():
+    rig = bench(righting_gain_per_s=0.0)
+    rig.command = np.array([0.0, 0.0, 0.0, 0.3, 0.0, 0.0])
+    rig.start()
+    rig.step(200)
+    assert rig.orders[-1].reason is Reason.WORKSPACE
+    assert "turned by" in rig.orders[-1].detail
+
+
+def test_the_orientation_is_held_against_the_policy():
+    held, free = bench(), bench(righting_gain_per_s=0.0)
+    for rig in (held, free):
+        rig.command = np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
+        rig.start()
+        rig.start_turn = rig.tool
+        rig.step(300)
+    turns = [
+        2.0 * np.arccos(abs(rig.tool.quaternion_xyzw @ np.array([1.0, 0.0, 0.0, 0.0])))
+        for rig in (held, free)
+    ]
+    assert turns[0] == pytest.approx(0.05 / 2.0, rel=0.05)
+    assert turns[1] > 0.14
+
+
+def test_a_force_above_the_limit_retreats_until_it_is_released():
+    rig = bench(WITH_FORCE)
+    rig.start()
+    before_m = rig.tool.position_m
+    rig.force_n = 2.1
+    order = rig.step(10)
+    assert (order.state, order.reason) == (State.RETREATING, Reason.FORCE_LIMIT)
+    np.testing.assert_allclose(order.twist, [0, 0, -WITH_FORCE.retreat_m_s, 0, 0, 0], atol=1e-12)
+    rig.force_n = 1.7
+    assert rig.step(10).state is State.RETREATING
+    rig.force_n = 1.4
+    assert rig.step(10).state is State.RUNNING
+    # The tool looks down, so away from the contact is up.
+    assert rig.tool.position_m[2] > before_m[2] + 0.001
+
+
+def test_a_retreat_needs_no_image():
+    rig = bench(WITH_FORCE)
+    rig.start()
+    rig.force_n = 3.0
+    rig.step(2)
+    rig.has_image = False
+    assert rig.step(50).state is State.RETREATING
+    rig.has_pose = False
+    assert rig.step(10).reason is Reason.POSE_STALE
+
+
+def test_a_retreat_that_does_not_help_is_latched():
+    rig = bench(WITH_FORCE)
+    rig.start()
+    rig.force_n = 3.0
+    rig.step(400)
+    assert rig.orders[-1].reason is Reason.RETREAT_FAILED
+    assert not rig.orders[-1].twist.any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"linear_m_s2": 0.5}, "brakes for 0.100 s"),
+        ({"angular_rad_s2": 4.0}, "brakes for 0.100 s"),
+        ({"release_n": 3.0, "force_n": 2.0}, "above the 2.0 N"),
+        ({"retreat_m_s": 0.1}, "faster than the arm's"),
+    ],
+)
+def test_limits_that_contradict_are_refused(changes, reason):
+    with pytest.raises(ValueError, match=reason):
+        replace(LIMITS, **changes)
+
+
+@pytest.mark.parametrize("interpolates", [True, False])
+@pytest.mark.parametrize("along_tool", [True, False])
+@pytest.mark.parametrize("seed", range(5))
+def test_no_limit_is_ever_exceeded_whatever_happens(seed, along_tool, interpolates):
+    generator = np.random.default_rng(seed)
+    rig = bench(WITH_FORCE, along_tool=along_tool, interpolates=interpolates)
+    rig.start()
+    home_m = rig.tool.position_m
+    for _ in range(200):
+        rig.command = generator.normal(0.0, [0.1] * 3 + [1.0] * 3)
+        if generator.random() < 0.02:
+            rig.command[generator.integers(6)] = generator.choice([np.nan, np.inf])
+        rig.has_image, rig.has_pose, rig.has_force, rig.has_policy = generator.random(4) < 0.95
+        rig.force_n = float(generator.choice([0.0, 2.5], p=[0.95, 0.05]))
+        rig.step(int(generator.integers(1, 12)))
+        if rig.control.state is State.LATCHED:
+            rig.has_image = rig.has_pose = rig.has_force = True
+            rig.force_n, rig.command = 0.0, np.zeros(6)
+            rig.step(8)
+            home_m = rig.tool.position_m
+            rig.control.enable(rig.readings())
+        # A retreat alone may leave the box, by its own length.
+        room_m = rig.control.limits.half_box_m + rig.control.limits.retreat_m
+        assert (np.abs(rig.tool.position_m - home_m) <= room_m).all()
+    twists = np.array([order.twist for order in rig.orders])
+    steps = np.diff(twists, axis=0)
+    assert {State.RUNNING, State.STOPPED, State.LATCHED} <= {order.state for order in rig.orders}
+    for half, speed, rate in (
+        (LINEAR, LIMITS.linear_m_s, LIMITS.linear_m_s2),
+        (ANGULAR, LIMITS.angular_rad_s, LIMITS.angular_rad_s2),
+    ):
+        assert np.linalg.norm(twists[:, half], axis=1).max() <= speed * (1 + 1e-9)
+        assert np.linalg.norm(steps[:, half], axis=1).max() <= rate * TICK_S * (1 + 1e-6)
