@@ -58,8 +58,8 @@ def read_loop_bag(
     )
     if not len(shared_s):
         raise ValueError(
-            f"{path}: no pose of the indenter has the time of a pose of the tool, so that it cannot "
-            "be placed; expected both as xarm_sim publishes them"
+            f"{path}: no pose of the indenter has the time of a pose of the tool, so that it "
+            "cannot be placed; expected both as xarm_sim publishes them"
         )
     tool_from_sensor = tool_from_sensor or Pose()
     seen, held = rows["indenter/pose"][of_indenter[-1]], rows["ee_pose"][of_tool[-1]]
