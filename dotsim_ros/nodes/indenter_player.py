@@ -69,15 +69,8 @@ class IndenterPlayer(WorkingNode):
             self._answered.notify_all()
 
     def _run(self) -> None:
-        try:
+        with self.vital("the player broke off"):
             self._play()
-        except Exception:
-            # A publish that meets the shutdown of ROS is no error.
-            if self.context.ok():
-                self.get_logger().fatal("the player broke off")
-                self.exit_status = 1
-                try_shutdown()
-                raise
 
     def _play(self) -> None:
         if not (self._wait_for_clock() and self._wait_for_subscriber()):

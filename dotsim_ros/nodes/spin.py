@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from types import FrameType
 
 import rclpy
-from rclpy._rclpy_pybind11 import RCLError
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
@@ -37,6 +37,22 @@ class WorkingNode(Node):
             ValueError, OSError: what the user gave does not work; nothing has been opened.
         """
         raise NotImplementedError
+
+    @contextmanager
+    def vital(self, what: str) -> Iterator[None]:
+        """Run the work of a thread without which the node must not live on.
+
+        An exception in the block is logged with `what`, ends the node with exit status 1 and goes
+        on, unless a signal has shut the context down: to publish there is how a run ends.
+        """
+        try:
+            yield
+        except Exception:
+            if self.context.ok():
+                self.get_logger().fatal(what)
+                self.exit_status = 1
+                rclpy.try_shutdown()
+                raise
 
 
 class _Interruption:
@@ -83,14 +99,18 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
 
     Returns:
         The exit status: 0 (or the `exit_status` of a `WorkingNode`) after a stop, `REFUSED` where
-        factory or `begin` refused the parameters or files (ValueError, OSError or a ROS parameter's
-        exception), with one line that says why.
+        ROS refused its arguments, or factory or `begin` the parameters or files (ValueError,
+        OSError or a ROS parameter's exception), with one line that says why.
     """
     interruption = _Interruption()
     signal.signal(signal.SIGINT, interruption)
     node: Node | None = None
     try:
         rclpy.init(args=None if arguments is None else list(arguments))
+    except (RCLError, UnknownROSArgsError) as error:
+        get_logger("dotsim_ros").fatal(f"cannot start: {error}")
+        return REFUSED
+    try:
         # Before the node: it cannot be made any more once a signal has shut the context down.
         executor = SingleThreadedExecutor()
         try:

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.utilities import try_shutdown
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
@@ -158,16 +157,8 @@ class TactilePolicy(WorkingNode):
         super().destroy_node()
 
     def _guard(self, run: Callable[[Event], None]) -> None:
-        try:
+        with self.vital("a loop broke off: the arm stops when no command comes"):
             run(self._stop)
-        except Exception:
-            # Publishing into a context that a signal has shut down is how a run ends. Otherwise the
-            # node must not live on without one of its loops: the arm stops when it falls silent.
-            if self.context.ok():
-                self.get_logger().fatal("a loop broke off: the arm stops when no command comes")
-                self.exit_status = 1
-                try_shutdown()
-                raise
 
     def _publish(self, twist: Twist, stamp_ns: int) -> None:
         self._commands.publish(

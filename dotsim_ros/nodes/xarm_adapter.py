@@ -15,7 +15,6 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.utilities import try_shutdown
 
 import msg_adapters
 from dotsim_ros.nodes.declare import declare, follow
@@ -89,17 +88,10 @@ class XarmAdapter(WorkingNode):
         super().destroy_node()
 
     def _run(self) -> None:
-        try:
+        with self.vital("the calls broke off"):
             while not self._stop.wait(max(0.0, self._pace.deadline_s() - time.monotonic())):
                 self._pace.begin(time.monotonic())
                 self._tick()
-        except Exception:
-            # Calling in a context that a signal has shut down is how a run ends.
-            if self.context.ok():
-                self.get_logger().fatal("the calls broke off")
-                self.exit_status = 1
-                try_shutdown()
-                raise
 
     def _tick(self) -> None:
         has_service = self._client.service_is_ready()

@@ -16,7 +16,6 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.utilities import try_shutdown
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
@@ -132,17 +131,10 @@ class XarmSim(WorkingNode):
         self._sensor = pose_of(settings.tool_from_sensor, "tool_from_sensor")
 
     def _run(self) -> None:
-        try:
+        with self.vital("the arm broke off"):
             while not self._stop.wait(max(0.0, self._pace.deadline_s() - time.monotonic())):
                 self._pace.begin(time.monotonic())
                 self._tick()
-        except Exception:
-            # Publishing into a context that a signal has shut down is how a run ends.
-            if self.context.ok():
-                self.get_logger().fatal("the arm broke off")
-                self.exit_status = 1
-                try_shutdown()
-                raise
 
     def _tick(self) -> None:
         now_s, ahead_ns = self._clocks()

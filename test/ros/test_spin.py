@@ -148,3 +148,17 @@ def test_bug_is_not_swallowed():
     )
     assert done.returncode == 1
     assert "RuntimeError: a bug" in done.stderr
+
+
+@pytest.mark.parametrize("told", [["-p", "nonsense"], ["--nonsense"]])
+def test_arguments_that_ros_cannot_read_are_refused(told):
+    done = subprocess.run(
+        [sys.executable, "-c", ENDS_ITSELF, "--ros-args", *told],
+        timeout=60,
+        check=False,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert "cannot start" in done.stderr
+    assert "nonsense" in done.stderr
