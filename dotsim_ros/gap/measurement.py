@@ -19,6 +19,8 @@ from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, read_data
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
 
 CHANNELS = ("pose", "wrench", "skin")
+LOCKED_SHARE = 0.4
+"""At most this share of the trajectories is kept for the figures after the search."""
 IGNORED = ("truth.json", "truth.yaml")
 """Files that say what was done to a data set: never read, and their presence is told."""
 
@@ -192,6 +194,22 @@ def protocol_of(recording: Recording) -> str:
     steps: Sequence[str] = [phase.value for phase in recording.phase]
     changes = [step for k, step in enumerate(steps) if k == 0 or step != steps[k - 1]]
     return " ".join([recording.press.indenter, *(step for step in changes if step != "idle")])
+
+
+def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[int]:
+    """Return the places of the trajectories to keep locked: one of each protocol that is repeated,
+    those repeated most first, and at most `LOCKED_SHARE` of all.
+
+    Args:
+        protocols: of each trajectory, by `protocol_of`.
+        random: draws the one.
+    """
+    groups: dict[str, list[int]] = {}
+    for place, protocol in enumerate(protocols):
+        groups.setdefault(protocol, []).append(place)
+    repeated = sorted((m for m in groups.values() if len(m) > 1), key=len, reverse=True)
+    most = int(LOCKED_SHARE * len(protocols) + 0.5)
+    return sorted(int(random.choice(members)) for members in repeated[:most])
 
 
 def _add(digest: hashlib._Hash, recording: Recording) -> None:

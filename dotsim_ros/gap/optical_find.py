@@ -28,7 +28,7 @@ from dotsim_ros.gap.findings import (
     Verdict,
 )
 from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.measurement import protocol_of
+from dotsim_ros.gap.measurement import one_of_each, protocol_of
 from dotsim_ros.gap.optical_case import (
     HEIGHT,
     IDLE,
@@ -54,7 +54,7 @@ from dotsim_ros.gap.optical_pictures import (
     read_pictures,
 )
 from dotsim_ros.gap.overlay import FoundEffect, Overlay, active_effects
-from dotsim_ros.gap.search import LOCKED_SHARE, Progress, Request, find_gap
+from dotsim_ros.gap.search import Progress, Request, find_gap
 from dotsim_ros.gap.simulate import open_solver, request_of
 from dotsim_ros.gap.tiles import COLOURS
 from dotsim_ros.sensor import skin_of
@@ -301,13 +301,9 @@ def _locked(
     names = [shot.name for shot in case.shots]
     if findings is not None:
         return tuple(name for name in findings.locked if name in names)
-    groups: dict[str, list[str]] = {}
-    for shot in case.shots:
-        if shot.recording is not None:
-            groups.setdefault(protocol_of(shot.recording), []).append(shot.name)
-    repeated = sorted((m for m in groups.values() if len(m) > 1), key=len, reverse=True)
-    most = int(LOCKED_SHARE * (len(names) - 1) + 0.5)
-    return tuple(sorted(str(random.choice(members)) for members in repeated[:most]))
+    pressed = [shot for shot in case.shots if shot.recording is not None]
+    places = one_of_each([protocol_of(s.recording) for s in pressed if s.recording], random)
+    return tuple(sorted(pressed[place].name for place in places))
 
 
 def _optical_findings(

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from dotsim_ros.gap import decision
 from dotsim_ros.gap.effect import Active, Effect, EffectParameter
 from dotsim_ros.gap.optical_model import Film
 from dotsim_ros.gap.tile_noise import TileNoise
@@ -50,9 +51,6 @@ _TINY = 1e-12
 
 LEAST_NORM = 1.0
 """A signature that is shorter, whitened, at its probe, is not excited by the data."""
-
-APART = 3.1
-"""Effects whose d = delta sqrt((1 - |rho|) / 2) is below are reported as a set."""
 
 
 @dataclass(frozen=True)
@@ -551,7 +549,7 @@ def alike(scores: Sequence[Score], likeness: Iterable[Likeness]) -> list[str]:
         other
         for one in likeness
         for mine, other in ((one.first, one.second), (one.second, one.first))
-        if mine == best.name and one.separation(best.norm) < APART
+        if mine == best.name and one.separation(best.norm) < decision.APART
     }
     return [best.name, *(score.name for score in scores[1:] if score.name in near)]
 

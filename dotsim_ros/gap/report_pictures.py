@@ -9,7 +9,13 @@ import numpy as np
 from dotsim_ros.gap.effect import Effect
 from dotsim_ros.gap.findings import OpticalFindings, TileGap, Verdict
 from dotsim_ros.gap.report_figures import HEAT_COLOURS, gap_bars
-from dotsim_ros.gap.report_text import estimate_text, percent, quantity, shown_name
+from dotsim_ros.gap.report_text import (
+    estimate_text,
+    percent,
+    quantity,
+    role_text,
+    shown_name,
+)
 from dotsim_ros.view.page import (
     LARGEST_WIDTH_INCHES,
     Block,
@@ -59,7 +65,7 @@ def picture_sections(f: OpticalFindings, effects: Mapping[str, Effect]) -> tuple
     if tried:
         rows = tuple(
             (
-                f"{rank}. {c.title} ({c.name}){_role(f, c.name)}",
+                f"{rank}. {c.title} ({c.name}){role_text(f, c.name)}",
                 f"{c.score:.3g}",
                 _size(c.name, c.size, effects),
                 percent(c.explained),
@@ -134,12 +140,6 @@ def _items(f: OpticalFindings) -> list[str]:
             f"{percent(f.stability)} of bootstrap repetitions over trajectories give the same name."
         )
     return items
-
-
-def _role(f: OpticalFindings, name: str) -> str:
-    if name in f.named:
-        return ", added"
-    return ", cannot be told from it" if name in f.alternatives else ""
 
 
 def _size(name: str, size: float, effects: Mapping[str, Effect]) -> str:

@@ -16,6 +16,7 @@ from dotsim_ros.gap.report_text import (
     force_text,
     percent,
     quantity,
+    role_text,
     shown_name,
 )
 from dotsim_ros.view.page import Block, Bullets, Gallery, Page, Paragraph, Section, Table
@@ -221,7 +222,7 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
     )
     rows = tuple(
         (
-            f"{rank}. {c.title} ({c.name}){_role(f, c.name)}",
+            f"{rank}. {c.title} ({c.name}){role_text(f, c.name)}",
             f"{c.score:.3g}" + (f" / {c.limit:.3g}" if c.limit else ""),
             _size_text(c, effects),
             percent(c.explained),
@@ -241,12 +242,6 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
         ),
     )
     return Section("Candidates by rank", blocks)
-
-
-def _role(f: Findings, name: str) -> str:
-    if name in f.named:
-        return ", added"
-    return ", cannot be told from it" if name in f.alternatives else ""
 
 
 def _size_text(candidate: Candidate, effects: Mapping[str, Effect]) -> str:

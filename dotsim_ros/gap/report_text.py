@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.gap.findings import Estimate
+from dotsim_ros.gap.findings import Estimate, Findings, OpticalFindings
 
 _SHOWN_UNITS = {
     "m": (1e3, "mm"),
@@ -61,3 +61,10 @@ def force_text(force_n: list[float]) -> str:
         return "-"
     parts = ", ".join(f"{component:.2f}" for component in force_n)
     return f"({parts}), {np.linalg.norm(force_n):.2f} in size"
+
+
+def role_text(findings: Findings | OpticalFindings, name: str) -> str:
+    """Return what follows an effect's title: whether it was added, or cannot be told apart."""
+    if name in findings.named:
+        return ", added"
+    return ", cannot be told from it" if name in findings.alternatives else ""

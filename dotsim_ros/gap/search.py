@@ -30,7 +30,7 @@ from dotsim_ros.gap.locate import (
     share_closed,
     worst_frame,
 )
-from dotsim_ros.gap.measurement import Measurement, protocol_of, read_measurement
+from dotsim_ros.gap.measurement import Measurement, one_of_each, protocol_of, read_measurement
 from dotsim_ros.gap.overlay import FoundEffect, Overlay
 from dotsim_ros.gap.screening import Screen, Trial, best_trial, excited_variants
 from dotsim_ros.gap.simulate import open_solver, request_of
@@ -51,7 +51,6 @@ BOOTSTRAPS = 20
 INTERVAL_DRAWS = 100
 SMALL_SHARE = 0.08
 """A size that is nearer to a node than this share of it needs no solve of its own."""
-LOCKED_SHARE = 0.4
 SHOWN = 6
 """So many of the best effects are set against each other."""
 
@@ -237,18 +236,10 @@ def _read(request: Request) -> tuple[Measurement, Measurement | None]:
 
 def _lock(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]]:
     """Return trajectories to search, and to keep locked: one of each repeated protocol."""
-    groups: dict[str, list[int]] = {}
-    for number, t in enumerate(case.trajectories):
-        if not t.is_reference:
-            groups.setdefault(protocol_of(t.recording), []).append(number)
-    measured = sum(len(members) for members in groups.values())
-    repeated = sorted(
-        (members for members in groups.values() if len(members) > 1), key=len, reverse=True
-    )
-    most = int(LOCKED_SHARE * measured + 0.5)
-    locked = sorted(int(random.choice(members)) for members in repeated[:most])
-    chosen = [n for n in range(len(case.trajectories)) if n not in locked]
-    return chosen, locked
+    measured = [n for n, t in enumerate(case.trajectories) if not t.is_reference]
+    places = one_of_each([protocol_of(case.trajectories[n].recording) for n in measured], random)
+    locked = [measured[place] for place in places]
+    return [n for n in range(len(case.trajectories)) if n not in locked], locked
 
 
 @dataclass(frozen=True)
