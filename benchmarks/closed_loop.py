@@ -29,7 +29,7 @@ from dotsim_ros.evaluation.table import entry_list, write_text
 from dotsim_ros.evaluation.trajectory import motion_figures, summarize, trial_start
 from dotsim_ros.nodes.closed_loop import ARM, POLICY, SENSOR, ClosedLoop, LoopSetup, policy_name
 from dotsim_ros.nodes.loop_observer import LOOP_TOPICS, Heard
-from dotsim_ros.nodes.tactile_policy import policy_folder
+from dotsim_ros.nodes.policy_files import policy_folder
 from dotsim_ros.tasks.loop_recording import LoopRecording
 from dotsim_ros.tasks.paths import PATHS, reference_path
 from dotsim_ros.tasks.policy_card import read_policy

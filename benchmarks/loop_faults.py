@@ -47,7 +47,7 @@ from dotsim_ros.evaluation.trajectory import trial_start
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.nodes.closed_loop import SENSOR, ClosedLoop, LoopSetup, policy_name
 from dotsim_ros.nodes.loop_observer import LOOP_TOPICS
-from dotsim_ros.nodes.tactile_policy import policy_folder, read_picture
+from dotsim_ros.nodes.policy_files import policy_folder, read_picture
 from dotsim_ros.nodes.transport import carry_images
 from dotsim_ros.sensor import given_path
 from dotsim_ros.tasks.paths import PATHS, reference_path

@@ -25,9 +25,10 @@ from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
+from dotsim_ros.optics.carded_weights import GRAPH
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.network_card import FINENESS, GRAPH
+from dotsim_ros.optics.network_card import FINENESS
 from dotsim_ros.optics.network_input import NetworkInput
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.residual_network import ResidualNetwork

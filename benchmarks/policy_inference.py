@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 
 from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.optics.network_card import GRAPH
+from dotsim_ros.optics.carded_weights import GRAPH
 from dotsim_ros.tasks.policy_images import CHANNEL_COUNT
 from dotsim_ros.tasks.policy_network import load_policy, open_session
 

@@ -40,7 +40,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.trajectory import judge, told, trial_start
     from dotsim_ros.evaluation.trajectory_page import path_picture, trial_report
     from dotsim_ros.nodes.closed_loop import ClosedLoop, LoopSetup, policy_name
-    from dotsim_ros.nodes.tactile_policy import policy_folder
+    from dotsim_ros.nodes.policy_files import policy_folder
     from dotsim_ros.tasks.paths import DomeContact, reference_path
     from dotsim_ros.tasks.policy_card import read_policy
     from dotsim_ros.view.files import whole_file

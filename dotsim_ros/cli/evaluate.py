@@ -481,7 +481,7 @@ def _trajectory(arguments: argparse.Namespace) -> int:
     )
     from dotsim_ros.evaluation.trajectory_page import trajectory_page, write_grid
     from dotsim_ros.gel.refinement import cache_directory
-    from dotsim_ros.nodes.tactile_policy import policy_folder
+    from dotsim_ros.nodes.policy_files import policy_folder
     from dotsim_ros.nodes.trials import TrialLoop
     from dotsim_ros.tasks.policy_card import read_policy
 

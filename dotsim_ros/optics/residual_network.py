@@ -10,14 +10,9 @@ import onnxruntime
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.carded_weights import GRAPH
 from dotsim_ros.optics.idle import ByteImage
-from dotsim_ros.optics.network_card import (
-    BASES,
-    FINENESS,
-    GRAPH,
-    check_card,
-    read_network,
-)
+from dotsim_ros.optics.network_card import BASES, FINENESS, check_card, read_network
 from dotsim_ros.optics.network_input import NetworkInput, resized
 from dotsim_ros.optics.renderer import View
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from safetensors import SafetensorError, safe_open
 
-from dotsim_ros.optics.network_card import CARD_KEY, GRAPH, WEIGHTS, weights_hash
+from dotsim_ros.optics.carded_weights import CardKind, read_weights
 from dotsim_ros.tasks.policy_images import PolicyView
 
 FORMAT = 1
@@ -63,6 +61,10 @@ class PolicyCard:
     date: str = ""
     command: str = ""
 
+    def __post_init__(self) -> None:
+        # JSON knows no tuples.
+        object.__setattr__(self, "paths", tuple(self.paths))
+
     @property
     def view(self) -> PolicyView:
         """What part of an image the network sees."""
@@ -73,68 +75,16 @@ class PolicyCard:
         return json.dumps(asdict(self), indent=2)
 
 
-def card_from(text: str, path: Path) -> PolicyCard:
-    """Return the card that a text holds.
-
-    Args:
-        text: JSON.
-        path: where it was read, for messages.
-
-    Raises:
-        ValueError: it is no card, or one of another version.
-    """
-    try:
-        record = json.loads(text)
-        version = record["version"]
-    except (json.JSONDecodeError, TypeError, KeyError) as error:
-        raise ValueError(f"{path} has no card that can be read ({error})") from error
-    if version != FORMAT:
-        raise ValueError(
-            f"{path} is of version {version}, expected {FORMAT}; train the policy anew with this "
-            "version of the package: dotsim_ros train-policy --help"
-        )
-    known = {entry.name for entry in fields(PolicyCard)}
-    if set(record) != known:
-        raise ValueError(
-            f"{path}: its card has the entries {sorted(record)}, expected {sorted(known)}; train "
-            "the policy anew"
-        )
-    record["paths"] = tuple(record["paths"])
-    return PolicyCard(**record)
+POLICY = CardKind(PolicyCard, FORMAT, "policy", "dotsim_ros train-policy")
 
 
 def read_policy(folder: Path) -> tuple[PolicyCard, dict[str, NDArray[Any]]]:
     """Return card and arrays of a policy after a check that its files are whole.
 
     Raises:
-        FileNotFoundError: no such folder, or one without weights or graph.
-        ValueError: a file is corrupt, does not belong to the other, or is of another version.
+        FileNotFoundError, ValueError: as `read_weights`, and for weights that are not finite.
     """
-    path, graph = folder / WEIGHTS, folder / GRAPH
-    for needed in (path, graph):
-        if not needed.is_file():
-            raise FileNotFoundError(
-                f"{folder} holds no policy: there is no {needed.name}; make one with "
-                "dotsim_ros train-policy"
-            )
-    try:
-        with safe_open(path, framework="numpy") as content:
-            card = card_from((content.metadata() or {}).get(CARD_KEY, "null"), path)
-            arrays = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
-    except SafetensorError as error:
-        raise ValueError(
-            f"{path} is corrupt ({error}); copy it again or train the policy anew"
-        ) from error
-    if weights_hash(arrays) != card.weights_sha256:
-        raise ValueError(
-            f"{path} is corrupt: its weights are not those that its card was written for; copy it "
-            "again or train the policy anew"
-        )
-    if hashlib.sha256(graph.read_bytes()).hexdigest() != card.graph_sha256:
-        raise ValueError(
-            f"{graph} is corrupt or belongs to other weights than {path.name} beside it; copy both "
-            "again or train the policy anew"
-        )
+    card, arrays = read_weights(folder, POLICY)
     if not np.all(np.isfinite(arrays[USUAL_ROOT])):
-        raise ValueError(f"{path} holds weights that are not finite; train the policy anew")
+        raise ValueError(f"{folder} holds weights that are not finite; train the policy anew")
     return card, arrays

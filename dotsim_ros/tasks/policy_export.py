@@ -6,12 +6,9 @@ graph: it is as fast as single precision and half as large.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import warnings
-from collections.abc import Mapping
 from contextlib import redirect_stdout
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,14 +16,11 @@ import numpy as np
 import onnx
 import torch
 from numpy.typing import NDArray
-from safetensors.numpy import save
 from torch import nn
 
-from dotsim_ros.optics.learning.export import refer_to_weights, without_origins
-from dotsim_ros.optics.network_card import CARD, CARD_KEY, GRAPH, WEIGHTS, weights_hash
+from dotsim_ros.optics.learning.export import without_origins, write_carded
 from dotsim_ros.tasks.policy_card import PolicyCard
 from dotsim_ros.tasks.policy_images import CHANNEL_COUNT
-from dotsim_ros.view.files import whole_file
 
 INPUT, OUTPUT = "picture", "commands"
 OPSET = 20
@@ -94,29 +88,5 @@ def write_policy(folder: Path, network: nn.Module, card: PolicyCard, usual: Arra
     Returns:
         The card with the hashes.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     model = graph_of(network, card.side_px)
-    arrays = {**halve_weights(model), **usual}
-    # The header holds the hash of the graph, and the graph where the header ends: a hash of the
-    # same length stands in for it.
-    card = replace(card, weights_sha256=weights_hash(arrays), graph_sha256="0" * 64)
-    draft = folder / f".draft-{WEIGHTS}"
-    try:
-        _write_weights(draft, arrays, card)
-        refer_to_weights(model, arrays, draft)
-    finally:
-        draft.unlink(missing_ok=True)
-    graph = model.SerializeToString(deterministic=True)
-    card = replace(card, graph_sha256=hashlib.sha256(graph).hexdigest())
-    with whole_file(folder / GRAPH) as part:
-        part.write_bytes(graph)
-    _write_weights(folder / WEIGHTS, arrays, card)
-    with whole_file(folder / CARD) as part:
-        part.write_text(card.text() + "\n", encoding="utf-8")
-    return card
-
-
-def _write_weights(path: Path, arrays: Mapping[str, NDArray[Any]], card: PolicyCard) -> None:
-    whole = {name: np.ascontiguousarray(array) for name, array in arrays.items()}
-    with whole_file(path) as part:
-        part.write_bytes(save(whole, metadata={CARD_KEY: card.text()}))
+    return write_carded(folder, model, {**halve_weights(model), **usual}, card)

@@ -12,7 +12,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from dotsim_ros.optics.network_card import GRAPH
+from dotsim_ros.optics.carded_weights import GRAPH
 from dotsim_ros.tasks.policy_card import (
     COMMAND_SIZE,
     USUAL_MEAN,

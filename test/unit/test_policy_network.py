@@ -15,11 +15,11 @@ import pytest
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.optics.carded_weights import CARD, GRAPH, WEIGHTS, card_from
 from dotsim_ros.optics.idle import read_idle_frame
-from dotsim_ros.optics.network_card import CARD, GRAPH, WEIGHTS
 from dotsim_ros.resources import parameter_path
 from dotsim_ros.tasks.paths import PATHS as PATH_NAMES
-from dotsim_ros.tasks.policy_card import FORMAT, PolicyCard
+from dotsim_ros.tasks.policy_card import FORMAT, POLICY, PolicyCard
 from dotsim_ros.tasks.policy_images import CHANNEL_COUNT, NetworkInput
 from dotsim_ros.tasks.policy_network import load_policy, open_session, save_policy
 
@@ -166,16 +166,14 @@ def test_broken_files_are_refused(written, tmp_path):
 
 
 def test_another_version_is_refused(written, tmp_path):
-    from dotsim_ros.tasks.policy_card import card_from
-
     record = json.loads((written[1] / CARD).read_text())
     with pytest.raises(ValueError, match="version 99"):
-        card_from(json.dumps({**record, "version": 99}), tmp_path)
+        card_from(json.dumps({**record, "version": 99}), tmp_path, POLICY)
     del record["paths"]
     with pytest.raises(ValueError, match="entries"):
-        card_from(json.dumps(record), tmp_path)
+        card_from(json.dumps(record), tmp_path, POLICY)
     with pytest.raises(ValueError, match="no card"):
-        card_from("null", tmp_path)
+        card_from("null", tmp_path, POLICY)
 
 
 def test_weights_too_large_for_half_precision_are_refused(tmp_path):

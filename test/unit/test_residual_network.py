@@ -15,19 +15,21 @@ from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.optics.carded_weights import (
+    CARD_KEY,
+    GRAPH,
+    WEIGHTS,
+    weights_hash,
+    write_weights,
+)
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network_card import (
-    CARD_KEY,
     FINENESS,
     FORMAT,
-    GRAPH,
-    WEIGHTS,
     NetworkCard,
     camera_hash,
     read_network,
-    weights_hash,
-    write_weights,
 )
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.residual_network import ResidualNetwork

@@ -23,15 +23,15 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from dotsim_ros.optics.network_card import (
+from dotsim_ros.optics.carded_weights import (
     CARD,
-    FINENESS,
     GRAPH,
     WEIGHTS,
-    NetworkCard,
+    AnyCard,
     weights_hash,
     write_weights,
 )
+from dotsim_ros.optics.network_card import FINENESS, NetworkCard
 from dotsim_ros.optics.network_input import FADE, FRAME
 from dotsim_ros.view.files import whole_file
 
@@ -128,14 +128,30 @@ def write_network(
     Returns:
         The card with the hashes.
     """
-    directory.mkdir(parents=True, exist_ok=True)
     weights = {name: value.numpy() for name, value in network.state_dict().items()}
     model = graph_of(network, (card.width, card.height), FINENESS[card.kind])
+    return write_carded(directory, model, weights, card)
+
+
+def write_carded(
+    folder: Path, model: onnx.ModelProto, weights: Mapping[str, NDArray[Any]], card: AnyCard
+) -> AnyCard:
+    """Write graph, weights and card of a network, each file whole or not at all.
+
+    Args:
+        folder: made where it does not exist.
+        model: its graph; arrays of the name and size of a weight become references to the file.
+        weights: by name; the file may hold more than the graph needs.
+        card: what it is; the hashes are filled in here.
+
+    Returns:
+        The card with the hashes.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
     # The header holds the hash of the graph, and the graph where the header ends: a hash of the
     # same length stands in for it.
     card = replace(card, weights_sha256=weights_hash(weights), graph_sha256="0" * 64)
-    path = directory / WEIGHTS
-    draft = directory / f".draft-{WEIGHTS}"
+    draft = folder / f".draft-{WEIGHTS}"
     try:
         write_weights(draft, weights, card)
         refer_to_weights(model, weights, draft)
@@ -143,9 +159,9 @@ def write_network(
         draft.unlink(missing_ok=True)
     graph = model.SerializeToString(deterministic=True)
     card = replace(card, graph_sha256=hashlib.sha256(graph).hexdigest())
-    with whole_file(directory / GRAPH) as part:
+    with whole_file(folder / GRAPH) as part:
         part.write_bytes(graph)
-    write_weights(path, weights, card)
-    with whole_file(directory / CARD) as part:
+    write_weights(folder / WEIGHTS, weights, card)
+    with whole_file(folder / CARD) as part:
         part.write_text(card.text() + "\n", encoding="utf-8")
     return card
