@@ -286,7 +286,9 @@ def judge(recording: LoopRecording, path: ReferencePath, limits: SafetyLimits) -
     time from the first command to the last.
     """
     notes = recording.notes
-    ended = f"{notes['reason']}: {notes['detail']}" if notes.get("state") == "latched" else ""
+    ended = ""
+    if notes.get("state") in ("latched", "refused"):
+        ended = f"{notes['reason']}: {notes['detail']}"
     row: dict[str, Any] = {"stops": dict(notes.get("stops", {})), "ended": ended}
     try:
         begun_s, ended_s = recording.led_s()

@@ -81,6 +81,10 @@ def loop_parameters(executable: str) -> dict[str, Any]:
     return {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
 
 
+class RefusedError(OSError):
+    """A node answers that it will not do what it was asked to."""
+
+
 class ClosedLoop:
     """The processes of a loop and what they are observed by; a context manager.
 
@@ -245,7 +249,8 @@ class ClosedLoop:
         """Let the policy lead.
 
         Raises:
-            OSError: it refuses for a long time; with its reason.
+            RefusedError: it refuses for a long time; with its reason.
+            OSError: it does not answer.
         """
         self._retry(lambda: self.observer.call(SetBool, f"{POLICY}/set_enabled", data=True))
 
@@ -270,7 +275,8 @@ class ClosedLoop:
     def trial(
         self, start_m: FloatArray, seconds: float, *, bag: Path | None = None
     ) -> LoopRecording:
-        """Return what the loop does from a place on, for a time or until it is latched.
+        """Return what the loop does from a place on, for a time or until it is latched; nothing
+        where the policy refuses to lead, which the notes say.
 
         Args:
             start_m: (3,) of the indenter in the sensor's frame.
@@ -286,12 +292,12 @@ class ClosedLoop:
         self.wait_diagnostics()
         before = self.stops()
         self.observer.forget()
-        self.enable()
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s and self.state()[0] != "latched":
-            time.sleep(0.02)
-        state, reason = self.state()
-        told = self.observer.diagnostics.get(f"{POLICY}: control")
+        try:
+            self.enable()
+        except RefusedError as error:
+            state, reason, detail = "refused", "refused", str(error)
+        else:
+            state, reason, detail = self._watch(seconds)
         self.disable()
         self.wait_diagnostics()
         after = self.stops()
@@ -304,10 +310,19 @@ class ClosedLoop:
                 },
                 "state": state,
                 "reason": reason,
-                "detail": told.message if told is not None and state == "latched" else "",
+                "detail": detail,
                 "seconds": seconds,
             }
         )
+
+    def _watch(self, seconds: float) -> tuple[str, str, str]:
+        """Return state, reason and what is told of it after a time, or when it is latched."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and self.state()[0] != "latched":
+            time.sleep(0.02)
+        state, reason = self.state()
+        told = self.observer.diagnostics.get(f"{POLICY}: control")
+        return state, reason, told.message if told is not None and state == "latched" else ""
 
     def _finish_bag(self) -> None:
         status = self._processes.pop(RECORDER).stop()
@@ -361,7 +376,7 @@ class ClosedLoop:
         end_s = time.monotonic() + ENABLE_TIMEOUT_S
         while not (answer := call()).success:
             if time.monotonic() > end_s:
-                raise OSError(str(answer.message))
+                raise RefusedError(str(answer.message))
             time.sleep(0.1)
 
 

@@ -108,9 +108,25 @@ def test_feedback_that_is_dropped_stops_the_arm(
     wait_for_motion(loop)
 
 
+def test_a_trial_that_the_policy_refuses_is_recorded_as_such(
+    loop: ClosedLoop, led: tuple[LoopRecording, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dotsim_ros.nodes.closed_loop.ENABLE_TIMEOUT_S", 1.0)
+    path = reference_path(PATH, loop.contact)
+    loop.set_arm(fail_drop_feedback=True)
+    try:
+        recording = loop.trial(trial_start(path, loop.contact, seed=0, number=1), SECONDS)
+    finally:
+        loop.set_arm(fail_drop_feedback=False)
+    row = judge(recording, path, loop.setup.limits())
+    assert row["ended"].startswith("refused: ")
+    assert "mean_error_mm" not in row
+
+
 def test_a_sensor_that_is_killed_stops_the_arm(
     loop: ClosedLoop, led: tuple[LoopRecording, Path]
 ) -> None:
+    loop.enable()
     wait_for_motion(loop)
     loop.process(SENSOR).signal(signal.SIGKILL)
     wait_for_stop(loop, {"image_stale", "force_stale"})

@@ -159,6 +159,11 @@ def test_a_trial_that_was_never_led_or_latched_early_is_told() -> None:
     assert early["ended"] == "workspace: too far"
     found = summarize([row, early, judge(still, reference_path("line"), LIMITS)])
     assert (found["trials"], found["judged"], found["ended_early"]) == (3, 1, 2)
+    notes = still.notes | {"state": "refused", "reason": "refused", "detail": "no image"}
+    refused = judge(
+        replace(still, command=0.0 * still.command, notes=notes), reference_path("line"), LIMITS
+    )
+    assert refused["ended"] == "refused: no image"
     assert found["stops"] == {"workspace": 1}
     assert found["std_mm"] is None
 
