@@ -13,6 +13,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 import warp as wp
@@ -38,7 +39,7 @@ TAPER_M = 14.0e-3
 """Length of the Gaussian that fades dG out towards its reach; a sharp end would make it indefinite
 for contacts as wide as the reach."""
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -169,40 +170,57 @@ def refine(
         progress: called with the finished share, 0 to 1.
     """
     youngs, bulk = small_strain_moduli_pa(law)
-    fine = discretize(body, skin_position_m, coarse.spacing_m / 2.0)
+    key = hashlib.sha256(
+        repr((_FORMAT, body, coarse.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY)).encode()
+        + np.ascontiguousarray(skin_position_m).tobytes()
+    ).hexdigest()[:24]
+    path = cache_directory() / f"refinement-{key}.npz"
+    # The fine grid is what takes long to make: what is needed of it lies beside dG.
+    table = _load(path)
+    if table is None:
+        fine = discretize(body, skin_position_m, coarse.spacing_m / 2.0)
+        table = _compute(body, fine, coarse, coarse_compliance * youngs, law, progress)
+        _store(path, table)
+    row = np.repeat(np.arange(len(table.node_position_m)), np.diff(table.indptr))
+    distance = np.linalg.norm(
+        table.node_position_m[row] - table.node_position_m[table.index], axis=1
+    )
+    block = table.block * np.exp(-((distance / TAPER_M) ** 2))[:, None, None]
+    return Refinement(
+        table.skin_weight, table.indptr, table.index, (block / youngs).astype(np.float32)
+    )
+
+
+@dataclass(frozen=True)
+class _Table:
+    """What is kept on disk: dG for E = 1 Pa without its taper.
+
+    Attributes:
+        skin_weight, indptr, index, block: as in `Refinement`.
+        node_position_m: (F, 3) rest positions of the fine nodes.
+    """
+
+    skin_weight: sparse.csr_matrix
+    indptr: IntArray
+    index: IntArray
+    block: FloatArray
+    node_position_m: Array
+
+
+def _compute(
+    body: Body,
+    fine: Discretization,
+    coarse: Discretization,
+    coarse_compliance: FloatArray,
+    law: ElasticLaw,
+    progress: Callable[[float], None] | None,
+) -> _Table:
     weight = fine.skin_interpolation.matrix(fine.node_count)
     supporting = images_of_cells(fine.node_cell[np.unique(weight.indices)], body).reshape(-1, 3)
     wanted = {tuple(c) for c in supporting.tolist()}
     nodes = np.array(
         [i for i, c in enumerate(fine.node_cell.tolist()) if tuple(c) in wanted], dtype=np.int32
     )
-    key = hashlib.sha256(
-        repr((_FORMAT, body, coarse.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY)).encode()
-        + np.ascontiguousarray(skin_position_m).tobytes()
-    ).hexdigest()[:24]
-    path = cache_directory() / f"refinement-{key}.npz"
-    unit = _load(path)
-    if unit is None:
-        unit = _compute(body, fine, nodes, coarse, coarse_compliance * youngs, law, progress)
-        _store(path, unit)
-    indptr, index, block = unit
-    position = fine.node_position_m[nodes]
-    row = np.repeat(np.arange(len(nodes)), np.diff(indptr))
-    distance = np.linalg.norm(position[row] - position[index], axis=1)
-    block = block * np.exp(-((distance / TAPER_M) ** 2))[:, None, None]
-    return Refinement(weight[:, nodes], indptr, index, (block / youngs).astype(np.float32))
-
-
-def _compute(
-    body: Body,
-    fine: Discretization,
-    nodes: IntArray,
-    coarse: Discretization,
-    coarse_compliance: FloatArray,
-    law: ElasticLaw,
-    progress: Callable[[float], None] | None,
-) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return dG for E = 1 Pa as rows of blocks."""
     youngs, bulk = small_strain_moduli_pa(law)
     elastic = ElasticBody(fine, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
     stiffness = elastic.stiffness(np.zeros((fine.node_count, 3), dtype=np.float32), 0)
@@ -247,7 +265,13 @@ def _compute(
         if progress is not None:
             progress(min(1.0, (first + batch) / len(leaders)))
     indptr = np.concatenate([[0], np.cumsum([len(n) for n in neighbours])]).astype(np.int32)
-    return indptr, np.concatenate(neighbours), np.concatenate(blocks)
+    return _Table(
+        weight[:, nodes],
+        indptr,
+        np.concatenate(neighbours),
+        np.concatenate(blocks),
+        fine.node_position_m[nodes],
+    )
 
 
 def cache_directory() -> Path:
@@ -258,16 +282,30 @@ def cache_directory() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "dotsim_ros"
 
 
-def _load(path: Path) -> tuple[IntArray, IntArray, FloatArray] | None:
+def _load(path: Path) -> _Table | None:
     try:
         with np.load(path) as stored:
-            return stored["indptr"], stored["index"], stored["block"]
-    except (OSError, ValueError, KeyError, EOFError):
+            position = stored["node_position_m"]
+            weight = sparse.csr_matrix(
+                (stored["weight"], stored["weight_index"], stored["weight_indptr"]),
+                shape=(len(stored["weight_indptr"]) - 1, len(position)),
+            )
+            return _Table(weight, stored["indptr"], stored["index"], stored["block"], position)
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
         return None
 
 
-def _store(path: Path, unit: tuple[IntArray, IntArray, FloatArray]) -> None:
+def _store(path: Path, table: _Table) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as stream:
-        np.savez(stream, indptr=unit[0], index=unit[1], block=unit[2])
+        np.savez(
+            stream,
+            indptr=table.indptr,
+            index=table.index,
+            block=table.block,
+            node_position_m=table.node_position_m,
+            weight=table.skin_weight.data,
+            weight_index=table.skin_weight.indices,
+            weight_indptr=table.skin_weight.indptr,
+        )
     os.replace(stream.name, path)

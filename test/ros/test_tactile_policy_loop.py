@@ -70,6 +70,7 @@ def test_the_arm_moves_by_what_the_policy_says(
     seen.calibrate()
     seen.wait(lambda: seen.enable().success, "the start")
     seen.wait(lambda: seen.newest().moves(), "a motion")
+    seen.wait(lambda: seen.last_pose_s > 0.0, "the first pose of the arm")
     start_m, begun_s = seen.tool.position_m, time.time()
     seen.wait(lambda: seen.tool.position_m[0] - start_m[0] > 0.002, "the arm to move by 2 mm")
     moved_m, passed_s = seen.tool.position_m - start_m, time.time() - begun_s
