@@ -115,10 +115,9 @@ class _ContactProblem:
         result: FloatArray = state.caused - self.compliance @ self.answered(state)
         return result
 
-    def descend(self, state: _State, lag: Lag) -> tuple[_State, bool]:
+    def descend(self, state: _State, out_of_balance: FloatArray, lag: Lag) -> tuple[_State, bool]:
         """Return the state after a Newton step that lowers the energy, and whether there is one."""
         self.iterations += 1
-        out_of_balance = self.out_of_balance(state)
         step = self.answered(state) - state.change
         step += _newton_force(self.compliance, out_of_balance, state.response)
         moved = self.compliance @ step
@@ -134,11 +133,11 @@ class _ContactProblem:
             scale *= 0.5
         return state, False
 
-    def correct(self, state: _State) -> _State:
+    def correct(self, state: _State, out_of_balance: FloatArray) -> _State:
         """Return the state after a Newton step on Coulomb's law as it is."""
         self.iterations += 1
         change = self.answered(state)
-        change += _coulomb_force(self.compliance, self.out_of_balance(state), state.response)
+        change += _coulomb_force(self.compliance, out_of_balance, state.response)
         return self.at(change, self.compliance @ change, None)
 
     def solution(self, state: _State) -> ContactSolution:
@@ -209,14 +208,17 @@ def linear_contact(
 
 def _corrected(problem: _ContactProblem, state: _State, tolerance_m: float) -> tuple[_State, bool]:
     """Return the state after Newton's method on Coulomb's law, and whether it converged."""
-    first = _largest(problem.out_of_balance(state))
-    for _ in range(CORRECTIONS):
-        left = _largest(problem.out_of_balance(state))
+    first = np.inf
+    for correction in range(CORRECTIONS):
+        out_of_balance = problem.out_of_balance(state)
+        left = _largest(out_of_balance)
         if left < tolerance_m:
             return state, True
+        if correction == 0:
+            first = left
         if left > DIVERGING * first:
             break
-        state = problem.correct(state)
+        state = problem.correct(state, out_of_balance)
     return state, False
 
 
@@ -224,9 +226,10 @@ def _descended(problem: _ContactProblem, state: _State, lag: Lag, close_m: float
     """Return the state once the energy's descent has come so close to its end."""
     has_descended = True
     while has_descended and problem.iterations < ITERATIONS:
-        if _largest(problem.out_of_balance(state)) < close_m:
+        out_of_balance = problem.out_of_balance(state)
+        if _largest(out_of_balance) < close_m:
             break
-        state, has_descended = problem.descend(state, lag)
+        state, has_descended = problem.descend(state, out_of_balance, lag)
     return state
 
 

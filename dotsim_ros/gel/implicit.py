@@ -48,6 +48,10 @@ from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecif
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 
+FORGOTTEN_N = 1.0e-9
+"""A marker's force below this is none: it moves the skin by less than 1e-11 m. What a marker leaves
+behind when it is let go would shrink for hundreds of steps, count as contact all the while, and end
+as subnormal numbers, with which a product takes ten times as long."""
 LARGEST_SUBSTEP_M = 0.6e-3
 """The indenter moves no farther in a substep, so that no marker passes through it."""
 PATCH_MARGIN_M = 2.2e-3
@@ -497,6 +501,7 @@ class ImplicitGel:
         force, pressure = world.marker_force_n, history.pressure_pa
         if change is not None:
             force = force + share * change.marker_force_n
+            force[np.abs(force).max(axis=1) < FORGOTTEN_N] = 0.0
             pressure = np.maximum(0.0, pressure + share * change.pressure_pa)
         lag.pressure_pa[:] = pressure[patch.marker]
         return displacement, force[patch.marker], lag
@@ -551,6 +556,7 @@ class ImplicitGel:
         history.pressure_pa[patch.marker] = point.response.pressure_pa
         marker_force = np.zeros_like(world.marker_force_n)
         marker_force[patch.marker] = point.force_n
+        marker_force[np.abs(marker_force).max(axis=1) < FORGOTTEN_N] = 0.0
         if before is not None:
             world.last_change = Change(
                 point.displacement_m - start_m,

@@ -43,7 +43,7 @@ from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.transport import carry_images
 from dotsim_ros.sensor import TactileSensor
 
-REALTIME_ITERATIONS = 5
+REALTIME_ITERATIONS = 3
 """A frame that stalls is late, has a longer way to go next time, and stalls again: better one that
 misses the tolerance and says so."""
 REALTIME_TOLERANCE_M = 100.0e-6
