@@ -41,6 +41,14 @@ class TactileSimParameters:
         choices=(REALTIME, LOCKSTEP),
         read_only=True,
     )
+    grid_spacing_m: float = option(
+        0.0,
+        "Spacing of the gel's grid in place of the sensor's own, for a rate that this machine does "
+        "not reach otherwise; 0: as in the sensor's file. docs/gel.md tells what it costs.",
+        minimum=0.0,
+        maximum=0.01,
+        read_only=True,
+    )
     rate_hz: float = option(
         25.0, "Frames per second of the real-time clock.", minimum=0.5, maximum=240.0
     )

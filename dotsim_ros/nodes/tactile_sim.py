@@ -43,7 +43,7 @@ from dotsim_ros.nodes.tactile_parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.transport import carry_images
 from dotsim_ros.sensor import TactileSensor
 
-REALTIME_ITERATIONS = 3
+REALTIME_ITERATIONS = 2
 """A frame that stalls is late, has a longer way to go next time, and stalls again: better one that
 misses the tolerance and says so."""
 REALTIME_TOLERANCE_M = 100.0e-6
@@ -144,6 +144,9 @@ class TactileSim(WorkingNode):
                 specification.camera, idle_image=str(Path(self._settings.idle_image).absolute())
             )
             specification = replace(specification, camera=camera)
+        if self._settings.grid_spacing_m:
+            solver = replace(specification.solver, grid_spacing_m=self._settings.grid_spacing_m)
+            specification = replace(specification, solver=solver)
         if self._is_realtime:
             exact = specification.solver
             solver = replace(
