@@ -12,6 +12,7 @@ from dotsim_ros.nodes.options import check_options, option
 REALTIME, LOCKSTEP = "realtime", "lockstep"
 POSE, TWIST, ANY = "pose", "twist", "any"
 TWIST_STAMPED, TWIST_PLAIN = "TwistStamped", "Twist"
+SMALLEST_GRID_M = 1.0e-3
 
 
 @dataclass(frozen=True)
@@ -162,6 +163,11 @@ class TactileSimParameters:
             if len(getattr(self, name)) != length:
                 raise ValueError(f"{name} needs {length} numbers, got {len(getattr(self, name))}")
         self.start_pose()
+        if 0.0 < self.grid_spacing_m < SMALLEST_GRID_M:
+            raise ValueError(
+                f"grid_spacing_m is {self.grid_spacing_m}, expected {SMALLEST_GRID_M} or more, or 0 "
+                "for the sensor's own: a finer grid has too many nodes to be solved"
+            )
         if (self.image_size_px[0] == 0) != (self.image_size_px[1] == 0):
             raise ValueError(
                 f"image_size_px is {list(self.image_size_px)}: give both width and height, or two "

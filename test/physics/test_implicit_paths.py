@@ -18,7 +18,7 @@ from gel_cases import (
     towards_centre,
 )
 
-from dotsim_ros.gel.implicit import GelState, ImplicitGel, PressTooDeepError
+from dotsim_ros.gel.implicit import FORGOTTEN_N, GelState, ImplicitGel, PressTooDeepError
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.geometry.indenter import (
     Indenter,
@@ -68,6 +68,17 @@ def journey() -> list[Pose | None]:
 def dome() -> ImplicitGel:
     """A dome under a ball with friction; reset it before use."""
     return dome_gel(BALL, contact=FRICTION)
+
+
+def test_markers_that_a_slide_leaves_behind_are_forgotten(dome: ImplicitGel) -> None:
+    dome.reset()
+    for x_m in np.linspace(-2.0e-3, 3.0e-3, 40):
+        pose = at(x_m, 0.2e-3, DOME_TOP_M - 0.9e-3)
+        state = one(dome, pose)
+    largest_n = np.abs(dome.worlds[0].marker_force_n).max(axis=1)
+    loaded = largest_n > 0.0
+    assert state.contact_count <= np.count_nonzero(loaded) < 2 * state.contact_count
+    assert largest_n[loaded].min() >= FORGOTTEN_N
 
 
 def test_indenter_away_leaves_rest_exactly(dome: ImplicitGel) -> None:
