@@ -59,6 +59,8 @@ STILL_M_S = 1e-4
 JUMP_NS = 1_000_000_000
 MOVING_COMMANDS = 5
 BEGINNINGS = 5
+LEASE_S = 60.0
+"""A participant that was killed is forgotten after 20 s (Fast DDS's default lease)."""
 PATIENCE_S = 10.0
 TOUCHED_N = 0.05
 SENSOR_PERIOD_S, ARM_PERIOD_S = 0.04, 0.01
@@ -188,7 +190,7 @@ class Bench:
         self.faults: dict[str, Fault] = {
             "images cut": Fault(self._cut_images, lambda: self._set_sensor(True)),
             "poses cut": Fault(self._cut_poses, lambda: loop.set_arm(fail_drop_feedback=False)),
-            "sensor killed": Fault(self._kill_sensor, loop.start_sensor),
+            "sensor killed": Fault(self._kill_sensor, self._restart_sensor),
             "wrong sensor": Fault(self._wrong_sensor, self._right_sensor),
             "clock jump": Fault(self._jump, self._end_intruder),
             "policy overloaded": Fault(self._overload, self._relieve, BOUND_MS + FRAME_MS),
@@ -293,6 +295,16 @@ class Bench:
     def _cut_poses(self) -> str:
         self.loop.set_arm(fail_drop_feedback=True)
         return "ee_pose"
+
+    def _restart_sensor(self) -> None:
+        """Start the sensor anew, and wait until its killed forerunner is forgotten: the graph keeps
+        it for the lease of its participant, and the policy refuses two senders."""
+        self.loop.start_sensor()
+        self.loop.observer.wait(
+            lambda: self.loop.observer.node.count_publishers("/wrench") == 1,
+            "the killed sensor to leave the graph",
+            timeout_s=LEASE_S,
+        )
 
     def _kill_sensor(self) -> str:
         self.loop.process(SENSOR).signal(signal.SIGKILL)
