@@ -165,8 +165,8 @@ class TactileSimParameters:
         self.start_pose()
         if 0.0 < self.grid_spacing_m < SMALLEST_GRID_M:
             raise ValueError(
-                f"grid_spacing_m is {self.grid_spacing_m}, expected {SMALLEST_GRID_M} or more, or 0 "
-                "for the sensor's own: a finer grid has too many nodes to be solved"
+                f"grid_spacing_m is {self.grid_spacing_m}, expected {SMALLEST_GRID_M} or more, or "
+                "0 for the sensor's own: a finer grid has too many nodes to be solved"
             )
         if (self.image_size_px[0] == 0) != (self.image_size_px[1] == 0):
             raise ValueError(
