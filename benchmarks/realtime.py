@@ -228,7 +228,7 @@ def measure_start_up() -> dict[str, float]:
     return figures
 
 
-def measure_node(seconds: float, rate_hz: float) -> dict[str, Any]:
+def measure_node(seconds: float, rate_hz: float, sensor: str) -> dict[str, Any]:
     """Return rate, latency and the node's own figures under the motion.
 
     Raises:
@@ -245,7 +245,7 @@ def measure_node(seconds: float, rate_hz: float) -> dict[str, Any]:
     from dotsim_ros.nodes.processes import NodeProcess
 
     begun_s = time.monotonic()
-    process = NodeProcess("tactile_sim", {"rate_hz": rate_hz})
+    process = NodeProcess("tactile_sim", {"rate_hz": rate_hz, "sensor": sensor})
     try:
         process.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
         start_up_s = time.monotonic() - begun_s
@@ -315,11 +315,13 @@ def measure_node(seconds: float, rate_hz: float) -> dict[str, Any]:
     }
 
 
-def measure_sensor(indenter: str, frame_rate_hz: float, frame_count: int) -> dict[str, Any]:
+def measure_sensor(
+    name: str, indenter: str, frame_rate_hz: float, frame_count: int
+) -> dict[str, Any]:
     """Return the times of a sensor's parts under the motion, for one indenter."""
     from dotsim_ros.sensor import TactileSensor
 
-    sensor = TactileSensor(load_sensor("densetact2"), indenter=load_indenter(indenter))
+    sensor = TactileSensor(load_sensor(name), indenter=load_indenter(indenter))
     motion = benchmark_motion()
     spent: list[dict[str, float]] = []
     total_s: list[float] = []
@@ -354,7 +356,9 @@ def measure_sensor(indenter: str, frame_rate_hz: float, frame_count: int) -> dic
     }
 
 
-def measure_batch(indenter: str, frame_rate_hz: float, frame_count: int) -> dict[str, Any]:
+def measure_batch(
+    name: str, indenter: str, frame_rate_hz: float, frame_count: int
+) -> dict[str, Any]:
     """Return the time of the gel with a batch of environments, for each of them and each frame.
 
     Every environment makes the same motion, each a part of it ahead of the one before.
@@ -362,7 +366,7 @@ def measure_batch(indenter: str, frame_rate_hz: float, frame_count: int) -> dict
     from dotsim_ros.gel.implicit import ImplicitGel
     from dotsim_ros.sensor import body_of, material_of, skin_of
 
-    specification = load_sensor("densetact2")
+    specification = load_sensor(name)
     gel = ImplicitGel(
         body_of(specification.gel),
         skin_of(specification.gel),
@@ -404,6 +408,9 @@ def main() -> None:
     )
     parser.add_argument("--seconds", type=float, default=60.0, help="time under load (60)")
     parser.add_argument("--rate-hz", type=float, default=25.0, help="rate of the node (25)")
+    parser.add_argument(
+        "--sensor", default="densetact2", help="sensor_a has a learned image (densetact2)"
+    )
     parser.add_argument("--case-frames", type=int, default=200, help="frames an indenter (200)")
     parser.add_argument(
         "--skip-cold-start", action="store_true", help="leave out the starts, some minutes"
@@ -414,10 +421,10 @@ def main() -> None:
     from dotsim_ros.gel.explicit import explicit_seconds_per_frame
 
     start_up = {} if arguments.skip_cold_start else measure_start_up()
-    node = measure_node(arguments.seconds, arguments.rate_hz)
+    node = measure_node(arguments.seconds, arguments.rate_hz, arguments.sensor)
     latency_s = node.pop("latency_s")
-    cases = [measure_sensor(name, 25.0, arguments.case_frames) for name in CASES]
-    batch = measure_batch(CASES[0], 25.0, arguments.case_frames)
+    cases = [measure_sensor(arguments.sensor, name, 25.0, arguments.case_frames) for name in CASES]
+    batch = measure_batch(arguments.sensor, CASES[0], 25.0, arguments.case_frames)
     explicit_s = explicit_seconds_per_frame(
         spacing_m=EXPLICIT_SPACING_M,
         substeps_per_frame=EXPLICIT_SUBSTEPS,
