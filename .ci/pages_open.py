@@ -171,7 +171,8 @@ def main() -> int:
     program, pictures, *pages = sys.argv[1:]
     Path(pictures).mkdir(parents=True, exist_ok=True)
     bad = []
-    with tempfile.TemporaryDirectory() as profile:
+    # The browser may still be writing into its profile as it ends.
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
         browser = Browser(program, profile)
         try:
             for page in map(Path, pages):
