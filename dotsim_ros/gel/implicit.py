@@ -501,7 +501,7 @@ class ImplicitGel:
         force, pressure = world.marker_force_n, history.pressure_pa
         if change is not None:
             force = force + share * change.marker_force_n
-            force[np.abs(force).max(axis=1) < FORGOTTEN_N] = 0.0
+            _forget_traces(force)
             pressure = np.maximum(0.0, pressure + share * change.pressure_pa)
         lag.pressure_pa[:] = pressure[patch.marker]
         return displacement, force[patch.marker], lag
@@ -556,7 +556,7 @@ class ImplicitGel:
         history.pressure_pa[patch.marker] = point.response.pressure_pa
         marker_force = np.zeros_like(world.marker_force_n)
         marker_force[patch.marker] = point.force_n
-        marker_force[np.abs(marker_force).max(axis=1) < FORGOTTEN_N] = 0.0
+        _forget_traces(marker_force)
         if before is not None:
             world.last_change = Change(
                 point.displacement_m - start_m,
@@ -567,6 +567,11 @@ class ImplicitGel:
             )
         world.marker_force_n = marker_force
         world.history = history
+
+
+def _forget_traces(force_n: Array) -> None:
+    """Set forces (V, 3) below `FORGOTTEN_N` to zero, in place."""
+    force_n[np.abs(force_n).max(axis=1) < FORGOTTEN_N] = 0.0
 
 
 def _inner_point_m(indenter: Indenter) -> Array:
