@@ -41,36 +41,23 @@ class IndenterPlayer(WorkingNode):
             POSE_QOS,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
-        self._stop = threading.Event()
         self._answered = threading.Condition()
         self._answered_stamp_ns = -1
         if self._settings.wait_for_answer:
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
-        self._thread = threading.Thread(target=self._run, name="player", daemon=True)
 
     def begin(self) -> None:
         """Start to play."""
-        self._thread.start()
+        self.start_thread("player", self._play, "the player broke off")
         self.get_logger().info(
             f"ready: {self._settings.source}, {self._program.motion.duration_s:.2f} s of motion on "
             f"{self._publisher.topic_name}"
         )
 
-    def destroy_node(self) -> None:
-        """Stop the thread, then take the node down."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        super().destroy_node()
-
     def _on_answer(self, message: WrenchStamped) -> None:
         with self._answered:
             self._answered_stamp_ns = msg_adapters.message_stamp_ns(message)
             self._answered.notify_all()
-
-    def _run(self) -> None:
-        with self.vital("the player broke off"):
-            self._play()
 
     def _play(self) -> None:
         if not (self._wait_for_clock() and self._wait_for_subscriber()):
@@ -124,7 +111,7 @@ class IndenterPlayer(WorkingNode):
             if time.monotonic() - warned > WARN_EVERY_S:
                 self.get_logger().warning("use_sim_time is set and no /clock comes: waiting")
                 warned = time.monotonic()
-            if self._stop.wait(POLL_S):
+            if self.stopping.wait(POLL_S):
                 return False
         return True
 
@@ -137,7 +124,7 @@ class IndenterPlayer(WorkingNode):
                     f"{self._settings.subscriber_count}: playing anyway"
                 )
                 return True
-            if self._stop.wait(POLL_S):
+            if self.stopping.wait(POLL_S):
                 return False
         return True
 
@@ -151,13 +138,13 @@ class IndenterPlayer(WorkingNode):
         if self.get_parameter("use_sim_time").value:
             clock = self.get_clock()
             clock.sleep_until(Time(nanoseconds=stamp_ns, clock_type=clock.clock_type))
-            return not self._stop.is_set() and self.context.ok()
-        return not self._stop.wait(max(0.0, deadline_s - time.monotonic()))
+            return not self.stopping.is_set() and self.context.ok()
+        return not self.stopping.wait(max(0.0, deadline_s - time.monotonic()))
 
     def _wait_for_answer(self, stamp_ns: int) -> None:
         deadline = time.monotonic() + self._settings.answer_timeout_s
         with self._answered:
-            while self._answered_stamp_ns < stamp_ns and not self._stop.is_set():
+            while self._answered_stamp_ns < stamp_ns and not self.stopping.is_set():
                 remaining_s = deadline - time.monotonic()
                 if remaining_s <= 0.0:
                     self.get_logger().warning(

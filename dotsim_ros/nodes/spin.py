@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from threading import Event, Thread
 from types import FrameType
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
+
+from dotsim_ros.nodes.pace import FramePace
 
 REFUSED = 2
 """Exit status of a node that could not start from what its user gave it."""
@@ -24,11 +29,20 @@ class WorkingNode(Node):
     Making a node may take minutes, so a SIGINT cuts it short wherever it is; what is opened then
     would stay open.
 
+    Args:
+        name: of the node.
+
     Attributes:
         exit_status: other than 0 where something went wrong in a thread or while closing.
+        stopping: set when the threads are to return.
     """
 
     exit_status = 0
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.stopping = Event()
+        self._threads: list[Thread] = []
 
     def begin(self) -> None:
         """Open what `destroy_node` closes; a signal waits until it is done.
@@ -38,18 +52,56 @@ class WorkingNode(Node):
         """
         raise NotImplementedError
 
-    @contextmanager
-    def vital(self, what: str) -> Iterator[None]:
-        """Run the work of a thread without which the node must not live on.
+    def destroy_node(self) -> None:
+        """Wait until the threads have returned, and take the node down."""
+        self.stopping.set()
+        for thread in self._threads:
+            thread.join()
+        super().destroy_node()
 
-        An exception in the block is logged with `what`, ends the node with exit status 1 and goes
-        on, unless a signal has shut the context down: to publish there is how a run ends.
+    def start_thread(self, name: str, run: Callable[[], None], broken: str) -> None:
+        """Start a thread without which the node must not live on; it returns once it is `stopping`.
+
+        Args:
+            name: of the thread.
+            run: its work. An exception of it is logged with `broken` and ends the node with exit
+                status 1, unless a signal has shut the context down: to publish there is how a run
+                ends.
+            broken: what has happened then.
         """
+        thread = Thread(target=self._watch, args=(run, broken), name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def start_paced(
+        self, name: str, pace: Callable[[], FramePace], tick: Callable[[], None], broken: str
+    ) -> None:
+        """Start a thread that calls `tick` at each deadline until the node stops.
+
+        Args:
+            name, broken: as of `start_thread`.
+            pace: gives the deadlines; asked each time, since a parameter may change the rate.
+            tick: the work of one period.
+        """
+
+        def run() -> None:
+            while not self.stopping.wait(max(0.0, pace().deadline_s() - time.monotonic())):
+                pace().begin(time.monotonic())
+                tick()
+
+        self.start_thread(name, run, broken)
+
+    def report_every(self, period_s: float, report: Callable[[], None]) -> None:
+        """Call `report` every `period_s` of a steady clock: also without /clock somebody must be
+        told what is wrong."""
+        self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _watch(self, run: Callable[[], None], broken: str) -> None:
         try:
-            yield
+            run()
         except Exception:
             if self.context.ok():
-                self.get_logger().fatal(what)
+                self.get_logger().fatal(broken)
                 self.exit_status = 1
                 rclpy.try_shutdown()
                 raise

@@ -9,15 +9,14 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from threading import Event, Thread
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from numpy.typing import NDArray
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import SetBool, Trigger
@@ -115,18 +114,9 @@ class TactilePolicy(WorkingNode):
             self._inference.idle = idle
         self._logged_s: dict[tuple[State, Reason], float] = {}
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(
-            self._settings.diagnostics_period_s,
-            self._report,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        self.report_every(self._settings.diagnostics_period_s, self._report)
         self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
-        self._stop = Event()
-        self._threads = [
-            Thread(target=self._guard, args=(loop.run,), name=name, daemon=True)
-            for name, loop in (("inference", self._inference), ("control", self._loop))
-        ]
 
     def begin(self) -> None:
         """Do once what takes longest the first time, then start the loops.
@@ -145,20 +135,12 @@ class TactilePolicy(WorkingNode):
             f"{self._settings.command_rate_hz:g} commands a second on {self._commands.topic_name}; "
             "disabled until set_enabled is called"
         )
-        for thread in self._threads:
-            thread.start()
-
-    def destroy_node(self) -> None:
-        """Stop the loops, then the node."""
-        self._stop.set()
-        for thread in self._threads:
-            if thread.is_alive():
-                thread.join()
-        super().destroy_node()
-
-    def _guard(self, run: Callable[[Event], None]) -> None:
-        with self.vital("a loop broke off: the arm stops when no command comes"):
-            run(self._stop)
+        for name, loop in (("inference", self._inference), ("control", self._loop)):
+            self.start_thread(
+                name,
+                partial(loop.run, self.stopping),
+                f"{name} broke off: the arm stops when no command comes",
+            )
 
     def _publish(self, twist: Twist, stamp_ns: int) -> None:
         self._commands.publish(

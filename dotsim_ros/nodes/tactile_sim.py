@@ -12,13 +12,12 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from threading import Event, RLock, Thread
+from threading import RLock
 from typing import Any
 
 import numpy as np
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, ClockType
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
@@ -62,7 +61,6 @@ class TactileSim(WorkingNode):
         super().__init__("tactile_sim")
         self._settings = declare(self, TactileSimParameters)
         self._lock = RLock()
-        self._stop = Event()
         self._is_enabled = True
         self._is_realtime = self._settings.clock == REALTIME
         specification = load_sensor(self._settings.sensor)
@@ -89,12 +87,7 @@ class TactileSim(WorkingNode):
             on_motion=self._newest.put if self._is_realtime else self._lockstep_frame,
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        # A steady clock: also without /clock somebody must be told what is wrong.
-        self.create_timer(
-            self._settings.diagnostics_period_s,
-            self._report,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        self.report_every(self._settings.diagnostics_period_s, self._report)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
         self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
@@ -106,23 +99,17 @@ class TactileSim(WorkingNode):
                 parent=self._settings.base_frame,
                 child=self._settings.optical_frame,
             )
-        self._thread = Thread(target=self._run_frames, name="frames", daemon=True)
 
     def begin(self) -> None:
         """Start the frames."""
         if self._is_realtime:
-            self._thread.start()
+            self.start_paced(
+                "frames", lambda: self._pace, self._realtime_frame, "the frames broke off"
+            )
         self.get_logger().info(
             f"ready: {self._settings.sensor}, {self._settings.indenter}, "
             f"{self._settings.clock}, warmed up in {self._warm_up_s:.1f} s"
         )
-
-    def destroy_node(self) -> None:
-        """Stop the frames, then the node."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        super().destroy_node()
 
     def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
         if not self._settings.effects:
@@ -171,12 +158,6 @@ class TactileSim(WorkingNode):
 
     def _new_pace(self) -> FramePace:
         return FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
-
-    def _run_frames(self) -> None:
-        with self.vital("the frames broke off"):
-            while not self._stop.wait(max(0.0, self._pace.deadline_s() - time.monotonic())):
-                self._pace.begin(time.monotonic())
-                self._realtime_frame()
 
     def _realtime_frame(self) -> None:
         stamp_ns = self.get_clock().now().nanoseconds

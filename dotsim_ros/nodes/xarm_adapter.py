@@ -6,13 +6,12 @@ Velocities become calls of `vc_set_cartesian_velocity`; the arm's state becomes 
 from __future__ import annotations
 
 import time
-from threading import Event, RLock, Thread
+from threading import RLock
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
@@ -42,7 +41,6 @@ class XarmAdapter(WorkingNode):
         self._settings = declare(self, XarmAdapterParameters)
         service, state = _driver_types()
         self._lock = RLock()
-        self._stop = Event()
         self._faults = FaultLog()
         self._link = VelocityLink(self._settings.limits())
         self._future: Any = None
@@ -63,35 +61,17 @@ class XarmAdapter(WorkingNode):
         )
         self.create_subscription(state, self._settings.robot_states, self._on_state, STATE_QOS)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(
-            self._settings.diagnostics_period_s,
-            self._report,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        self.report_every(self._settings.diagnostics_period_s, self._report)
         follow(self, lambda: self._settings, self._change_parameters)
-        self._thread = Thread(target=self._run, name="calls", daemon=True)
 
     def begin(self) -> None:
         """Start to command the arm."""
         self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
-        self._thread.start()
+        self.start_paced("calls", lambda: self._pace, self._tick, "the calls broke off")
         self.get_logger().info(
             f"ready: {self._settings.service}, at most {self._settings.speed_limit_m_s:g} m/s, "
             f"watchdog {self._settings.duration_s:g} s"
         )
-
-    def destroy_node(self) -> None:
-        """Stop the calls, then the node; the arm's own watchdog stops the arm."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        super().destroy_node()
-
-    def _run(self) -> None:
-        with self.vital("the calls broke off"):
-            while not self._stop.wait(max(0.0, self._pace.deadline_s() - time.monotonic())):
-                self._pace.begin(time.monotonic())
-                self._tick()
 
     def _tick(self) -> None:
         has_service = self._client.service_is_ready()

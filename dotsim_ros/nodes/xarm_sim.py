@@ -7,13 +7,12 @@ fixed indenter as the sensor on the tool sees it.
 from __future__ import annotations
 
 import time
-from threading import Event, RLock, Thread
+from threading import RLock
 from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rclpy.clock import Clock, ClockType
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import JointState
@@ -45,7 +44,6 @@ class XarmSim(WorkingNode):
         super().__init__("xarm_sim")
         self._settings = declare(self, XarmSimParameters)
         self._lock = RLock()
-        self._stop = Event()
         self._faults = FaultLog()
         self._heard_s = -np.inf
         self._published = 0
@@ -66,31 +64,19 @@ class XarmSim(WorkingNode):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.create_timer(
-            self._settings.diagnostics_period_s,
-            self._report,
-            clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
+        self.report_every(self._settings.diagnostics_period_s, self._report)
         self.create_service(Trigger, "~/emergency_stop", self._on_emergency_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         follow(self, lambda: self._settings, self._change_parameters)
-        self._thread = Thread(target=self._run, name="arm", daemon=True)
 
     def begin(self) -> None:
         """Start the arm."""
         self._pace = self._new_pace()
-        self._thread.start()
+        self.start_paced("arm", lambda: self._pace, self._tick, "the arm broke off")
         self.get_logger().info(
             f"ready: tool at {np.round(self._arm.state.pose.position_m, 4).tolist()} m in "
             f"{self._settings.base_frame}"
         )
-
-    def destroy_node(self) -> None:
-        """Stop the arm, then the node."""
-        self._stop.set()
-        if self._thread.is_alive():
-            self._thread.join()
-        super().destroy_node()
 
     def _publisher(self, kind: type, topic: str) -> Any:
         return self.create_publisher(
@@ -129,12 +115,6 @@ class XarmSim(WorkingNode):
         settings = self._settings
         self._indenter = pose_of(settings.indenter_pose, "indenter_pose")
         self._sensor = pose_of(settings.tool_from_sensor, "tool_from_sensor")
-
-    def _run(self) -> None:
-        with self.vital("the arm broke off"):
-            while not self._stop.wait(max(0.0, self._pace.deadline_s() - time.monotonic())):
-                self._pace.begin(time.monotonic())
-                self._tick()
 
     def _tick(self) -> None:
         now_s, ahead_ns = self._clocks()
