@@ -265,7 +265,7 @@ class ImplicitGel:
         Raises:
             PressTooDeepError: it comes too close to what the gel is bonded to.
         """
-        clearance = float(self.contact.indenter.distance_from(self._rigid_points_m, pose).min())
+        clearance = self._nearest_m(self._rigid_points_m, pose, CORE_CLEARANCE_M)
         if clearance < CORE_CLEARANCE_M:
             raise PressTooDeepError(
                 f"the indenter at {np.round(pose.position_m * 1e3, 2).tolist()} mm comes within "
@@ -331,12 +331,17 @@ class ImplicitGel:
         """Return whether the indenter meets the gel at rest: its skin, or all of it within."""
         if self._shape.contains(pose.apply(self._inner_point_m)):
             return True
-        local = (self.skin.rest_position_m - pose.position_m) @ pose.rotation()
+        return self._nearest_m(self.skin.rest_position_m, pose, ONSET_M) < ONSET_M
+
+    def _nearest_m(self, points_m: Array, pose: Pose, reach_m: float) -> float:
+        """Return the least distance of points (N, 3) from the indenter, inf where all are farther
+        from the box around it than `reach_m`."""
+        local = (points_m - pose.position_m) @ pose.rotation()
         lower, upper = self.contact.indenter.bounds_m()
-        near = np.all((local > lower - ONSET_M) & (local < upper + ONSET_M), axis=1)
+        near = np.all((local > lower - reach_m) & (local < upper + reach_m), axis=1)
         if not near.any():
-            return False
-        return bool(self.contact.indenter.signed_distance(local[near]).min() < ONSET_M)
+            return np.inf
+        return float(self.contact.indenter.signed_distance(local[near]).min())
 
     def _remembers(self) -> bool:
         return self.solver.dynamic or bool(self.material.prony.shares)

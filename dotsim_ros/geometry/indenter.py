@@ -52,6 +52,11 @@ class IndenterMesh:
     vertices_m: FloatArray
     triangles: NDArray[np.int32]
 
+    @functools.cached_property
+    def bounds_m(self) -> FloatArray:
+        """The lower and upper corner (2, 3) of a box around it."""
+        return np.array([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)])
+
 
 @dataclass(frozen=True, eq=False)
 class Indenter:
@@ -85,7 +90,7 @@ class Indenter:
             # Loaded on use: primitives need no Warp.
             from dotsim_ros.geometry.mesh_distance import mesh_signed_distance
 
-            return mesh_signed_distance(self.mesh.vertices_m, self.mesh.triangles, points)
+            return mesh_signed_distance(self.mesh, points)
         local = (points - self.mount.position_m) @ self.mount.rotation()
         return _PRIMITIVE_DISTANCE[self.kind](local, *self.parameters)
 
@@ -97,7 +102,7 @@ class Indenter:
     def bounds_m(self) -> FloatArray:
         """Return the lower and upper corner (2, 3) of a box around the shape, indenter's frame."""
         if self.mesh is not None:
-            return np.array([self.mesh.vertices_m.min(axis=0), self.mesh.vertices_m.max(axis=0)])
+            return self.mesh.bounds_m
         lower, upper = _primitive_bounds(self.kind, self.parameters)
         corners = np.array(
             [

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from dotsim_ros.geometry.indenter import IndenterMesh
 from dotsim_ros.geometry.pose import FloatArray
 
 # Triangles of metre coordinates have areas of 1e-9 m^2, whose squares underflow towards the
@@ -32,9 +34,17 @@ def _signed_distance(
         distance[i] = farthest
 
 
-def mesh_signed_distance(
-    vertices_m: FloatArray, triangles: NDArray[np.int32], points_m: FloatArray
-) -> FloatArray:
+@functools.lru_cache(maxsize=32)
+def _hierarchy(mesh: IndenterMesh) -> wp.Mesh:
+    """Return a mesh's bounding volumes: to build them takes longer than to ask them."""
+    return wp.Mesh(
+        points=wp.array(mesh.vertices_m * MILLIMETRES_PER_METRE, dtype=wp.vec3, device="cpu"),
+        indices=wp.array(mesh.triangles.reshape(-1), dtype=wp.int32, device="cpu"),
+        support_winding_number=True,
+    )
+
+
+def mesh_signed_distance(mesh: IndenterMesh, points_m: FloatArray) -> FloatArray:
     """Return signed distances (N,) of points (N, 3) to a closed mesh, metres, negative inside.
 
     Inside is where the winding number is above one half, so overlapping closed bodies count as
@@ -45,16 +55,11 @@ def mesh_signed_distance(
         dtype=wp.vec3,
         device="cpu",
     )
-    mesh = wp.Mesh(
-        points=wp.array(vertices_m * MILLIMETRES_PER_METRE, dtype=wp.vec3, device="cpu"),
-        indices=wp.array(triangles.reshape(-1), dtype=wp.int32, device="cpu"),
-        support_winding_number=True,
-    )
     distance = wp.empty(len(points_m), dtype=float, device="cpu")
     wp.launch(
         _signed_distance,
         dim=len(points_m),
-        inputs=[mesh.id, points, 1.0e6],
+        inputs=[_hierarchy(mesh).id, points, 1.0e6],
         outputs=[distance],
         device="cpu",
     )
