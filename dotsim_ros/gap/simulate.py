@@ -34,7 +34,6 @@ from dotsim_ros.gap.effect import (
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.recording import Recording
 from dotsim_ros.gel.material import PronySeries
-from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.specification import SensorSpecification
@@ -82,16 +81,6 @@ def request_of(
 _simulator: GelSimulator | None = None
 _own_relaxation = PronySeries((), ())
 _library: Mapping[str, Effect] = {}
-_indenters: dict[str, Indenter] = {}
-
-
-def _same_indenter(indenter: Indenter) -> Indenter:
-    """Return the first indenter of this shape that came: its grid of distances, which takes seconds
-    to compute, belongs to the object."""
-    digest = hashlib.sha256(repr((indenter.kind, indenter.parameters)).encode())
-    if indenter.mesh is not None:
-        digest.update(indenter.mesh.vertices_m.tobytes() + indenter.mesh.triangles.tobytes())
-    return _indenters.setdefault(digest.hexdigest(), indenter)
 
 
 def _begin(specification: SensorSpecification, skin: SkinMesh, folders: tuple[str, ...]) -> None:
@@ -122,7 +111,7 @@ def _solve(request: Request) -> Simulated | str:
     try:
         return _simulator.press(
             replace(term.values, youngs_modulus_pa=REFERENCE_MODULUS_PA),
-            _same_indenter(recording.indenter),
+            recording.indenter,
             poses,
             press.stamp_s,
             relaxation=PronySeries(term.prony_shares, term.prony_times_s),

@@ -7,6 +7,7 @@ radius r has its centre at (0, 0, r).
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -47,15 +48,39 @@ class IndenterKind(IntEnum):
 @dataclass(frozen=True, eq=False)
 class IndenterMesh:
     """A closed surface: vertices_m (V, 3) in the indenter's frame, triangles (T, 3) int32,
-    counter-clockwise seen from outside."""
+    counter-clockwise seen from outside.
+
+    Surfaces of the same vertices and triangles are equal, so that recordings which each read their
+    indenter's file share what takes seconds to compute.
+    """
 
     vertices_m: FloatArray
     triangles: NDArray[np.int32]
 
     @functools.cached_property
-    def bounds_m(self) -> FloatArray:
-        """The lower and upper corner (2, 3) of a box around it."""
+    def _digest(self) -> bytes:
+        return hashlib.sha256(self.vertices_m.tobytes() + self.triangles.tobytes()).digest()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, IndenterMesh) and self._digest == other._digest
+
+    def __hash__(self) -> int:
+        return hash(self._digest)
+
+    @functools.cached_property
+    def _bounds_m(self) -> FloatArray:
         return np.array([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)])
+
+    def bounds_m(self) -> FloatArray:
+        """Return the lower and upper corner (2, 3) of a box around the surface."""
+        return self._bounds_m
+
+    def signed_distance(self, points_m: FloatArray) -> FloatArray:
+        """Return the signed distance (N,) in metres at points (N, 3); float32."""
+        # Loaded on use: primitives need no Warp.
+        from dotsim_ros.geometry.mesh_distance import mesh_signed_distance
+
+        return mesh_signed_distance(self, points_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,10 +112,7 @@ class Indenter:
         """
         points = np.asarray(points_m, dtype=np.float64).reshape(-1, 3)
         if self.mesh is not None:
-            # Loaded on use: primitives need no Warp.
-            from dotsim_ros.geometry.mesh_distance import mesh_signed_distance
-
-            return mesh_signed_distance(self.mesh, points)
+            return self.mesh.signed_distance(points)
         local = (points - self.mount.position_m) @ self.mount.rotation()
         return _PRIMITIVE_DISTANCE[self.kind](local, *self.parameters)
 
@@ -102,7 +124,7 @@ class Indenter:
     def bounds_m(self) -> FloatArray:
         """Return the lower and upper corner (2, 3) of a box around the shape, indenter's frame."""
         if self.mesh is not None:
-            return self.mesh.bounds_m
+            return self.mesh.bounds_m()
         lower, upper = _primitive_bounds(self.kind, self.parameters)
         corners = np.array(
             [
@@ -128,14 +150,14 @@ class Indenter:
         bounds = self.bounds_m()
         if spacing_m is None:
             spacing_m = float(np.clip(np.max(bounds[1] - bounds[0]) / 128.0, 1.0e-4, 4.0e-4))
-        return _cached_grid(self, float(spacing_m))
+        return _cached_grid(self.mesh or self, float(spacing_m))
 
 
 @functools.lru_cache(maxsize=8)
-def _cached_grid(indenter: Indenter, spacing_m: float) -> SignedDistanceGrid:
+def _cached_grid(shape: Indenter | IndenterMesh, spacing_m: float) -> SignedDistanceGrid:
     return sample_on_grid(
-        indenter.signed_distance,
-        indenter.bounds_m(),
+        shape.signed_distance,
+        shape.bounds_m(),
         spacing_m=spacing_m,
         margin_m=GRID_MARGIN_M,
     )

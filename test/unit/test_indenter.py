@@ -1,5 +1,6 @@
 """Indenters: exact distances, grids, kernels, meshes that must be refused, definitions."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from dotsim_ros.gel.distance_field import distance_functions, indenter_field
 from dotsim_ros.geometry.indenter import (
     Indenter,
+    IndenterMesh,
     box,
     box_edge,
     capsule,
@@ -218,6 +220,17 @@ def test_distance_grid_is_as_exact_as_the_mesh_near_the_surface(ball: Indenter) 
     assert np.abs(grid.sample(points) - exact)[near].max() < 5e-6
     far = np.array([[0.05, 0.0, 0.0], [0.0, 0.0, -0.05]])
     assert np.all(grid.sample(far) > 0.035)
+
+
+def test_the_same_surface_read_twice_shares_its_grid(ball: Indenter) -> None:
+    assert ball.mesh is not None
+    again = replace(ball, mesh=IndenterMesh(ball.mesh.vertices_m.copy(), ball.mesh.triangles))
+    assert again.distance_grid(2e-4) is ball.distance_grid(2e-4)
+    larger = replace(ball, mesh=IndenterMesh(1.1 * ball.mesh.vertices_m, ball.mesh.triangles))
+    assert larger.distance_grid(2e-4) is not ball.distance_grid(2e-4)
+    top = np.array([[0.0, 0.0, 0.0088]])
+    assert larger.signed_distance(top)[0] == pytest.approx(0.0, abs=5e-6)
+    assert ball.signed_distance(top)[0] == pytest.approx(0.0008, abs=5e-6)
 
 
 def test_grids_of_a_box_and_of_its_edge_differ() -> None:
