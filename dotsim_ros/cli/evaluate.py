@@ -31,7 +31,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -368,7 +368,7 @@ def _gelsight(arguments: argparse.Namespace) -> int:
 def _gap(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.gap_null import discrepancy_of
     from dotsim_ros.evaluation.gap_page import gap_page
-    from dotsim_ros.evaluation.gap_study import measure_limit_factors, run_study
+    from dotsim_ros.evaluation.gap_study import run_study, with_limits
     from dotsim_ros.gap.covariance import save_discrepancy
     from dotsim_ros.gap.progress import PrintedProgress
     from dotsim_ros.gel.refinement import cache_directory
@@ -386,7 +386,8 @@ def _gap(arguments: argparse.Namespace) -> int:
             workers=arguments.workers,
             progress=lambda done, total: progress("discrepancy", done, total),
         )
-        factors = measure_limit_factors(
+        found = with_limits(
+            found,
             arguments.data,
             sensor,
             run,
@@ -394,7 +395,6 @@ def _gap(arguments: argparse.Namespace) -> int:
             workers=arguments.workers,
             progress=progress,
         )
-        found = replace(found, limit_factors=factors)
         save_discrepancy(found, arguments.fit_discrepancy)
         print(f"{arguments.fit_discrepancy}: {found.source}")
         return 0

@@ -3,7 +3,8 @@ added by other laws, and the finder's rule on many draws of them.
 
 The presses are `sensor_a`'s, made by an independent finite-element solver; the discrepancy that the
 finder knows comes from one half of them, the cases from the other. A hidden effect changes a press
-by what its law makes of our own gel. The rule is applied to screened effects, without refits.
+by what its law makes of our own gel. The rule is applied to effects that are simulated at several
+sizes beforehand, for all cases at once, in place of the refits that a search makes for its own.
 """
 
 from __future__ import annotations
@@ -20,11 +21,12 @@ from numpy.typing import NDArray
 from dotsim_ros.calibration.parameters import GelValues, values_of
 from dotsim_ros.calibration.simulation import GelSimulator, Simulated, SolveError
 from dotsim_ros.evaluation.gap_baselines import Left, lasso_name, left_on_others
+from dotsim_ros.evaluation.gap_limits import detection_limits
 from dotsim_ros.evaluation.gap_null import residuals_without_effect
 from dotsim_ros.evaluation.provenance import provenance
 from dotsim_ros.evaluation.split import repeats_of
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.assumptions import ABSOLUTE
+from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance
 from dotsim_ros.gap.covariance import Discrepancy, Noise, fit_discrepancy, load_discrepancy
 from dotsim_ros.gap.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.findings import Verdict
@@ -49,7 +51,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.specification import SensorSpecification
 from dotsim_ros.hidden.laws import LAWS, Law
-from dotsim_ros.hidden.reality import Truth, library_names
+from dotsim_ros.hidden.reality import Truth, library_names, part_names
 from dotsim_ros.hidden.reality import answer_of as reality_of
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.sensor import skin_of
@@ -62,8 +64,13 @@ STIFFNESS_DECOY = 0.05
 NULL_DRAWS = 60
 """Simulated nulls of a case: fewer than a search takes."""
 LIMIT_DRAWS = 60
+LIMIT_SEARCHES = 5
 SHARES = (0.25, 0.5, 1.0)
 """Of a law's full size."""
+GRID = (0.15, 0.3, 0.6, 1.0)
+"""Sizes at which effects are simulated, as shares of the way from none to each end of the range."""
+CLOSE = 0.2
+"""A size that is nearer to one that is simulated, as a share of it, is left out."""
 UNKNOWN = ""
 
 
@@ -77,6 +84,7 @@ class StudyCase:
         whitened_size: of the hidden change, nuisances projected out.
         left: on trajectories that were not searched.
         lasso: effect that the lasso names.
+        screening: effect that screening alone names.
         found: size of the effect and its interval, and the hidden one's, where the library has the
             same law and found it.
     """
@@ -88,6 +96,7 @@ class StudyCase:
     whitened_size: float
     left: Left
     lasso: str | None
+    screening: str | None
     found: tuple[float, float, float, float] | None = None
 
     @property
@@ -104,7 +113,12 @@ class StudyCase:
             return self.verdict is Verdict.UNKNOWN
         if self.verdict is Verdict.SET and len(self.alternatives) == 1:
             return bool(self.hidden & {*self.named, *self.alternatives})
-        return set(self.named) == self.hidden
+        return set(self.named) - self.parts == self.hidden
+
+    @property
+    def parts(self) -> set[str]:
+        """Names of the library for further parts of what is hidden."""
+        return part_names(Truth(self.truth))
 
 
 def halves(names: Sequence[str], seed: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -129,6 +143,7 @@ class _Study:
         discrepancy: as the finder knows it.
         case: of all trajectories to draw from.
         variants: of the effects that they excite.
+        screened: the same at the sizes of a search's first look alone.
         left_out: what could not be solved.
         skin: whose points were measured.
     """
@@ -138,6 +153,7 @@ class _Study:
     discrepancy: Discrepancy
     case: Case
     variants: list[Variant]
+    screened: list[Variant]
     left_out: list[str]
     skin: SkinMesh
 
@@ -150,6 +166,7 @@ def _study(
     seed: int,
     workers: int,
     progress: Callable[[str, int, int], None],
+    nuisances: Sequence[Nuisance] = ABSOLUTE,
 ) -> Iterator[_Study]:
     names = [entry.name for entry in read_data_set(directory).entries]
     known, tested = halves(names, seed)
@@ -162,19 +179,23 @@ def _study(
         progress=lambda done, total: progress("discrepancy", done, total),
     )
     by_name = {r.name: (r, e) for r, e in zip(measurement.recordings, residuals, strict=True)}
+    shipped = load_discrepancy()
     discrepancy = replace(
         fit_discrepancy(
             [by_name[n][0] for n in known], [by_name[n][1] for n in known], f"{len(known)} presses"
         ),
-        limit_factors=load_discrepancy().limit_factors,
+        limit_factors=shipped.limit_factors,
+        misfit_limit=shipped.misfit_limit,
     )
     library, values = load_effects(), values_of(sensor)
     with open_solver(sensor, measurement.skin, run, workers=workers) as solver:
+        recordings = [by_name[n][0] for n in tested]
         trajectories, left_out = make_trajectories(
-            [by_name[n][0] for n in tested],
-            (),
+            recordings,
+            # The same presses are their own commissioning: nothing has changed since.
+            recordings if nuisances is DIFFERENTIAL else (),
             values=values,
-            nuisances=ABSOLUTE,
+            nuisances=nuisances,
             library=library,
             solver=solver,
             skin=measurement.skin,
@@ -184,14 +205,36 @@ def _study(
             progress=lambda done, total: progress("calibrate", done, total),
         )
         rest_m = measurement.skin.rest_position_m
-        case = Case(trajectories, ABSOLUTE, library, solver, values, rest_m)
+        case = Case(trajectories, nuisances, library, solver, values, rest_m)
         request = Request(directory, sensor, run, budget=0, seed=seed)
         search = _search(case, range(len(trajectories)), request, seed, progress, discrepancy)
         variants, _ = simulate_effects(search)
-        yield _Study(known, tested, discrepancy, case, variants, left_out, measurement.skin)
+        screened = [replace(v, node=list(v.node), change=list(v.change)) for v in variants]
+        case.extend(
+            [(v, size) for v in variants for size in _further_sizes(v)],
+            progress=lambda done, total: progress("sizes", done, total),
+        )
+        yield _Study(
+            known, tested, discrepancy, case, variants, screened, left_out, measurement.skin
+        )
 
 
-def measure_limit_factors(
+def _further_sizes(variant: Variant) -> list[float]:
+    """Return sizes to simulate beside those that are."""
+    parameter = variant.effect.parameters[0]
+    sizes: list[float] = []
+    for end in (parameter.low, parameter.high):
+        for share in GRID:
+            size = variant.absent + share * (end - variant.absent)
+            known = [node for node in (*variant.node, *sizes) if node != variant.absent]
+            away = abs(size - variant.absent)
+            if away > 0.0 and all(abs(size - node) > CLOSE * away for node in known):
+                sizes.append(size)
+    return sizes
+
+
+def with_limits(
+    discrepancy: Discrepancy,
     directory: Path,
     sensor: SensorSpecification,
     run: Path,
@@ -199,16 +242,19 @@ def measure_limit_factors(
     seed: int,
     workers: int = 2,
     progress: Callable[[str, int, int], None],
-) -> dict[str, float]:
-    """Return by how much each effect gains more on presses in which nothing is missing than all of
-    them gain on simulated ones: the 98th percentiles of draws of eight presses.
+) -> Discrepancy:
+    """Return covariances with what presses in which nothing is missing show: by how much each
+    effect gains more on them than all gain on simulated ones, and how badly they fit; the 98th
+    percentiles of draws of eight presses.
 
     Args:
+        discrepancy: of the whole data set.
         directory, sensor, run, seed, workers, progress: as `run_study`.
     """
     random = np.random.default_rng([seed, 2])
     gains: dict[str, list[float]] = {}
     simulated: list[float] = []
+    misfits: list[float] = []
     with _study(directory, sensor, run, seed, workers, progress) as study:
         count = len(study.case.trajectories)
         request = Request(directory, sensor, run, budget=0, seed=seed)
@@ -216,15 +262,18 @@ def measure_limit_factors(
             chosen = sorted(random.choice(count, min(CASE_SIZE, count), replace=False).tolist())
             search = _search(study.case, chosen, request, draw, _silent, study.discrepancy)
             ranked = screen(search, study.variants)
+            misfits.append(search.base.objective / len(search.evidence.residual))
             for entry in ranked:
                 gains.setdefault(entry.effect.name, []).append(entry.trial.gain)
             simulated += null_gains(search, ranked, NULL_DRAWS // 6)[0].tolist()
             progress("limits", draw + 1, LIMIT_DRAWS)
     threshold = float(np.quantile(simulated, 0.98))
-    return {
+    factors = {
         name: round(max(0.0, float(np.quantile(found, 0.98))) / threshold, 2)
         for name, found in sorted(gains.items())
     }
+    misfit = round(float(np.quantile(misfits, 0.98)), 4)
+    return replace(discrepancy, limit_factors=factors, misfit_limit=misfit)
 
 
 def run_study(
@@ -253,20 +302,47 @@ def run_study(
         progress: told each step's share.
     """
     with _study(directory, sensor, run, seed, workers, progress) as study:
-        case, discrepancy, variants = study.case, study.discrepancy, study.variants
+        case, discrepancy = study.case, study.discrepancy
+        variants = study.variants, study.screened
         solves = case.solver.solve_count
+    limits = {"absolute": _limits(study, sensor, run, seed, progress)}
+    with _study(directory, sensor, run, seed, workers, progress, DIFFERENTIAL) as study:
+        limits["differential"] = _limits(study, sensor, run, seed, progress)
     request = Request(directory, sensor, run, budget=0, seed=seed)
     changes = _hidden_changes(case, sensor, study.skin, laws, run, seed, progress)
     found = _cases(case, variants, changes, request, nulls, repeats, seed, progress, discrepancy)
     return {
         **figures(found),
         "trajectories": {"discrepancy": list(study.known), "cases": list(study.tested)},
+        "detection_limits": limits,
         "left_out": study.left_out,
         "solves": solves,
         "seed": seed,
         "rule_version": decision.RULE_VERSION,
         "provenance": provenance(),
     }
+
+
+def _limits(
+    study: _Study,
+    sensor: SensorSpecification,
+    run: Path,
+    seed: int,
+    progress: Callable[[str, int, int], None],
+) -> dict[str, dict[str, Any]]:
+    """Return the detection limits of draws of eight presses."""
+    random = np.random.default_rng([seed, 3])
+    trajectories = study.case.trajectories
+    request = Request(run, sensor, run, budget=0, seed=seed)
+
+    def draw(number: int) -> Search:
+        names = sorted({t.recording.name for t in trajectories})
+        drawn = set(random.choice(names, min(CASE_SIZE, len(names)), replace=False).tolist())
+        chosen = [k for k, t in enumerate(trajectories) if t.recording.name in drawn]
+        progress("detection limits", number + 1, LIMIT_SEARCHES)
+        return _search(study.case, chosen, request, number, _silent, study.discrepancy)
+
+    return detection_limits((draw(number) for number in range(LIMIT_SEARCHES)), study.variants)
 
 
 def _search(
@@ -339,7 +415,7 @@ def _hidden_changes(
         size = full_size(LAWS[name])
         changes = []
         for number, t in enumerate(case.trajectories):
-            stored = run / f"law_{name}_{t.recording.name}_{seed}.npy"
+            stored = run / f"law_{name}_{t.recording.name}_unit_{seed}.npy"
             if stored.is_file():
                 changes.append(np.load(stored))
                 continue
@@ -352,7 +428,8 @@ def _hidden_changes(
                     press,
                     Truth(((name, size),)),
                     session_s=t.recording.session_s,
-                    seed=seed + number,
+                    seed=seed,
+                    number=number,
                 )
             except SolveError:
                 changes.append(np.zeros_like(t.predicted))
@@ -369,7 +446,7 @@ def _hidden_changes(
 
 def _cases(
     case: Case,
-    variants: Sequence[Variant],
+    variants: tuple[Sequence[Variant], Sequence[Variant]],
     changes: Mapping[str, Sequence[Array]],
     request: Request,
     nulls: int,
@@ -394,7 +471,7 @@ def _cases(
 
 def _decide(
     case: Case,
-    variants: Sequence[Variant],
+    variants: tuple[Sequence[Variant], Sequence[Variant]],
     changes: Mapping[str, Sequence[Array]],
     request: Request,
     truth: tuple[tuple[str, float], ...],
@@ -415,10 +492,11 @@ def _decide(
         trajectories.append(replace(t, observed=observed))
     altered = case.with_trajectories(trajectories)
     search = _search(altered, chosen, request, int(random.integers(2**31)), _silent, discrepancy)
-    ranked = screen(search, variants)
+    ranked, (first, *_) = (screen(search, each) for each in variants)
     gains, pattern_gains = null_gains(search, ranked, NULL_DRAWS)
     lasso = lasso_name(search, ranked)
     answer = answer_of(search, ranked, gains, pattern_gains)
+    first.limit = next(e.limit for e in ranked if e.effect is first.effect)
     others = [number for number in range(count) if number not in chosen]
     size = float(lengths(search.evidence, altered.whitened(hidden, chosen)[:, None])[0])
     return StudyCase(
@@ -429,6 +507,7 @@ def _decide(
         size,
         left_on_others(search, answer.named, others, case),
         lasso,
+        first.effect.name if first.is_past_limit else None,
         _found(search, answer.named, truth),
     )
 
@@ -483,7 +562,7 @@ def figures(cases: Sequence[StudyCase]) -> dict[str, Any]:
         "unknown_called_unknown": _rate([c.is_right for c in unknown if c.whitened_size > 10.0]),
         "both_of_two": _rate([c.is_right for c in pairs]),
         "one_of_two": _rate([bool(set(c.named) & c.hidden) for c in pairs]),
-        "wrong_in_pairs": _rate([bool(set(c.named) - c.hidden) for c in pairs]),
+        "wrong_in_pairs": _rate([bool(set(c.named) - c.hidden - c.parts) for c in pairs]),
         "after_adding": _after_adding([c for c in single + pairs if c.named]),
         "same_law": _same_law([c.found for c in single if c.found is not None]),
         "baselines": _baselines(nulls, single),
@@ -524,6 +603,10 @@ def _baselines(nulls: Sequence[StudyCase], single: Sequence[StudyCase]) -> dict[
         "lasso": {
             "false_names": _rate([c.lasso is not None for c in nulls]),
             "named_right_from_20": _rate([c.lasso in c.hidden for c in large]),
+        },
+        "screening": {
+            "false_names": _rate([c.screening is not None for c in nulls]),
+            "named_right_from_20": _rate([c.screening in c.hidden for c in large]),
         },
         "ours": {
             "false_names": _rate([bool(c.named) for c in nulls]),

@@ -73,12 +73,15 @@ class Discrepancy:
         source: the presses that they come from.
         limit_factors: by effect, how much more it gains on true data without any effect than on
             simulated ones.
+        misfit_limit: largest objective of an observable (see `inference.Fit`) that the twin,
+            recalibrated, leaves of true data without any effect; 0 is that of the covariance.
     """
 
     between: Array
     within: Array
     source: str
     limit_factors: Mapping[str, float] = field(default_factory=dict)
+    misfit_limit: float = 0.0
 
 
 def amplitude(recording: Recording, force_n: Array | None) -> Array:
@@ -177,6 +180,7 @@ def save_discrepancy(discrepancy: Discrepancy, path: Path) -> None:
         source=np.array(discrepancy.source),
         limited=np.array(list(discrepancy.limit_factors), dtype=str),
         limit_factor=np.array(list(discrepancy.limit_factors.values())),
+        misfit_limit=np.array(discrepancy.misfit_limit),
     )
     os.replace(temporary, path)
 
@@ -195,6 +199,7 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
             arrays["within"].astype(np.float64),
             str(arrays["source"]),
             dict(zip(arrays["limited"].tolist(), arrays["limit_factor"].tolist(), strict=True)),
+            float(arrays["misfit_limit"]) if "misfit_limit" in arrays.files else 0.0,
         )
     if found.between.shape != (SIZE, SIZE):
         raise ValueError(

@@ -1,13 +1,18 @@
 """The rule that turns evidence into an answer. Frozen: a change of it is a change of its version.
 
-Version 2. Data in which no effect gains more than its limit have no gap, unless the patterns that
+Version 3. Data in which no effect gains more than its limit have no gap, unless the patterns that
 any model could remove gain more than theirs: then it is unknown. Otherwise, of the effects past
 their limits, the one that gains most, once refitted, is named, with those that gain nearly as much;
-where it explains too little of what could be removed, another effect is added, and where that does
-not help the effect is unknown. Naming the effect that predicts left-out trajectories best was tried
-on the development half of the study: it names as many right, and makes sets where gains do not.
+or two, where each gains more than its limit beside the other and both gain much more than the best
+one. The gap is unknown where they explain too little of it; of it is what patterns could remove,
+and all by which the data differ more than data without any effect. Naming the effect that predicts
+left-out trajectories best was tried on the development half of the study: it names as many right,
+and makes sets where gains do not.
 
-Version 1 had one limit for all effects, another covariance, and used the skin of shallow contacts.
+Version 2 looked for a second effect only where the first explained too little, and beside that one
+alone: of two effects the smaller was never named. It judged by patterns alone what was left, and
+took a leaning base for a thinner gel. Version 1 had one limit for all effects, another covariance,
+and used the skin of shallow contacts.
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-RULE_VERSION = 2
+RULE_VERSION = 3
 
 SCREENED = 3
 """So many effects are refitted, together with those that gain nearly as much."""

@@ -49,6 +49,7 @@ ROUNDS = 2
 """How often the sizes of the best effects are refined by a solve at the size found."""
 BOOTSTRAPS = 20
 INTERVAL_DRAWS = 100
+PAIR_ROUNDS = 2
 SMALL_SHARE = 0.08
 """A size that is nearer to a node than this share of it needs no solve of its own."""
 SHOWN = 6
@@ -440,36 +441,45 @@ def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked]
     if not able:
         return Verdict.UNKNOWN, [], []
     best = able[0]
-    named = [best]
-    explained = best.explained or 0.0
-    if explained < decision.EXPLAINED:
-        second = _second(search, best, [entry for entry in ranked if entry is not best])
-        if second is not None:
-            both = _explained(search, [best, second])
-            if both - explained > decision.FURTHER * (1.0 - explained):
-                named.append(second)
-                explained = both
-    if explained < decision.EXPLAINED:
+    pair = _pair(search, ranked)
+    if pair is not None:
+        further = _gain(search, pair) - _gain(search, [best])
+        if further > decision.FURTHER * _left(search, [best]):
+            if _explained(search, pair) < decision.EXPLAINED:
+                return Verdict.UNKNOWN, [], []
+            return Verdict.NAMED, pair, []
+    if (best.explained or 0.0) < decision.EXPLAINED:
         return Verdict.UNKNOWN, [], []
-    if len(named) > 1:
-        return Verdict.NAMED, named, []
     least = best.trial.gain - decision.SAME
     alternatives = [entry for entry in able[1:] if entry.trial.gain > least]
-    return (Verdict.SET if alternatives else Verdict.NAMED), named, alternatives
+    return (Verdict.SET if alternatives else Verdict.NAMED), [best], alternatives
 
 
 def _explained(search: Search, entries: Sequence[Ranked]) -> float:
-    """Return the share that effects have of what patterns and they together could remove."""
-    evidence = search.evidence
-    columns = np.stack([entry.trial.change for entry in entries], axis=1)
-    low, high = np.zeros(columns.shape[1]), np.full(columns.shape[1], 1.3)
-    widened = evidence.with_nuisances(search.pattern_columns)
-    everything = fit(widened, columns, low, high)
-    own = fit(evidence, columns, low, high)
+    """Return the share that effects have of what they gain and of the gap that they leave."""
+    gained = _gain(search, entries)
+    return float(np.clip(gained / max(gained + _left(search, entries), 1e-9), 0.0, 1.0))
+
+
+def _gain(search: Search, entries: Sequence[Ranked]) -> float:
+    """Return what effects gain together, each at up to 1.3 of the size found."""
+    return search.base.objective - _fit_of(search.evidence, entries).objective
+
+
+def _left(search: Search, entries: Sequence[Ranked]) -> float:
+    """Return the gap that effects leave: what patterns could remove beside them, or by how much
+    more the data differ than data without any effect, whichever is more."""
+    own = _fit_of(search.evidence, entries).objective
+    everything = _fit_of(search.evidence.with_nuisances(search.pattern_columns), entries).objective
     # What patterns remove of noise alone is no gap.
-    left = own.objective - everything.objective - search.pattern_chance
-    gained = search.base.objective - own.objective
-    return float(np.clip(gained / max(gained + max(left, 0.0), 1e-9), 0.0, 1.0))
+    by_patterns = own - everything - search.pattern_chance
+    misfit = own - search.discrepancy.misfit_limit * len(search.evidence.residual)
+    return max(by_patterns, misfit, 0.0)
+
+
+def _fit_of(evidence: Evidence, entries: Sequence[Ranked]) -> Fit:
+    columns = np.stack([entry.trial.change for entry in entries], axis=1)
+    return fit(evidence, columns, np.zeros(len(entries)), np.full(len(entries), 1.3))
 
 
 def _held_out_gain(search: Search, entry: Ranked) -> float:
@@ -509,18 +519,35 @@ def _evidence_gain(evidence: Evidence, segments: Sequence[Segment], entry: Ranke
     return with_effect - without
 
 
-def _second(search: Search, best: Ranked, others: Sequence[Ranked]) -> Ranked | None:
-    """Return the effect that gains most beside the best one, if it gains enough."""
-    evidence = search.evidence.without(best.trial.change)
-    base = fit_nuisances(evidence).objective
-    found: list[tuple[float, Ranked]] = []
-    for entry in others:
-        trial = best_trial(evidence, search.segments(entry.variants), base)
-        found.append((trial.gain, replace(entry, trial=trial)))
-    if not found:
+def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
+    """Return the two effects that gain most together, None unless each gains more than its limit
+    beside the other.
+
+    The one that gains most alone need not be of them: it may be what the two look like together.
+    """
+    if len(ranked) < 2:
         return None
-    _, second = max(found, key=lambda pair: pair[0])
-    return second if second.is_past_limit else None
+    pairs = []
+    for first in _close(ranked):
+        second = _beside(search, first, [entry for entry in ranked if entry is not first])
+        pair = [first, second]
+        for _ in range(PAIR_ROUNDS):
+            # Each at the size that it has beside the other.
+            pair = [_beside(search, pair[1], [pair[0]]), _beside(search, pair[0], [pair[1]])]
+        pairs.append(pair)
+    best = max(pairs, key=lambda pair: _gain(search, pair))
+    return best if all(entry.is_past_limit for entry in best) else None
+
+
+def _beside(search: Search, known: Ranked, others: Sequence[Ranked]) -> Ranked:
+    """Return that of the others which gains most beside a known effect, as it does there."""
+    evidence = search.evidence.without(known.trial.change)
+    base = fit_nuisances(evidence).objective
+    tried = [
+        replace(entry, trial=best_trial(evidence, search.segments(entry.variants), base))
+        for entry in others
+    ]
+    return max(tried, key=lambda entry: entry.trial.gain)
 
 
 def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tuple[Estimate, ...]:

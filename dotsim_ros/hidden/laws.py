@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import erf
 
@@ -49,10 +50,12 @@ class Law:
     Attributes:
         name: in the truth.
         library: name of the effect that the library knows it by; empty for one it does not know.
+        also: names of further effects of the library that are parts of it.
         low, high: range of its size.
         unit: of its size.
         gel: from the gel and the size to the gel and its relaxation.
-        motion: from a motion, the size and a generator to the poses as they are.
+        motion: from a motion, the size and two generators, the unit's and the trajectory's, to the
+            poses as they are.
         answer: from what the gel answers and the size to what is measured.
         known_size: from the size to that of the library's parameter, where it is the same law.
     """
@@ -63,9 +66,10 @@ class Law:
     high: float
     unit: str
     gel: Callable[[GelValues, float], tuple[GelValues, PronySeries | None]] | None = None
-    motion: Callable[[Motion, float, np.random.Generator], list[Pose]] | None = None
+    motion: Callable[[Motion, float, Generator, Generator], list[Pose]] | None = None
     answer: Callable[[Answer, float], tuple[Array, Array]] | None = None
     known_size: Callable[[float], float] | None = None
+    also: tuple[str, ...] = ()
 
 
 def _slippery(values: GelValues, size: float) -> tuple[GelValues, None]:
@@ -90,13 +94,13 @@ def _thin(values: GelValues, size: float) -> tuple[GelValues, None]:
     return replace(values, thickness_m=values.thickness_m * (1.0 - size)), None
 
 
-def _mounted_off(motion: Motion, size: float, random: np.random.Generator) -> list[Pose]:
-    direction = random.standard_normal(3) * [0.3, 0.3, 1.0]
+def _mounted_off(motion: Motion, size: float, unit: Generator, _: Generator) -> list[Pose]:
+    direction = unit.standard_normal(3) * [0.3, 0.3, 1.0]
     shift = size * direction / np.linalg.norm(direction)
     return [Pose(p.position_m + shift, p.quaternion_xyzw) for p in motion.poses]
 
 
-def _late(motion: Motion, size: float, random: np.random.Generator) -> list[Pose]:
+def _late(motion: Motion, size: float, _: Generator, random: Generator) -> list[Pose]:
     poses = [motion.poses[0]]
     for frame in range(1, len(motion.poses)):
         duration = motion.stamp_s[frame] - motion.stamp_s[frame - 1]
@@ -105,7 +109,7 @@ def _late(motion: Motion, size: float, random: np.random.Generator) -> list[Pose
     return poses
 
 
-def _gives_way(motion: Motion, size: float, random: np.random.Generator) -> list[Pose]:
+def _gives_way(motion: Motion, size: float, _unit: Generator, _: Generator) -> list[Pose]:
     poses = []
     for pose, force in zip(motion.poses, motion.force_n, strict=True):
         load = float(np.linalg.norm(force))
@@ -158,7 +162,8 @@ LAWS: Mapping[str, Law] = {
         Law("two_mode_relaxation", "viscoelastic_relaxation", 0.1, 0.35, "share", gel=_two_modes),
         Law("compressible", "compressibility", 0.40, 0.45, "nu", gel=_compressible),
         Law("thin", "thickness_error", 0.05, 0.12, "of thickness", gel=_thin),
-        Law("mounted_off", "pose_offset", 0.15e-3, 0.4e-3, "m", motion=_mounted_off),
+        Law("mounted_off", "pose_offset", 0.15e-3, 0.4e-3, "m", motion=_mounted_off,
+            also=("pose_offset_x", "pose_offset_y")),
         Law("late", "latency", 0.02, 0.06, "s", motion=_late, known_size=lambda size: size),
         Law("gives_way", "base_compliance", 0.03e-3, 0.1e-3, "m/N", motion=_gives_way),
         Law("scaled_force", "force_scale", 0.15, 0.3, "share", answer=_scaled,

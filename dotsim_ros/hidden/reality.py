@@ -51,6 +51,11 @@ def library_names(truth: Truth) -> set[str]:
     return {LAWS[name].library for name, _ in truth.effects}
 
 
+def part_names(truth: Truth) -> set[str]:
+    """Return the names that the library has for further parts of what is hidden."""
+    return {part for name, _ in truth.effects for part in LAWS[name].also}
+
+
 def answer_of(
     simulator: GelSimulator,
     values: GelValues,
@@ -60,6 +65,7 @@ def answer_of(
     *,
     session_s: float,
     seed: int,
+    number: int,
 ) -> tuple[Array, Array]:
     """Return skin (F, V, 3) and force (F, 3) of a press in a reality.
 
@@ -70,9 +76,10 @@ def answer_of(
         press: whose poses and times are followed.
         truth: the effects.
         session_s: when the press begins.
-        seed: of what is random in an effect.
+        seed: of what is random in the unit's effects.
+        number: of the trajectory, for what is random in each.
     """
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng([seed, number])
     relaxation = None
     force = np.zeros((press.frame_count, 3)) if press.force_n is None else press.force_n
     poses = list(press.poses)
@@ -82,7 +89,8 @@ def answer_of(
             values, found = law.gel(values, size)
             relaxation = relaxation if found is None else found
         if law.motion is not None:
-            poses = law.motion(Motion(poses, press.stamp_s, force), size, random)
+            motion = Motion(poses, press.stamp_s, force)
+            poses = law.motion(motion, size, np.random.default_rng(seed), random)
     solved = simulator.press(
         replace(values, youngs_modulus_pa=REFERENCE_MODULUS_PA),
         indenter,

@@ -108,11 +108,25 @@ def measure_unit(
         press = Press(name, indenter_name, poses, time_s + 1.0)
         try:
             _, without = answer_of(
-                simulator, values, indenter, press, Truth(()), session_s=0.0, seed=0
+                simulator,
+                values,
+                indenter,
+                press,
+                Truth(()),
+                session_s=0.0,
+                seed=seed,
+                number=number,
             )
             press = replace(press, force_n=without)
             skin_m, force_n = answer_of(
-                simulator, values, indenter, press, truth, session_s=session_s, seed=seed + number
+                simulator,
+                values,
+                indenter,
+                press,
+                truth,
+                session_s=session_s,
+                seed=seed,
+                number=number,
             )
         except SolveError:
             continue

@@ -7,6 +7,7 @@ those of the fast response.
 from __future__ import annotations
 
 from dotsim_ros.gap.effect import FORCE, SKIN, Effect, EffectParameter, GelTerm, Values
+from dotsim_ros.gap.excitation import unloads
 from dotsim_ros.gap.gel_terms import with_relaxation
 from dotsim_ros.gap.recording import Phase, Recording
 
@@ -24,7 +25,7 @@ EFFECT = Effect(
     ),
     channels=(SKIN, FORCE),
     protocol="a press that is held for three times the relaxation, reached fast and slowly",
-    excited_by=lambda recording: recording.has(Phase.HOLD),
+    excited_by=lambda recording: recording.has(Phase.HOLD) or unloads(recording),
     taken_for=("poroelastic_relaxation", "latency", "permanent_set", "thermal_drift"),
     gel=_gel,
 )
