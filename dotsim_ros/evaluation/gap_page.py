@@ -78,7 +78,12 @@ def gap_page(figures: dict[str, Any]) -> str:
                         _shown(figures["unknown_called_unknown"]),
                         "90 %",
                     ),
-                    ("both of two", _shown(figures["both_of_two"]), "80 %"),
+                    ("both of two, whatever they are", _shown(figures["both_of_two"]), "80 %"),
+                    (
+                        "both of two, each of whitened size 10 or more",
+                        _shown(figures["both_of_two_from_10"]),
+                        "80 %",
+                    ),
                     ("one of two at least", _shown(figures["one_of_two"]), ""),
                     ("a wrong one in a pair", _shown(figures["wrong_in_pairs"]), "at most 10 %"),
                     ("answered with a set", _shown(figures["set_share"]), ""),

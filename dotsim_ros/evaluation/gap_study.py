@@ -65,6 +65,8 @@ NULL_DRAWS = 60
 """Simulated nulls of a case: fewer than a search takes."""
 LIMIT_DRAWS = 60
 LIMIT_SEARCHES = 5
+PAIRS = 12
+"""For each repeat."""
 SHARES = (0.25, 0.5, 1.0)
 """Of a law's full size."""
 GRID = (0.15, 0.3, 0.6, 1.0)
@@ -82,6 +84,7 @@ class StudyCase:
         truth: names of laws and shares of their full sizes.
         verdict, named, alternatives: the finder's.
         whitened_size: of the hidden change, nuisances projected out.
+        least_size: the same of the smallest of its parts.
         left: on trajectories that were not searched.
         lasso: effect that the lasso names.
         screening: effect that screening alone names.
@@ -94,6 +97,7 @@ class StudyCase:
     named: tuple[str, ...]
     alternatives: tuple[str, ...]
     whitened_size: float
+    least_size: float
     left: Left
     lasso: str | None
     screening: str | None
@@ -459,7 +463,7 @@ def _cases(
     truths: list[tuple[tuple[str, float], ...]] = [()] * nulls
     truths += [((name, share),) for name in changes for share in SHARES for _ in range(repeats)]
     known = [name for name in changes if LAWS[name].library]
-    for _ in range(4 * repeats):
+    for _ in range(PAIRS * repeats):
         first, second = random.choice(known, size=2, replace=False).tolist()
         truths.append(((first, 1.0), (second, 1.0)))
     result = []
@@ -498,13 +502,18 @@ def _decide(
     answer = answer_of(search, ranked, gains, pattern_gains)
     first.limit = next(e.limit for e in ranked if e.effect is first.effect)
     others = [number for number in range(count) if number not in chosen]
-    size = float(lengths(search.evidence, altered.whitened(hidden, chosen)[:, None])[0])
+
+    def size_of(change: Sequence[Array]) -> float:
+        return float(lengths(search.evidence, altered.whitened(change, chosen)[:, None])[0])
+
+    parts = [size_of([share * part for part in changes[name]]) for name, share in truth]
     return StudyCase(
         truth,
         answer.verdict,
         tuple(entry.effect.name for entry in answer.named),
         tuple(entry.effect.name for entry in answer.alternatives),
-        size,
+        size_of(hidden),
+        min(parts, default=0.0),
         left_on_others(search, answer.named, others, case),
         lasso,
         first.effect.name if first.is_past_limit else None,
@@ -561,6 +570,7 @@ def figures(cases: Sequence[StudyCase]) -> dict[str, Any]:
         },
         "unknown_called_unknown": _rate([c.is_right for c in unknown if c.whitened_size > 10.0]),
         "both_of_two": _rate([c.is_right for c in pairs]),
+        "both_of_two_from_10": _rate([c.is_right for c in pairs if c.least_size >= 10.0]),
         "one_of_two": _rate([bool(set(c.named) & c.hidden) for c in pairs]),
         "wrong_in_pairs": _rate([bool(set(c.named) - c.hidden - c.parts) for c in pairs]),
         "after_adding": _after_adding([c for c in single + pairs if c.named]),

@@ -30,6 +30,9 @@ EXPLAINED = 0.8
 """An effect that explains less of what could be removed is not the whole answer."""
 FURTHER = 0.3
 """Another effect must explain so much of what remains."""
+OTHER_LAW = 0.1
+"""Another effect must gain more than its limit by this share of what the first one gains: no law of
+the library is that of the real effect, and what it misses looks like something else."""
 APART = 3.1
 """Effects that are fewer deviations apart are not told from each other."""
 SAME = APART**2
@@ -42,6 +45,11 @@ HEAVIER = 4.0
 than the nuisances. In the commissioning of a second unit, with nothing missing, backlash comes to
 3.2 times; the margin is a guess. Effects that the model's own error imitates have larger factors,
 which come with the discrepancy."""
+MISFIT_OF_UNITS = 0.45
+"""By how much an observable's objective may be larger than the discrepancy's own presses leave:
+the commissioning of a second unit, with nothing missing, is off by 0.34; the margin is a guess."""
+MISFIT_SINCE = 0.2
+"""The same against the unit's own commissioning."""
 PATTERNS_HEAVIER = 3.0
 """The same of patterns: the ratio of true to simulated gains, at the 98th percentile, of draws of
 eight from fourteen presses of the stand-in sensor that the discrepancy did not come from."""

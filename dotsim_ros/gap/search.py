@@ -141,6 +141,18 @@ class Search:
         """(n, K) what a pattern does when it moves by one deviation of its prior."""
         return PATTERN_DEVIATION * self.case.pattern_columns(self.chosen)
 
+    @cached_property
+    def misfit_limit(self) -> float:
+        """Largest objective of an observable that data without any effect leave, as the
+        commissioning tells where there is one."""
+        reference = [
+            place for place, k in enumerate(self.chosen) if self.case.trajectories[k].is_reference
+        ]
+        if not reference:
+            return self.discrepancy.misfit_limit + decision.MISFIT_OF_UNITS
+        known = self.evidence.of(reference)
+        return fit_nuisances(known).objective / len(known.residual) + decision.MISFIT_SINCE
+
     def segments(self, variants: Sequence[Variant]) -> list[Segment]:
         return [s for variant in variants for s in self.case.segments(variant, self.chosen)]
 
@@ -473,7 +485,7 @@ def _left(search: Search, entries: Sequence[Ranked]) -> float:
     everything = _fit_of(search.evidence.with_nuisances(search.pattern_columns), entries).objective
     # What patterns remove of noise alone is no gap.
     by_patterns = own - everything - search.pattern_chance
-    misfit = own - search.discrepancy.misfit_limit * len(search.evidence.residual)
+    misfit = own - search.misfit_limit * len(search.evidence.residual)
     return max(by_patterns, misfit, 0.0)
 
 
@@ -520,8 +532,8 @@ def _evidence_gain(evidence: Evidence, segments: Sequence[Segment], entry: Ranke
 
 
 def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
-    """Return the two effects that gain most together, None unless each gains more than its limit
-    beside the other.
+    """Return the two effects that gain most together, None unless each gains more beside the other
+    than its limit and what the other's law may be off by.
 
     The one that gains most alone need not be of them: it may be what the two look like together.
     """
@@ -536,7 +548,12 @@ def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
             pair = [_beside(search, pair[1], [pair[0]]), _beside(search, pair[0], [pair[1]])]
         pairs.append(pair)
     best = max(pairs, key=lambda pair: _gain(search, pair))
-    return best if all(entry.is_past_limit for entry in best) else None
+    first, second = best
+    is_needed = all(
+        entry.trial.gain > entry.limit + decision.OTHER_LAW * other.trial.gain
+        for entry, other in ((first, second), (second, first))
+    )
+    return best if is_needed else None
 
 
 def _beside(search: Search, known: Ranked, others: Sequence[Ranked]) -> Ranked:
