@@ -215,7 +215,7 @@ def _study(
         variants, _ = simulate_effects(search)
         screened = [replace(v, node=list(v.node), change=list(v.change)) for v in variants]
         case.extend(
-            [(v, size) for v in variants for size in _further_sizes(v)],
+            [(v, size) for v in variants for size in further_sizes(v)],
             progress=lambda done, total: progress("sizes", done, total),
         )
         yield _Study(
@@ -223,7 +223,7 @@ def _study(
         )
 
 
-def _further_sizes(variant: Variant) -> list[float]:
+def further_sizes(variant: Variant) -> list[float]:
     """Return sizes to simulate beside those that are."""
     parameter = variant.effect.parameters[0]
     sizes: list[float] = []

@@ -108,7 +108,8 @@ def share_closed(
     units of the expected deviation, and its interval of 95 % by a bootstrap over trajectories.
 
     RMS0 is that of the recalibrated twin. Observables that the effects hardly move are left out:
-    they say nothing of the effects. NaN where there was nothing to close.
+    they say nothing of the effects. NaN where there was nothing to close, 1 where what is left is
+    below the floor.
     """
     sums = np.array([_squares(residuals, t) for t in chosen])
     drawn = random.integers(len(chosen), size=(RESAMPLED, len(chosen)))
@@ -135,7 +136,8 @@ def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:
 
 def _share(sums: Array) -> float:
     before, after, floor = sums
-    return float((before - after) / (before - floor)) if before > floor else float("nan")
+    # The floor is what is expected: less than that is no more than all of the gap.
+    return min(1.0, (before - after) / (before - floor)) if before > floor else float("nan")
 
 
 def places_of_gap(

@@ -1,0 +1,100 @@
+"""The gap study's halves, sizes, figures and page; what it scores comes from made-up cases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dotsim_ros.evaluation.gap_baselines import Left
+from dotsim_ros.evaluation.gap_page import gap_page
+from dotsim_ros.evaluation.gap_study import CLOSE, StudyCase, figures, further_sizes, halves
+from dotsim_ros.gap.evidence import Variant
+from dotsim_ros.gap.findings import Verdict
+from dotsim_ros.gap.library import load_effects
+
+NAMES = [f"{kind}_{k}" for kind in ("1_sphere", "2_cone") for k in range(4)]
+
+
+def case(
+    truth: tuple[tuple[str, float], ...],
+    verdict: Verdict,
+    *named: str,
+    alternatives: tuple[str, ...] = (),
+    size: float = 15.0,
+    left: Left | None = None,
+) -> StudyCase:
+    left = left or Left(1.0, 1.0, 1.0, 1.0)
+    return StudyCase(truth, verdict, named, alternatives, size, size, left, None, None)
+
+
+def test_halves_share_nothing_and_each_has_repeats_of_every_protocol() -> None:
+    for seed in range(5):
+        known, tested = halves(NAMES, seed)
+        assert sorted((*known, *tested)) == NAMES
+        for half in (known, tested):
+            assert {name.rsplit("_", 1)[0] for name in half} == {"1_sphere", "2_cone"}
+    assert len({halves(NAMES, seed) for seed in range(5)}) > 1
+
+
+@pytest.mark.parametrize("name", ["pose_offset", "coulomb_slip", "latency"])
+def test_further_sizes_reach_the_ends_and_crowd_no_other(name: str) -> None:
+    effect = load_effects()[name]
+    parameter = effect.parameters[0]
+    assert parameter.none is not None
+    variant = Variant(effect, {}, sorted((parameter.none, *parameter.probes)))
+    sizes = further_sizes(variant)
+    every = np.array(sorted((*variant.node, *sizes)))
+    assert every[0] == pytest.approx(parameter.low)
+    assert every[-1] == pytest.approx(parameter.high)
+    away = np.abs(every - parameter.none)
+    for side in (every <= parameter.none, every >= parameter.none):
+        steps = np.diff(np.sort(away[side]))
+        assert np.all(steps > 0.8 * CLOSE * np.sort(away[side])[1:])
+
+
+def test_an_answer_is_right_if_it_names_all_that_is_hidden_and_nothing_else() -> None:
+    late, off = (("late", 1.0),), (("mounted_off", 1.0),)
+    assert case((), Verdict.NO_GAP).is_right
+    assert not case((), Verdict.NAMED, "latency").is_right
+    assert case(late, Verdict.NAMED, "latency").is_right
+    assert not case(late, Verdict.NAMED, "latency", "backlash").is_right
+    assert case(late, Verdict.SET, "backlash", alternatives=("latency",)).is_right
+    assert not case(late, Verdict.SET, "backlash", alternatives=("latency", "gamma")).is_right
+    # An offset lies along all axes.
+    assert case(off, Verdict.NAMED, "pose_offset", "pose_offset_x").is_right
+    assert not case(off, Verdict.NAMED, "pose_offset_x").is_right
+    assert case((("crosstalk", 1.0),), Verdict.UNKNOWN).is_right
+    assert not case((*late, *off), Verdict.NAMED, "latency").is_right
+    assert case((*late, *off), Verdict.NAMED, "latency", "pose_offset").is_right
+
+
+def test_the_page_shows_what_the_cases_gave() -> None:
+    late = (("late", 1.0),)
+    cases = [
+        *(case((), Verdict.NO_GAP) for _ in range(9)),
+        case((), Verdict.NAMED, "backlash"),
+        case(late, Verdict.NAMED, "latency", left=Left(4.0, 1.5, 1.0, 4.0)),
+        case(late, Verdict.NO_GAP),
+        case((*late, ("set", 1.0)), Verdict.NAMED, "latency"),
+    ]
+    found = figures(cases)
+    assert found["nulls"]["false_names"]["share"] == pytest.approx(0.1)
+    assert found["named_right_by_whitened_size"]["10 to 20"]["share"] == pytest.approx(0.5)
+    assert found["both_of_two"]["share"] == 0.0
+    assert found["one_of_two"]["share"] == 1.0
+    limit = {"size": 0.0125, "whitened_size": 7.5}
+    page = gap_page(
+        {
+            **found,
+            "detection_limits": {
+                "absolute": {"latency": {"towards 0.15": limit}},
+                "differential": {"latency": {"towards 0.15": {"size": None}}},
+            },
+            "rule_version": 3,
+            "solves": 12,
+            "provenance": {"seed": 4},
+        }
+    )
+    assert "| nulls with a name | 10% [2%, 40%] of 10 |" in page
+    assert "| latency | towards 0.15 | 0.0125 s (whitened 7.5) | - |" in page
+    assert "wrong names on nulls: backlash" in page
