@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.evidence import Variant
+from dotsim_ros.gap.evidence import Segment, Variant
 from dotsim_ros.gap.inference import fit_nuisances, lengths
 from dotsim_ros.gap.screening import best_trial
 from dotsim_ros.gap.search import Ranked, Search, null_gains, screen
@@ -45,10 +45,11 @@ def detection_limits(
             factor = decision.limit_factor(entry.effect.name, search.discrepancy.limit_factors)
             entry.limit = factor * threshold
             parameter = entry.effect.parameters[0]
+            segments = search.segments(entry.variants)
             for end in (parameter.low, parameter.high):
                 if end != entry.variants[0].absent:
                     key = (entry.effect.name, end)
-                    sizes.setdefault(key, []).append(_smallest_seen(search, entry, end))
+                    sizes.setdefault(key, []).append(_smallest_seen(search, entry, segments, end))
     for (name, end), each in sizes.items():
         size, length = np.median(np.array(each), axis=0).tolist()
         seen = np.isfinite(size)
@@ -59,7 +60,9 @@ def detection_limits(
     return found
 
 
-def _smallest_seen(search: Search, entry: Ranked, end: float) -> tuple[float, float]:
+def _smallest_seen(
+    search: Search, entry: Ranked, segments: Sequence[Segment], end: float
+) -> tuple[float, float]:
     """Return the smallest size towards an end of the range that is seen, and its whitened size;
     both infinite where none is. Of a shape that is free the middle one is taken."""
     variant = entry.variants[len(entry.variants) // 2]
@@ -74,7 +77,7 @@ def _smallest_seen(search: Search, entry: Ranked, end: float) -> tuple[float, fl
     def is_seen(share: float) -> bool:
         evidence = search.evidence.without(-change_at(share))
         base = fit_nuisances(evidence).objective
-        return best_trial(evidence, search.segments(entry.variants), base).gain > entry.limit
+        return best_trial(evidence, segments, base).gain > entry.limit
 
     if not is_seen(1.0):
         return np.inf, np.inf
