@@ -496,8 +496,10 @@ def _decide(
         trajectories.append(replace(t, observed=observed))
     altered = case.with_trajectories(trajectories)
     search = _search(altered, chosen, request, int(random.integers(2**31)), _silent, discrepancy)
-    ranked, (first, *_) = (screen(search, each) for each in variants)
-    gains, pattern_gains = null_gains(search, ranked, NULL_DRAWS)
+    ranked, looked_at = (screen(search, each) for each in variants)
+    # As a search does: before it refines the sizes of the best.
+    gains, pattern_gains = null_gains(search, looked_at, NULL_DRAWS)
+    first = looked_at[0]
     lasso = lasso_name(search, ranked)
     answer = answer_of(search, ranked, gains, pattern_gains)
     first.limit = next(e.limit for e in ranked if e.effect is first.effect)

@@ -170,16 +170,19 @@ def _objective(square: Array, count: Array, doubt: Array, nuisance: Array) -> fl
 def _bounded(gram: Array, right: Array, q: int, low: Array, high: Array) -> Array:
     """Return the solution of gram x = right with the sizes, x[q:], held within bounds."""
     m = len(right)
-    ridge = 1e-9 * np.trace(gram) / m * np.eye(m)
+    ridged = gram.copy()
+    ridged.flat[:: m + 1] += 1e-9 * np.trace(gram) / m
     held: dict[int, float] = {}
-    unknown = np.zeros(m)
+    unknown = np.linalg.solve(ridged, right)
+    free = list(range(m))
     for _ in range(m - q + 1):
-        free = [i for i in range(m) if i not in held]
-        unknown = np.zeros(m)
-        for i, value in held.items():
-            unknown[i] = value
-        pushed = right - gram @ unknown
-        unknown[free] = np.linalg.solve((gram + ridge)[np.ix_(free, free)], pushed[free])
+        if held:
+            free = [i for i in range(m) if i not in held]
+            unknown = np.zeros(m)
+            for i, value in held.items():
+                unknown[i] = value
+            pushed = right - gram @ unknown
+            unknown[free] = np.linalg.solve(ridged[np.ix_(free, free)], pushed[free])
         beyond = [i for i in free if i >= q and not low[i - q] <= unknown[i] <= high[i - q]]
         if not beyond:
             break

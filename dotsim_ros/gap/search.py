@@ -125,6 +125,7 @@ class Search:
     progress: Progress
     warnings: list[str] = field(default_factory=list)
     pattern_chance: float = 0.0
+    _segments: dict[tuple[int, int], list[Segment]] = field(default_factory=dict)
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -154,7 +155,14 @@ class Search:
         return fit_nuisances(known).objective / len(known.residual) + decision.MISFIT_SINCE
 
     def segments(self, variants: Sequence[Variant]) -> list[Segment]:
-        return [s for variant in variants for s in self.case.segments(variant, self.chosen)]
+        """Return the segments of variants; they are whitened once for each set of nodes."""
+        result = []
+        for variant in variants:
+            key = id(variant), len(variant.node)
+            if key not in self._segments:
+                self._segments[key] = self.case.segments(variant, self.chosen)
+            result += self._segments[key]
+        return result
 
     def has_budget(self, variants: int) -> bool:
         """Return whether so many variants may be simulated along the measured trajectories."""
