@@ -173,7 +173,7 @@ def _bounded(gram: Array, right: Array, q: int, low: Array, high: Array) -> Arra
     ridged = gram.copy()
     ridged.flat[:: m + 1] += 1e-9 * np.trace(gram) / m
     held: dict[int, float] = {}
-    unknown = np.linalg.solve(ridged, right)
+    unknown = np.asarray(np.linalg.solve(ridged, right), dtype=np.float64)
     free = list(range(m))
     for _ in range(m - q + 1):
         if held:
