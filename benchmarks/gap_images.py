@@ -34,7 +34,7 @@ from dotsim_ros.gap.optical_fit import PictureSearch
 from dotsim_ros.gap.optical_null import OpticalNull, fit_optical_null, save_optical_null
 from dotsim_ros.gap.optical_search import Signature, signatures_of
 from dotsim_ros.gap.progress import PrintedProgress
-from dotsim_ros.gap.search import Request
+from dotsim_ros.gap.search_state import Request
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.hidden.pictures import LAWS, PictureLaw, Takes, taken
 from dotsim_ros.optics.network_card import read_network

@@ -26,7 +26,8 @@ from dotsim_ros.evaluation.gap_study import CASE_SIZE, halves
 from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.gap.covariance import fit_discrepancy, load_discrepancy, save_discrepancy
 from dotsim_ros.gap.measurement import read_measurement
-from dotsim_ros.gap.search import Request, find_gap
+from dotsim_ros.gap.search import find_gap
+from dotsim_ros.gap.search_state import Request
 from dotsim_ros.gel.refinement import cache_directory
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.measured.data_set import INDEX, read_data_set

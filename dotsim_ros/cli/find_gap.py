@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dotsim_ros.gap.findings import Findings
-    from dotsim_ros.gap.search import Request
+    from dotsim_ros.gap.search_state import Request
 
 CHANNELS = ("skin", "force", "image")
 
@@ -114,7 +114,7 @@ def fit_optical_noise(arguments: argparse.Namespace) -> None:
 def request_of(arguments: argparse.Namespace) -> Request:
     """Return what is searched, and how."""
     from dotsim_ros.gap.optical_find import channels_of
-    from dotsim_ros.gap.search import Request
+    from dotsim_ros.gap.search_state import Request
     from dotsim_ros.geometry.specification import load_sensor
 
     return Request(

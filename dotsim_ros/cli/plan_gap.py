@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate, and print the matrix."""
     from dotsim_ros.evaluation.provenance import write_json
     from dotsim_ros.gap.plan import plan, plan_lines
-    from dotsim_ros.gap.search import Request
+    from dotsim_ros.gap.search_state import Request
     from dotsim_ros.geometry.specification import load_sensor
 
     request = Request(

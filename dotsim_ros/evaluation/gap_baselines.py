@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from dotsim_ros.gap import decision
+from dotsim_ros.gap.conclusions import change_by_trajectory
 from dotsim_ros.gap.evidence import Case, Segment
 from dotsim_ros.gap.inference import Evidence, draw_null, fit_nuisances
-from dotsim_ros.gap.search import PATTERN_DEVIATION, Ranked, Search, change_by_trajectory
+from dotsim_ros.gap.search_state import PATTERN_DEVIATION, Ranked, Search
 
 Array = NDArray[np.float64]
 

@@ -45,7 +45,8 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
     from dotsim_ros.gap.progress import PrintedProgress
     from dotsim_ros.gap.report import write_findings
-    from dotsim_ros.gap.search import Request, find_gap
+    from dotsim_ros.gap.search import find_gap
+    from dotsim_ros.gap.search_state import Request
     from dotsim_ros.geometry.skin_mesh import dome_skin
     from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.hidden.unit import measure_unit

@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gap import decision
+from dotsim_ros.gap.answer import null_gains, screen
 from dotsim_ros.gap.evidence import Segment, Variant
 from dotsim_ros.gap.inference import fit_nuisances, lengths
 from dotsim_ros.gap.screening import best_trial
-from dotsim_ros.gap.search import Ranked, Search, null_gains, screen
+from dotsim_ros.gap.search_state import Ranked, Search
 
 Array = NDArray[np.float64]
 

@@ -26,7 +26,9 @@ from dotsim_ros.evaluation.gap_null import residuals_without_effect
 from dotsim_ros.evaluation.provenance import provenance
 from dotsim_ros.evaluation.split import repeats_of
 from dotsim_ros.gap import decision
+from dotsim_ros.gap.answer import answer_of, null_gains, screen
 from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance
+from dotsim_ros.gap.certainty import estimates_of
 from dotsim_ros.gap.covariance import Discrepancy, Noise, fit_discrepancy, load_discrepancy
 from dotsim_ros.gap.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.findings import Verdict
@@ -34,16 +36,8 @@ from dotsim_ros.gap.inference import lengths
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.measurement import read_measurement
 from dotsim_ros.gap.observables import PATCH_COUNT, observe
-from dotsim_ros.gap.search import (
-    Ranked,
-    Request,
-    Search,
-    answer_of,
-    estimates_of,
-    null_gains,
-    screen,
-    simulate_effects,
-)
+from dotsim_ros.gap.search import simulate_effects
+from dotsim_ros.gap.search_state import Ranked, Request, Search
 from dotsim_ros.gap.simulate import TOLERANCE_M, open_solver
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.geometry.indenter import Indenter

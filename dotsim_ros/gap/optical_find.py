@@ -54,7 +54,8 @@ from dotsim_ros.gap.optical_pictures import (
     read_pictures,
 )
 from dotsim_ros.gap.overlay import FoundEffect, Overlay, active_effects
-from dotsim_ros.gap.search import Progress, Request, find_gap
+from dotsim_ros.gap.search import find_gap
+from dotsim_ros.gap.search_state import Progress, Request
 from dotsim_ros.gap.simulate import open_solver, request_of
 from dotsim_ros.gap.tiles import COLOURS
 from dotsim_ros.sensor import skin_of

@@ -20,7 +20,7 @@ from dotsim_ros.gap.isolability import pairs_of
 from dotsim_ros.gap.library import load_effects
 from dotsim_ros.gap.measurement import protocol_of, read_poses
 from dotsim_ros.gap.screening import excited_variants
-from dotsim_ros.gap.search import Request
+from dotsim_ros.gap.search_state import Request
 from dotsim_ros.gap.simulate import open_solver, request_of
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.sensor import skin_of

@@ -15,7 +15,8 @@ import pytest
 
 from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.overlay import Overlay
-from dotsim_ros.gap.search import Request, find_gap
+from dotsim_ros.gap.search import find_gap
+from dotsim_ros.gap.search_state import Request
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.hidden.laws import LAWS

@@ -25,7 +25,7 @@ from dotsim_ros.gap.optical_find import find_gap_with_pictures
 from dotsim_ros.gap.optical_model import Film, PictureModel
 from dotsim_ros.gap.optical_pictures import Pictures, read_pictures
 from dotsim_ros.gap.overlay import Overlay, active_effects
-from dotsim_ros.gap.search import Request
+from dotsim_ros.gap.search_state import Request
 from dotsim_ros.gap.simulate import open_solver, request_of
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
