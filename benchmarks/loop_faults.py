@@ -181,6 +181,7 @@ class Bench:
         self.loop, self._flag, self._random = loop, flag, random
         self._path = reference_path(path, loop.contact)
         self._intruder: Intruder | None = None
+        self._killed: set[bytes] = set()
         self._starts = 0
         self._sides = itertools.cycle((1, -1))
         other = load_sensor("sensor_a").camera
@@ -301,12 +302,19 @@ class Bench:
         it for the lease of its participant, and the policy refuses two senders."""
         self.loop.start_sensor()
         self.loop.observer.wait(
-            lambda: self.loop.observer.node.count_publishers("/wrench") == 1,
+            # One sender that is the killed one is one too few: the new one is not in the graph yet.
+            lambda: len(self._senders()) == 1 and not self._senders() & self._killed,
             "the killed sensor to leave the graph",
             timeout_s=LEASE_S,
         )
 
+    def _senders(self) -> set[bytes]:
+        """Return who publishes forces."""
+        found = self.loop.observer.node.get_publishers_info_by_topic("/wrench")
+        return {bytes(info.endpoint_gid) for info in found}
+
     def _kill_sensor(self) -> str:
+        self._killed = self._senders()
         self.loop.process(SENSOR).signal(signal.SIGKILL)
         return "wrench"
 
