@@ -50,7 +50,7 @@ def test_a_law_changes_something(name: str) -> None:
         changed |= found != values or relaxation is not None
     if law.motion is not None:
         poses = [Pose(np.array([0.0, 0.0, z])) for z in (0.0, -1e-3, -0.5e-3)]
-        ways = law.motion(Motion(poses, stamp, force), size, random)
+        ways = law.motion(Motion(poses, stamp, force), size, random, random)
         changed |= any(
             not np.allclose(a.position_m, b.position_m, atol=1e-7, rtol=0.0)
             for a, b in zip(ways, poses, strict=True)
@@ -69,3 +69,19 @@ def test_a_truth_is_drawn_by_its_seed_and_told_by_its_hash() -> None:
     for name, size in truth.effects:
         assert LAWS[name].low <= size <= LAWS[name].high
     assert library_names(Truth((("crosstalk", 0.1),))) == {""}
+
+
+def test_a_mounting_offset_is_the_unit_s_and_not_each_trajectory_s() -> None:
+    motion = Motion(
+        [Pose(np.zeros(3)), Pose(np.array([1e-3, 0.0, 0.0]))], np.arange(2.0), np.ones((2, 3))
+    )
+    law = LAWS["mounted_off"].motion
+    assert law is not None
+    first, second, other = (
+        law(motion, 3e-4, np.random.default_rng(unit), np.random.default_rng(trajectory))
+        for unit, trajectory in ((5, 0), (5, 1), (6, 0))
+    )
+    for a, b, c, told in zip(first, second, other, motion.poses, strict=True):
+        assert np.linalg.norm(a.position_m - told.position_m) == pytest.approx(3e-4)
+        np.testing.assert_array_equal(a.position_m, b.position_m)
+        assert np.linalg.norm(a.position_m - c.position_m) > 1e-5
