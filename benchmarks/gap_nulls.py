@@ -14,17 +14,16 @@ import argparse
 import shutil
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
 
-from dotsim_ros.evaluation.gap_null import residuals_without_effect
+from dotsim_ros.evaluation.gap_null import discrepancy_of_half, residuals_without_effect
 from dotsim_ros.evaluation.gap_study import CASE_SIZE, halves
 from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.gap.covariance import fit_discrepancy, load_discrepancy, save_discrepancy
+from dotsim_ros.gap.covariance import save_discrepancy
 from dotsim_ros.gap.measurement import read_measurement
 from dotsim_ros.gap.search import find_gap
 from dotsim_ros.gap.search_state import Request
@@ -51,20 +50,10 @@ def main() -> None:
     measurement = read_measurement(arguments.data, own_skin=skin_of(sensor.gel))
     residuals = residuals_without_effect(measurement, sensor, run, workers=arguments.workers)
     names = [entry.name for entry in read_data_set(arguments.data).entries]
-    shipped = load_discrepancy()
     cases: list[dict[str, Any]] = []
     for seed in range(arguments.count):
         known, tested = halves(names, seed)
-        pairs = [
-            (recording, residual)
-            for recording, residual in zip(measurement.recordings, residuals, strict=True)
-            if recording.name in known
-        ]
-        discrepancy = replace(
-            fit_discrepancy([r for r, _ in pairs], [e for _, e in pairs], f"{len(pairs)} presses"),
-            limit_factors=shipped.limit_factors,
-            misfit_limit=shipped.misfit_limit,
-        )
+        discrepancy = discrepancy_of_half(measurement.recordings, residuals, known)
         random = np.random.default_rng([seed, 5])
         drawn = sorted(random.choice(tested, CASE_SIZE, replace=False).tolist())
         with tempfile.TemporaryDirectory() as folder:

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.gap import decision
-from dotsim_ros.gap.answer import null_gains, screen
+from dotsim_ros.gap.answer import null_gains, screen, set_limits
 from dotsim_ros.gap.evidence import Segment, Variant
 from dotsim_ros.gap.inference import fit_nuisances, lengths
 from dotsim_ros.gap.screening import best_trial
@@ -41,10 +40,8 @@ def detection_limits(
     for search in searches:
         ranked = screen(search, variants)
         gains, _ = null_gains(search, ranked, NULLS)
-        threshold = decision.threshold_of(gains.tolist(), search.request.alpha)
+        set_limits(search, ranked, gains)
         for entry in ranked:
-            factor = decision.limit_factor(entry.effect.name, search.discrepancy.limit_factors)
-            entry.limit = factor * threshold
             parameter = entry.effect.parameters[0]
             segments = search.segments(entry.variants)
             for end in (parameter.low, parameter.high):

@@ -22,14 +22,14 @@ from dotsim_ros.calibration.parameters import GelValues, values_of
 from dotsim_ros.calibration.simulation import GelSimulator, Simulated, SolveError
 from dotsim_ros.evaluation.gap_baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap_limits import detection_limits
-from dotsim_ros.evaluation.gap_null import residuals_without_effect
+from dotsim_ros.evaluation.gap_null import discrepancy_of_half, residuals_without_effect
 from dotsim_ros.evaluation.provenance import provenance
 from dotsim_ros.evaluation.split import repeats_of
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.answer import answer_of, null_gains, screen
+from dotsim_ros.gap.answer import answer_of, null_gains, screen, set_limits
 from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance
 from dotsim_ros.gap.certainty import estimates_of
-from dotsim_ros.gap.covariance import Discrepancy, Noise, fit_discrepancy, load_discrepancy
+from dotsim_ros.gap.covariance import Discrepancy, Noise
 from dotsim_ros.gap.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.inference import lengths
@@ -176,18 +176,11 @@ def _study(
         workers=workers,
         progress=lambda done, total: progress("discrepancy", done, total),
     )
-    by_name = {r.name: (r, e) for r, e in zip(measurement.recordings, residuals, strict=True)}
-    shipped = load_discrepancy()
-    discrepancy = replace(
-        fit_discrepancy(
-            [by_name[n][0] for n in known], [by_name[n][1] for n in known], f"{len(known)} presses"
-        ),
-        limit_factors=shipped.limit_factors,
-        misfit_limit=shipped.misfit_limit,
-    )
+    discrepancy = discrepancy_of_half(measurement.recordings, residuals, known)
+    by_name = {recording.name: recording for recording in measurement.recordings}
     library, values = load_effects(), values_of(sensor)
     with open_solver(sensor, measurement.skin, run, workers=workers) as solver:
-        recordings = [by_name[n][0] for n in tested]
+        recordings = [by_name[n] for n in tested]
         trajectories, left_out = make_trajectories(
             recordings,
             # The same presses are their own commissioning: nothing has changed since.
@@ -493,10 +486,10 @@ def _decide(
     ranked, looked_at = (screen(search, each) for each in variants)
     # As a search does: before it refines the sizes of the best.
     gains, pattern_gains = null_gains(search, looked_at, NULL_DRAWS)
+    set_limits(search, looked_at, gains)
     first = looked_at[0]
     lasso = lasso_name(search, ranked)
     answer = answer_of(search, ranked, gains, pattern_gains)
-    first.limit = next(e.limit for e in ranked if e.effect is first.effect)
     others = [number for number in range(count) if number not in chosen]
 
     def size_of(change: Sequence[Array]) -> float:

@@ -47,6 +47,21 @@ class Answer:
     p_value: float
 
 
+def set_limits(search: Search, ranked: Sequence[Ranked], gains: Array) -> float:
+    """Set what each effect must gain to be past its limit; return the threshold of simulated nulls.
+
+    Args:
+        search: the case.
+        ranked: effects.
+        gains: of data without any effect, as `null_gains` returns them.
+    """
+    threshold = decision.threshold_of(gains.tolist(), search.request.alpha)
+    for entry in ranked:
+        factor = decision.limit_factor(entry.effect.name, search.discrepancy.limit_factors)
+        entry.limit = factor * threshold
+    return threshold
+
+
 def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains: Array) -> Answer:
     """Apply the rule to a case.
 
@@ -56,10 +71,7 @@ def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains:
         gains, pattern_gains: of data without any effect, as `null_gains` returns them.
     """
     alpha = search.request.alpha
-    threshold = decision.threshold_of(gains.tolist(), alpha)
-    for entry in ranked:
-        factor = decision.limit_factor(entry.effect.name, search.discrepancy.limit_factors)
-        entry.limit = factor * threshold
+    threshold = set_limits(search, ranked, gains)
     pattern_threshold = decision.PATTERNS_HEAVIER * decision.threshold_of(
         pattern_gains.tolist(), alpha
     )
