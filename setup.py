@@ -35,6 +35,10 @@ LEARNING = [
     "torch>=2.9",
     "torchvision>=0.24",
 ]
+# what the gap finder is judged on
+RENDERING = [
+    "mitsuba>=3.8",
+]
 DEVELOPMENT = [
     "colcon-common-extensions",
     "mypy",
@@ -92,7 +96,13 @@ setup(
         "trimesh>=4.0",
         "warp-lang>=1.10",
     ],
-    extras_require={"ros": ROS, "learning": LEARNING, "test": TEST, "dev": DEVELOPMENT},
+    extras_require={
+        "ros": ROS,
+        "learning": LEARNING,
+        "rendering": RENDERING,
+        "test": [*TEST, *RENDERING],
+        "dev": DEVELOPMENT,
+    },
     entry_points={
         "console_scripts": [
             "calibrate = dotsim_ros.nodes.calibrate:main",

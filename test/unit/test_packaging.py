@@ -64,6 +64,7 @@ NODE_PARAMETERS = {
 NAMES_ELSEWHERE = {
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
+    "drjit": "mitsuba",
     "imageio_ffmpeg": "imageio-ffmpeg",
     "ot": "POT",
     "pinocchio": "pin",
@@ -228,7 +229,7 @@ def test_every_node_with_a_main_is_an_executable() -> None:
 def test_what_is_imported_is_required() -> None:
     ros = ros_depends("exec_depend")
     foreign = {NAMES_ELSEWHERE.get(name, name) for name in imported_modules() - ros}
-    assert foreign - requirements() - extra("LEARNING") == set()
+    assert foreign - requirements() - extra("LEARNING") - extra("RENDERING") == set()
 
 
 def test_what_is_required_is_imported() -> None:
