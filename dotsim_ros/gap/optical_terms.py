@@ -58,18 +58,29 @@ def radius_square(image: SeenImage) -> Array:
 def sampled(pixels: Array, x: Array, y: Array) -> Array:
     """Return pixels (H, W, 3) looked up at places (H, W) in px by cubic interpolation.
 
-    A place outside shows the nearest border, a whole pixel itself, to single precision. Between
-    pixels OpenCV's cubic looks up to 0.05 px beside a place, each way.
+    A place outside shows the nearest border, a whole pixel itself, to single precision.
     """
     # OpenCV 5 cuts doubles off to whole numbers.
     found = cv2.remap(
         pixels.astype(np.float32),
-        x.astype(np.float32),
-        y.astype(np.float32),
+        _asked_for(x).astype(np.float32),
+        _asked_for(y).astype(np.float32),
         cv2.INTER_CUBIC,
         borderMode=cv2.BORDER_REPLICATE,
     )
     return np.asarray(found, dtype=np.float64)
+
+
+def _asked_for(place: Array) -> Array:
+    """Return where OpenCV's cubic must be asked to look, to look at a place.
+
+    Its kernel is that of Keys ("Cubic convolution interpolation for digital image processing",
+    1981) with a = -0.75, which shows a straight slope at f^3 - 1.5 f^2 + 1.5 f of a pixel where it
+    is asked for f: up to 0.047 px beside it, so that 0.10 px become 0.14.
+    With f = 1/2 + sinh(u) that is 1/2 + sinh(3 u) / 4.
+    """
+    whole = np.floor(place)
+    return np.asarray(whole + 0.5 + np.sinh(np.arcsinh(4.0 * (place - whole) - 2.0) / 3.0))
 
 
 def pixel_places(image: SeenImage) -> tuple[Array, Array]:

@@ -1,11 +1,13 @@
 """The optical effects: each against its closed form, and none of them at its none-values."""
 
+import cv2
 import numpy as np
 import pytest
 
 from dotsim_ros.evaluation.presses import Press
 from dotsim_ros.gap.effect import IMAGE, Active, SeenImage, image_filters
 from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.optical_terms import sampled
 from dotsim_ros.gap.recording import Phase, Recording
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
@@ -103,6 +105,16 @@ def test_a_filter_changes_no_input_and_repeats_itself(name):
     np.testing.assert_array_equal(effect.image(effect.checked({}))(image), first)
     np.testing.assert_array_equal(image.pixels, before)
     assert np.abs(first - before).max() > 0.0 or name == "saturation"
+
+
+@pytest.mark.parametrize("shift", [0.04, 0.12, 0.25, 0.5, 0.7, -0.12, 1.3])
+def test_a_slope_is_looked_up_at_its_place(shift):
+    x, y = np.meshgrid(np.arange(20.0), np.arange(16.0))
+    slope = np.repeat((3.0 * x + 2.0 * y)[..., None], 3, axis=2)
+    found = sampled(slope, x + shift, y + shift)[4:12, 4:16]
+    # OpenCV 4 knows 32 places between two pixels.
+    near = 1e-4 if int(cv2.__version__.partition(".")[0]) >= 5 else 0.12
+    np.testing.assert_allclose(found, slope[4:12, 4:16] + 5.0 * shift, atol=near)
 
 
 def test_a_resampling_follows_a_picture_of_another_size():
