@@ -3,9 +3,8 @@
     python benchmarks/gap_nulls.py --data DIR --sensor NAME --json docs/results/gap_nulls.json
 
 Each case is a data set of eight trajectories of an independent solver, read, calibrated, screened
-and refitted as any other. The covariance that the search knows comes from the half of the
-trajectories that the case was not drawn from; the effects' limits are the shipped ones. Cases share
-presses.
+and refitted as any other. All that the search knows of presses without an effect comes from the
+half of the trajectories that the case was not drawn from. Cases share presses.
 """
 
 from __future__ import annotations
@@ -20,17 +19,15 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dotsim_ros.evaluation.gap_null import discrepancy_of_half, residuals_without_effect
-from dotsim_ros.evaluation.gap_study import CASE_SIZE, halves
+from dotsim_ros.evaluation.gap_calibration import calibrated_discrepancy
+from dotsim_ros.evaluation.gap_presses import CASE_SIZE, Source, halves, silent
 from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.gap.covariance import save_discrepancy
-from dotsim_ros.gap.measurement import read_measurement
 from dotsim_ros.gap.search import find_gap
 from dotsim_ros.gap.search_state import Request
 from dotsim_ros.gel.refinement import cache_directory
 from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.measured.data_set import INDEX, read_data_set
-from dotsim_ros.sensor import skin_of
 
 
 def main() -> None:
@@ -47,13 +44,12 @@ def main() -> None:
     arguments = parser.parse_args()
     run = arguments.run or cache_directory() / "gap"
     sensor = load_sensor(arguments.sensor)
-    measurement = read_measurement(arguments.data, own_skin=skin_of(sensor.gel))
-    residuals = residuals_without_effect(measurement, sensor, run, workers=arguments.workers)
+    source = Source(arguments.data, sensor, run, arguments.workers, silent)
     names = [entry.name for entry in read_data_set(arguments.data).entries]
     cases: list[dict[str, Any]] = []
     for seed in range(arguments.count):
         known, tested = halves(names, seed)
-        discrepancy = discrepancy_of_half(measurement.recordings, residuals, known)
+        discrepancy = calibrated_discrepancy(source, known, seed)
         random = np.random.default_rng([seed, 5])
         drawn = sorted(random.choice(tested, CASE_SIZE, replace=False).tolist())
         with tempfile.TemporaryDirectory() as folder:
@@ -70,7 +66,7 @@ def main() -> None:
                     workers=arguments.workers,
                     discrepancy=covariance,
                 ),
-                lambda step, done, total: None,
+                silent,
             )
         cases.append(
             {

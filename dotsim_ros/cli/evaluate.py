@@ -366,35 +366,23 @@ def _gelsight(arguments: argparse.Namespace) -> int:
 
 
 def _gap(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.gap_null import discrepancy_of
+    from dotsim_ros.evaluation.gap_calibration import calibrated_discrepancy
     from dotsim_ros.evaluation.gap_page import gap_page
-    from dotsim_ros.evaluation.gap_study import run_study, with_limits
+    from dotsim_ros.evaluation.gap_presses import Source
+    from dotsim_ros.evaluation.gap_study import run_study
     from dotsim_ros.gap.covariance import save_discrepancy
     from dotsim_ros.gap.progress import PrintedProgress
     from dotsim_ros.gel.refinement import cache_directory
     from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.hidden.laws import LAWS
+    from dotsim_ros.measured.data_set import read_data_set
 
     sensor = load_sensor(arguments.sensor)
     run = arguments.run or cache_directory() / "gap"
-    progress = PrintedProgress()
+    source = Source(arguments.data, sensor, run, arguments.workers, PrintedProgress())
     if arguments.fit_discrepancy is not None:
-        found = discrepancy_of(
-            arguments.data,
-            sensor,
-            run,
-            workers=arguments.workers,
-            progress=lambda done, total: progress("discrepancy", done, total),
-        )
-        found = with_limits(
-            found,
-            arguments.data,
-            sensor,
-            run,
-            seed=arguments.seed,
-            workers=arguments.workers,
-            progress=progress,
-        )
+        names = [entry.name for entry in read_data_set(arguments.data).entries]
+        found = calibrated_discrepancy(source, names, arguments.seed)
         save_discrepancy(found, arguments.fit_discrepancy)
         print(f"{arguments.fit_discrepancy}: {found.source}")
         return 0
@@ -403,15 +391,11 @@ def _gap(arguments: argparse.Namespace) -> int:
         raise ValueError(f"no law {', '.join(unknown)}; known are {', '.join(LAWS)}")
     run.mkdir(parents=True, exist_ok=True)
     figures = run_study(
-        arguments.data,
-        sensor,
-        run,
+        source,
         nulls=arguments.nulls,
         repeats=arguments.repeats,
         seed=arguments.seed,
         laws=tuple(arguments.laws or LAWS),
-        workers=arguments.workers,
-        progress=progress,
     )
     return _write(arguments, figures, {"sensor": str(arguments.sensor)}, gap_page)
 

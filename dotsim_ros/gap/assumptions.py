@@ -4,7 +4,7 @@ what each of them does to a trajectory."""
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,16 @@ CLOCK_STEP_S = 0.01
 SHIFT_STEP_M = 0.1e-3
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
 """Of the differences, in the parameters' coordinates: of the size of the priors."""
+TOLERANCES = {
+    "thickness": ("thickness_error", {"thickness_share": -0.0225}),
+    "delay": ("latency", {"latency_s": CLOCK_STEP_S}),
+    "arm": ("base_compliance", {"compliance_m_n": 2.0e-5}),
+    "relaxation": ("viscoelastic_relaxation", {"share": 0.05, "time_s": 10.0}),
+}
+"""Effects that are there to a small degree in any unit and setup, or that the model's own error
+looks like: the effect of each, and the step of the difference, in its first parameter."""
+BIASED = ("friction", *TOLERANCES)
+"""Nuisances whose means presses in which nothing is missing tell."""
 SHARED, OWN, SINCE = "shared", "own", "since"
 
 
@@ -31,15 +41,22 @@ class Nuisance:
     Attributes:
         name, unit: for reports.
         deviation: of its prior, in the coordinate of its parameter (the logarithm of a stiffness or
-            of friction), metres, or seconds.
+            of friction; the first parameter of its effect, for `TOLERANCES`), metres, or seconds.
         belongs: `SHARED` by all data of a unit, each data set's `OWN`, or what has changed `SINCE`
             the commissioning.
+        mean: of its prior, in the unit of the deviation.
     """
 
     name: str
     unit: str
     deviation: float
     belongs: str
+    mean: float = 0.0
+
+    @property
+    def centre(self) -> float:
+        """The mean in deviations."""
+        return self.mean / self.deviation
 
 
 ABSOLUTE = (
@@ -47,20 +64,29 @@ ABSOLUTE = (
     Nuisance("nu", "log(1/2 - nu)", 0.2, SHARED),
     Nuisance("friction", "log", 0.2, SHARED),
     Nuisance("c20", "of C10", 0.05, SHARED),
+    Nuisance("thickness", "share", 0.01, SHARED),
+    Nuisance("delay", "s", 0.005, SHARED),
+    Nuisance("arm", "m/N", 8.0e-6, SHARED),
+    Nuisance("relaxation", "share", 0.03, SHARED),
     Nuisance("shift_x", "m", 0.03e-3, OWN),
     Nuisance("shift_y", "m", 0.03e-3, OWN),
     Nuisance("shift_z", "m", 0.03e-3, OWN),
     Nuisance("clock", "s", 0.003, OWN),
 )
 """Against a calibrated sensor's file: units differ by some percent, the arm by some hundredths of a
-millimetre."""
+millimetre. The means of `BIASED` come with the discrepancy; the deviations of `TOLERANCES` are what
+halves of the stand-in sensor's presses, and a second unit's, differ by."""
 
 DIFFERENTIAL = (
     Nuisance("E", "log", 0.3, SHARED),
     Nuisance("nu", "log(1/2 - nu)", 0.8, SHARED),
     Nuisance("friction", "log", 0.5, SHARED),
     Nuisance("c20", "of C10", 0.2, SHARED),
-    *ABSOLUTE[4:],
+    Nuisance("thickness", "share", 0.03, SHARED),
+    Nuisance("delay", "s", 0.015, SHARED),
+    Nuisance("arm", "m/N", 2.0e-5, SHARED),
+    Nuisance("relaxation", "share", 0.1, SHARED),
+    *ABSOLUTE[8:],
     Nuisance("E_since", "log", 0.02, SINCE),
 )
 """Against the unit's own commissioning, which tells its constants; since then, its stiffness may
@@ -80,12 +106,11 @@ def nuisance_requests(
     result += [
         request_of(recording, values, shift_m=axis.tolist()) for axis in SHIFT_STEP_M * np.eye(3)
     ]
-    late = library["latency"]
-    result.append(
-        request_of(
-            recording, values, effects=[Active(late, late.checked({"latency_s": CLOCK_STEP_S}))]
-        )
-    )
+    at_work = [("latency", {"latency_s": CLOCK_STEP_S}), *TOLERANCES.values()]
+    for name, parameters in at_work:
+        effect = library[name]
+        active = Active(effect, effect.checked(parameters))
+        result.append(request_of(recording, values, effects=[active]))
     return result
 
 
@@ -113,6 +138,9 @@ def nuisance_columns(
         slopes[name] = (observed[1 + place] - base) / step
     for axis, name in enumerate(("shift_x", "shift_y", "shift_z")):
         slopes[name] = (observed[4 + axis] - base) / SHIFT_STEP_M
+    for place, (name, (_, parameters)) in enumerate(TOLERANCES.items()):
+        step = next(iter(parameters.values()))
+        slopes[name] = (observed[8 + place] - base) / step
     result = []
     for nuisance in nuisances:
         column = nuisance.deviation * slopes[nuisance.name]
@@ -122,13 +150,18 @@ def nuisance_columns(
     return result
 
 
+def centred(nuisances: Sequence[Nuisance], bias: Mapping[str, float]) -> tuple[Nuisance, ...]:
+    """Return nuisances about the means of a bias, by name."""
+    return tuple(replace(n, mean=bias.get(n.name, n.mean)) for n in nuisances)
+
+
 def values_after(values: GelValues, nuisances: Sequence[Nuisance], moved: Array) -> GelValues:
-    """Return the gel with its nuisances moved by (q,) deviations."""
+    """Return the gel with its nuisances moved by (q,) deviations from their means."""
     for nuisance, deviations in zip(nuisances, moved.tolist(), strict=True):
         if nuisance.name not in PARAMETERS:
             continue
         parameter = PARAMETERS[nuisance.name]
         at = parameter.to_coordinate(getattr(values, parameter.field))
-        place = np.array([at + deviations * nuisance.deviation])
+        place = np.array([at + nuisance.mean + deviations * nuisance.deviation])
         values = with_coordinates(values, [parameter], place)
     return values

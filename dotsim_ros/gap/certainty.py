@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.evidence import Segment
 from dotsim_ros.gap.findings import Estimate, Pair
-from dotsim_ros.gap.inference import fit_nuisances
+from dotsim_ros.gap.inference import Evidence, fit_nuisances
 from dotsim_ros.gap.isolability import pairs_of
 from dotsim_ros.gap.screening import best_trial
 from dotsim_ros.gap.search_state import Ranked, Search
@@ -21,12 +21,18 @@ IntArray = NDArray[np.int64]
 
 BOOTSTRAPS = 20
 INTERVAL_DRAWS = 100
+CHI_SQUARE = 3.84
+"""95 % of one degree of freedom."""
+FIRST_STEP = 0.02
+HALVINGS = 10
 SHOWN = 6
 """So many of the best effects are set against each other."""
 
 
 def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tuple[Estimate, ...]:
-    """Return an effect's parameters, intervals by a bootstrap over trajectories."""
+    """Return an effect's parameters. The interval of the first is that of the profile likelihood
+    and of a bootstrap over trajectories together, those of others the bootstrap's: the bootstrap
+    does not see what all trajectories share, the profile takes the covariances for granted."""
     segments = search.segments(entry.variants)
     change = sum((other.trial.change for other in others), np.zeros(len(search.evidence.residual)))
     sizes, shapes = [], []
@@ -38,9 +44,14 @@ def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tup
         sizes.append(trial.size)
         shapes.append(list(trial.variant.shape.values()))
     first = entry.effect.parameters[0]
-    low, high = np.percentile(sizes, [2.5, 97.5]).tolist()
     size = entry.trial.size
-    estimates = [Estimate(first.name, first.unit, size, min(low, size), max(high, size))]
+    profiled = _profile_ends(search, entry, search.evidence.without(change))
+    low, high = np.percentile(sizes, [2.5, 97.5]).tolist()
+    estimates = [
+        Estimate(
+            first.name, first.unit, size, min(low, profiled[0], size), max(high, profiled[1], size)
+        )
+    ]
     for place, parameter in enumerate(entry.effect.parameters[1:]):
         value = entry.trial.variant.shape[parameter.name]
         low, high = np.percentile([s[place] for s in shapes], [2.5, 97.5]).tolist()
@@ -48,6 +59,39 @@ def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tup
             Estimate(parameter.name, parameter.unit, value, min(low, value), max(high, value))
         )
     return tuple(estimates)
+
+
+def _profile_ends(search: Search, entry: Ranked, evidence: Evidence) -> tuple[float, float]:
+    """Return the sizes between which the profile likelihood is within its 95 % of the best, drawn
+    out by how much more true data without any effect gain than simulated ones."""
+    parameter, size = entry.effect.parameters[0], entry.trial.size
+    excess = max(1.0, search.discrepancy.limit_factors.get(entry.effect.name, 1.0))
+    segments = search.segments([entry.trial.variant])
+
+    def objective(tried: float) -> float:
+        ends = [s.begin + s.low for s in segments], [s.begin + s.high for s in segments]
+        # The segment that holds the size, or the outermost one.
+        away = [max(low - tried, tried - high, 0.0) for low, high in zip(*ends, strict=True)]
+        segment = segments[int(np.argmin(away))]
+        change = segment.offset + (tried - segment.begin) * segment.column
+        return fit_nuisances(evidence.without(change)).objective
+
+    allowed = objective(size) + CHI_SQUARE * excess
+    found = []
+    for end in (parameter.low, parameter.high):
+        step = FIRST_STEP * (end - size)
+        inside, outside = size, size + step
+        while abs(outside - size) < abs(end - size) and objective(outside) < allowed:
+            inside, outside = outside, outside + 2.0 * (outside - inside)
+        outside = end if abs(outside - size) > abs(end - size) else outside
+        if objective(outside) < allowed:
+            found.append(outside)
+            continue
+        for _ in range(HALVINGS):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (middle, outside) if objective(middle) < allowed else (inside, middle)
+        found.append(0.5 * (inside + outside))
+    return found[0], found[1]
 
 
 def stability_of(search: Search, ranked: Sequence[Ranked], name: str) -> float:

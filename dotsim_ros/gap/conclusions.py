@@ -160,13 +160,14 @@ def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate,
         reach = 1.96 * nuisance.deviation
         if nuisance.name in PARAMETERS:
             parameter = PARAMETERS[nuisance.name]
-            at = parameter.to_coordinate(getattr(case.values, parameter.field))
+            at = parameter.to_coordinate(getattr(case.values, parameter.field)) + nuisance.mean
             ends = sorted(parameter.to_value(at + side * reach) for side in (-1.0, 1.0))
             value = float(getattr(fitted, parameter.field))
             result.append(Estimate(name, parameter.unit, value, ends[0], ends[1]))
         else:
-            value = moved * nuisance.deviation
-            result.append(Estimate(name, nuisance.unit, value, -reach, reach))
+            value = nuisance.mean + moved * nuisance.deviation
+            ends = [nuisance.mean + side * reach for side in (-1.0, 1.0)]
+            result.append(Estimate(name, nuisance.unit, value, ends[0], ends[1]))
     return tuple(result)
 
 

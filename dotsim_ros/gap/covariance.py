@@ -71,6 +71,7 @@ class Discrepancy:
         between: (SIZE, SIZE) of b.
         within: (SIZE, SIZE) of w.
         source: the presses that they come from.
+        bias: by nuisance, the mean of what the twin is off by (see `assumptions.BIASED`).
         limit_factors: by effect, how much more it gains on true data without any effect than on
             simulated ones.
         misfit_limit: largest objective of an observable (see `inference.Fit`) that the twin,
@@ -80,6 +81,7 @@ class Discrepancy:
     between: Array
     within: Array
     source: str
+    bias: Mapping[str, float] = field(default_factory=dict)
     limit_factors: Mapping[str, float] = field(default_factory=dict)
     misfit_limit: float = 0.0
 
@@ -178,6 +180,8 @@ def save_discrepancy(discrepancy: Discrepancy, path: Path) -> None:
         between=discrepancy.between.astype(np.float32),
         within=discrepancy.within.astype(np.float32),
         source=np.array(discrepancy.source),
+        biased=np.array(list(discrepancy.bias), dtype=str),
+        bias=np.array(list(discrepancy.bias.values())),
         limited=np.array(list(discrepancy.limit_factors), dtype=str),
         limit_factor=np.array(list(discrepancy.limit_factors.values())),
         misfit_limit=np.array(discrepancy.misfit_limit),
@@ -198,8 +202,9 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
             arrays["between"].astype(np.float64),
             arrays["within"].astype(np.float64),
             str(arrays["source"]),
+            dict(zip(arrays["biased"].tolist(), arrays["bias"].tolist(), strict=True)),
             dict(zip(arrays["limited"].tolist(), arrays["limit_factor"].tolist(), strict=True)),
-            float(arrays["misfit_limit"]) if "misfit_limit" in arrays.files else 0.0,
+            float(arrays["misfit_limit"]),
         )
     if found.between.shape != (SIZE, SIZE):
         raise ValueError(

@@ -139,8 +139,12 @@ class Case:
     def evidence(self, chosen: Sequence[int]) -> Evidence:
         """Return the evidence of some trajectories."""
         parts = [self.trajectories[t] for t in chosen]
-        residual = [t.whitening.whiten(t.observed - t.predicted) for t in parts]
         columns = [self._nuisance_columns(t) for t in parts]
+        centre = np.array([nuisance.centre for nuisance, _ in self.columns()])
+        residual = [
+            t.whitening.whiten(t.observed - t.predicted) - column @ centre
+            for t, column in zip(parts, columns, strict=True)
+        ]
         number = np.repeat(np.arange(len(parts)), [len(r) for r in residual])
         return Evidence(np.concatenate(residual), np.concatenate(columns), number)
 
@@ -179,12 +183,13 @@ class Case:
         return np.stack([nothing if k is None else white[k] for k in numbers], axis=1)
 
     def moved(self, number: int, nuisance: Array) -> Array:
-        """Return (F, SIZE) what the evidence's nuisances (columns,) do to a trajectory."""
+        """Return (F, SIZE) what the evidence's nuisances, (columns,) from their means, do to a
+        trajectory."""
         t = self.trajectories[number]
         share = np.zeros(len(self.nuisances))
         for k, moved in zip(self._column_numbers(t), nuisance.tolist(), strict=True):
             if k is not None:
-                share[k] = moved
+                share[k] = self.nuisances[k].centre + moved
         result: Array = np.tensordot(share, t.nuisance, axes=1)
         return result
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.calibration.parameters import values_of
-from dotsim_ros.gap.assumptions import ABSOLUTE
+from dotsim_ros.gap.assumptions import ABSOLUTE, centred
 from dotsim_ros.gap.covariance import Noise, load_discrepancy
 from dotsim_ros.gap.decision import ALIKE
 from dotsim_ros.gap.evidence import Case, make_trajectories
@@ -66,19 +66,21 @@ def plan(request: Request) -> dict[str, Any]:
             )
             for r, e in zip(recordings, expected, strict=True)
         )
+        discrepancy = load_discrepancy(request.discrepancy)
+        nuisances = centred(ABSOLUTE, discrepancy.bias)
         trajectories, left_out = make_trajectories(
             recordings,
             (),
             values=values,
-            nuisances=ABSOLUTE,
+            nuisances=nuisances,
             library=library,
             solver=solver,
             skin=skin,
             noise=Noise(),
-            discrepancy=load_discrepancy(request.discrepancy),
+            discrepancy=discrepancy,
             channels=request.channels,
         )
-        case = Case(trajectories, ABSOLUTE, library, solver, values, skin.rest_position_m)
+        case = Case(trajectories, nuisances, library, solver, values, skin.rest_position_m)
         variants, silent = excited_variants(case)
         first = {v.effect.name: v for v in reversed(variants)}
         variants = [v for v in variants if first[v.effect.name] is v]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.gap import decision, wording
 from dotsim_ros.gap.answer import answer_of, null_gains, screen
-from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL
+from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL, centred
 from dotsim_ros.gap.certainty import estimates_of, stability_of
 from dotsim_ros.gap.conclusions import findings_of
 from dotsim_ros.gap.covariance import Noise, load_discrepancy, noise_from_idle
@@ -61,7 +61,7 @@ def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | 
         folders=request.effects,
         workers=request.workers,
     ) as solver:
-        nuisances = ABSOLUTE if reference is None else DIFFERENTIAL
+        nuisances = centred(ABSOLUTE if reference is None else DIFFERENTIAL, discrepancy.bias)
         trajectories, left_out = make_trajectories(
             measurement.recordings,
             () if reference is None else reference.recordings,

@@ -57,7 +57,6 @@ class Law:
         motion: from a motion, the size and two generators, the unit's and the trajectory's, to the
             poses as they are.
         answer: from what the gel answers and the size to what is measured.
-        known_size: from the size to that of the library's parameter, where it is the same law.
     """
 
     name: str
@@ -68,7 +67,6 @@ class Law:
     gel: Callable[[GelValues, float], tuple[GelValues, PronySeries | None]] | None = None
     motion: Callable[[Motion, float, Generator, Generator], list[Pose]] | None = None
     answer: Callable[[Answer, float], tuple[Array, Array]] | None = None
-    known_size: Callable[[float], float] | None = None
     also: tuple[str, ...] = ()
 
 
@@ -156,18 +154,16 @@ def _sticky_base(answer: Answer, size: float) -> tuple[Array, Array]:
 LAWS: Mapping[str, Law] = {
     law.name: law
     for law in (
-        Law("slippery", "coulomb_slip", 0.3, 0.7, "of friction", gel=_slippery,
-            known_size=lambda size: size),
+        Law("slippery", "coulomb_slip", 0.3, 0.7, "of friction", gel=_slippery),
         Law("exponential_stiffening", "hyperelastic_stiffening", 0.25, 0.8, "b", gel=_exponential),
         Law("two_mode_relaxation", "viscoelastic_relaxation", 0.1, 0.35, "share", gel=_two_modes),
         Law("compressible", "compressibility", 0.40, 0.45, "nu", gel=_compressible),
         Law("thin", "thickness_error", 0.05, 0.12, "of thickness", gel=_thin),
         Law("mounted_off", "pose_offset", 0.15e-3, 0.4e-3, "m", motion=_mounted_off,
             also=("pose_offset_x", "pose_offset_y")),
-        Law("late", "latency", 0.02, 0.06, "s", motion=_late, known_size=lambda size: size),
+        Law("late", "latency", 0.02, 0.06, "s", motion=_late),
         Law("gives_way", "base_compliance", 0.03e-3, 0.1e-3, "m/N", motion=_gives_way),
-        Law("scaled_force", "force_scale", 0.15, 0.3, "share", answer=_scaled,
-            known_size=lambda size: 1.0 + size),
+        Law("scaled_force", "force_scale", 0.15, 0.3, "share", answer=_scaled),
         Law("softened", "mullins_softening", 0.15, 0.35, "share", answer=_softened),
         Law("set", "permanent_set", 0.04, 0.1, "of the peak", answer=_set),
         Law("crosstalk", "", 0.1, 0.25, "share", answer=_crosstalk),

@@ -7,7 +7,9 @@ import pytest
 
 from dotsim_ros.evaluation.gap_baselines import Left
 from dotsim_ros.evaluation.gap_page import gap_page
-from dotsim_ros.evaluation.gap_study import CLOSE, StudyCase, figures, further_sizes, halves
+from dotsim_ros.evaluation.gap_presses import CLOSE, further_sizes, halves
+from dotsim_ros.evaluation.gap_same_law import SameLaw, same_law_figures
+from dotsim_ros.evaluation.gap_study import StudyCase, figures
 from dotsim_ros.gap.evidence import Variant
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.library import load_effects
@@ -86,11 +88,18 @@ def test_the_page_shows_what_the_cases_gave() -> None:
     page = gap_page(
         {
             **found,
+            "same_law": same_law_figures(
+                [
+                    SameLaw("latency", 0.1, 20.0, ("latency",), 0.11, 0.09, 0.12),
+                    SameLaw("latency", 0.1, 20.0, ("latency",), 0.13, 0.12, 0.14),
+                    SameLaw("latency", 0.1, 5.0, ()),
+                ]
+            ),
             "detection_limits": {
                 "absolute": {"latency": {"towards 0.15": limit}},
                 "differential": {"latency": {"towards 0.15": {"size": None}}},
             },
-            "rule_version": 3,
+            "rule_version": 4,
             "solves": 12,
             "provenance": {"seed": 4},
         }
@@ -98,3 +107,5 @@ def test_the_page_shows_what_the_cases_gave() -> None:
     assert "| nulls with a name | 10% [2%, 40%] of 10 |" in page
     assert "| latency | towards 0.15 | 0.0125 s (whitened 7.5) | - |" in page
     assert "wrong names on nulls: backlash" in page
+    assert "| same law: error of the size, median | 20% | 10 % |" in page
+    assert "| same law: 95 % intervals that cover | 50% [9%, 91%] of 2 |" in page

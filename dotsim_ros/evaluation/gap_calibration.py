@@ -1,0 +1,102 @@
+"""What the gap finder knows of presses in which nothing is missing: how far model and measurement
+are apart, what the twin is off by, and how much effects gain by it.
+
+All of it comes from the presses that are named, and from no other. How much effects gain is
+cross-fitted: one half of the presses tells the covariances and the bias, the other half shows what
+effects gain beside them, and the other way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from dotsim_ros.evaluation.gap_null import residuals_without_effect
+from dotsim_ros.evaluation.gap_presses import (
+    Source,
+    draw_presses,
+    halves,
+    open_case,
+    open_presses,
+    search_of,
+)
+from dotsim_ros.gap.answer import null_gains, screen
+from dotsim_ros.gap.assumptions import BIASED, DIFFERENTIAL
+from dotsim_ros.gap.covariance import Discrepancy, fit_discrepancy
+from dotsim_ros.gap.inference import fit_nuisances
+from dotsim_ros.gap.measurement import read_measurement
+from dotsim_ros.sensor import skin_of
+
+LIMIT_DRAWS = 30
+"""From each half."""
+NULLS_OF_DRAW = 10
+QUANTILE = 0.98
+MARGIN = 1.3
+"""By how much a factor is larger than what the presses of one unit show: draws from one half differ
+by less than halves do."""
+
+
+def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> Discrepancy:
+    """Return all that some presses tell.
+
+    Args:
+        source: of the presses.
+        names: of those to use.
+        seed: of the draws.
+    """
+    found = _with_bias(source, names, _covariances(source, names))
+    gains: dict[str, list[float]] = {}
+    simulated: list[float] = []
+    misfits: list[float] = []
+    first, second = halves(names, seed)
+    for number, (known, shown) in enumerate(((first, second), (second, first))):
+        half = _with_bias(source, known, _covariances(source, known))
+        random = np.random.default_rng([seed, 2, number])
+        with open_presses(source, shown, half) as presses:
+            for draw in range(LIMIT_DRAWS):
+                chosen = draw_presses(len(presses.case.trajectories), random)
+                search = search_of(presses.case, chosen, source.request(seed), draw, half)
+                ranked = screen(search, presses.variants)
+                misfits.append(search.base.objective / len(search.evidence.residual))
+                for entry in ranked:
+                    gains.setdefault(entry.effect.name, []).append(entry.trial.gain)
+                simulated += null_gains(search, ranked, NULLS_OF_DRAW)[0].tolist()
+                source.progress("limits", number * LIMIT_DRAWS + draw + 1, 2 * LIMIT_DRAWS)
+    threshold = float(np.quantile(simulated, QUANTILE))
+    factors = {
+        name: round(MARGIN * max(0.0, float(np.quantile(each, QUANTILE))) / threshold, 2)
+        for name, each in sorted(gains.items())
+    }
+    misfit = round(float(np.quantile(misfits, QUANTILE)), 4)
+    return replace(found, limit_factors=factors, misfit_limit=misfit)
+
+
+def _covariances(source: Source, names: Sequence[str]) -> Discrepancy:
+    measurement = read_measurement(source.directory, own_skin=skin_of(source.sensor.gel))
+    recordings = [r for r in measurement.recordings if r.name in names]
+    residuals = residuals_without_effect(
+        replace(measurement, recordings=tuple(recordings)),
+        source.sensor,
+        source.run,
+        workers=source.workers,
+        progress=lambda done, total: source.progress("discrepancy", done, total),
+    )
+    text = f"{len(recordings)} presses of {source.directory.name} with {source.sensor.name}"
+    return fit_discrepancy(recordings, residuals, text)
+
+
+def _with_bias(source: Source, names: Sequence[str], discrepancy: Discrepancy) -> Discrepancy:
+    """Return covariances with the most probable bias beside them; its prior is the wide one of data
+    that have a commissioning."""
+    with open_case(source, names, discrepancy, DIFFERENTIAL) as (case, _, _):
+        evidence = case.evidence(range(len(case.trajectories)))
+        moved = fit_nuisances(evidence).nuisance.tolist()
+        columns = case.columns()
+    bias = {
+        nuisance.name: float(f"{deviations * nuisance.deviation:.3g}")
+        for (nuisance, _), deviations in zip(columns, moved, strict=True)
+        if nuisance.name in BIASED
+    }
+    return replace(discrepancy, bias=bias)
