@@ -96,7 +96,7 @@ def sentence(
         text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
         text += f"explains it. It is largest in {place}."
         if nearest is not None:
-            text += f" Nearest comes: {nearest.title[0].lower()}{nearest.title[1:]}."
+            text += f" Nearest comes: {_amid(nearest.title)}."
         return text
     parts = [
         f"{effect.title} is missing: {', '.join(shown(e) for e in estimates)}"
@@ -136,11 +136,10 @@ def optical_sentence(
     if verdict is Verdict.UNKNOWN:
         text = "Images: they differ from the twin's, and no effect of the library explains it."
         if nearest is not None:
-            text += f" Nearest comes: {nearest.title[0].lower()}{nearest.title[1:]}."
+            text += f" Nearest comes: {_amid(nearest.title)}."
         return text
     parts = [
-        f"{effect.title[0].lower()}{effect.title[1:]} is missing: "
-        f"{', '.join(shown(e) for e in estimates)}"
+        f"{_amid(effect.title)} is missing: {', '.join(shown(e) for e in estimates)}"
         for effect, estimates in named
     ]
     text = "Images: " + "; and ".join(parts)
@@ -172,3 +171,8 @@ def picture_warnings(noise_sensor: str, noise_source: str, sensor: str, count: i
     if count < FEW:
         texts.append(f"{count} trajectories with images are few: record {FEW} at least")
     return texts
+
+
+def _amid(title: str) -> str:
+    """Return a title as it stands within a sentence; an abbreviation keeps its capitals."""
+    return title if title[1:2].isupper() else title[0].lower() + title[1:]

@@ -42,6 +42,7 @@ from dotsim_ros.gap.optical_null import fit_optical_null, load_optical_null, sav
 from dotsim_ros.gap.optical_pictures import check_same_unit, pattern_likeness
 from dotsim_ros.gap.optical_search import signatures_of
 from dotsim_ros.gap.report_sections import page_of
+from dotsim_ros.gap.wording import optical_sentence
 from dotsim_ros.view.page import as_markdown
 
 LIBRARY = load_effects()
@@ -310,3 +311,13 @@ def test_the_report_keeps_the_parts_apart(tmp_path: Path):
     refused = as_markdown(page_of(combined(no_gap(), optical(Verdict.UNUSABLE)), {}, LIBRARY))
     assert "Images: unusable." in refused
     assert "Images: candidates by rank" not in refused
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [("led_dimming", "LEDs that dim over"), ("vignetting", "vignetting"), ("worn_coat", "worn")],
+)
+def test_an_abbreviation_keeps_its_capitals_in_a_sentence(name, told):
+    gap = ChannelGap("image", "levels", 2.0, 2.0, 1.0, 1.0)
+    sentence = optical_sentence(Verdict.UNKNOWN, (), (), gap, nearest=LIBRARY[name])
+    assert f"Nearest comes: {told}" in sentence
