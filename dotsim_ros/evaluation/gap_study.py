@@ -11,7 +11,7 @@ place of the refits that a search makes for its own.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -153,6 +153,7 @@ def run_study(
     return {
         **figures(found),
         "same_law": same_law_figures(same_law),
+        "cases": [_published(case) for case in found],
         "halves": [list(first), list(second)],
         "bias": [dict(one.bias) for one in known],
         "limit_factors": [dict(one.limit_factors) for one in known],
@@ -328,6 +329,18 @@ def _decide(
         lasso,
         first.effect.name if first.is_past_limit else None,
     )
+
+
+def _published(case: StudyCase) -> dict[str, Any]:
+    left = asdict(case.left)
+    return {
+        "hidden": [list(part) for part in case.truth],
+        "verdict": case.verdict.value,
+        "named": list(case.named),
+        "alternatives": list(case.alternatives),
+        "whitened_size": round(case.whitened_size, 2),
+        "left": {name: round(value, 3) for name, value in left.items()},
+    }
 
 
 def figures(cases: Sequence[StudyCase]) -> dict[str, Any]:

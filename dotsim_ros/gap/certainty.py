@@ -45,7 +45,15 @@ def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tup
         shapes.append(list(trial.variant.shape.values()))
     first = entry.effect.parameters[0]
     size = entry.trial.size
-    profiled = _profile_ends(search, entry, search.evidence.without(change))
+    # True data without any effect gain more than simulated ones by such a factor.
+    excess = max(1.0, search.discrepancy.limit_factors.get(entry.effect.name, 1.0))
+    profiled = profile_ends(
+        search.evidence.without(change),
+        search.segments([entry.trial.variant]),
+        size,
+        (first.low, first.high),
+        CHI_SQUARE * excess,
+    )
     low, high = np.percentile(sizes, [2.5, 97.5]).tolist()
     estimates = [
         Estimate(
@@ -61,32 +69,41 @@ def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tup
     return tuple(estimates)
 
 
-def _profile_ends(search: Search, entry: Ranked, evidence: Evidence) -> tuple[float, float]:
-    """Return the sizes between which the profile likelihood is within its 95 % of the best, drawn
-    out by how much more true data without any effect gain than simulated ones."""
-    parameter, size = entry.effect.parameters[0], entry.trial.size
-    excess = max(1.0, search.discrepancy.limit_factors.get(entry.effect.name, 1.0))
-    segments = search.segments([entry.trial.variant])
+def profile_ends(
+    evidence: Evidence,
+    segments: Sequence[Segment],
+    size: float,
+    bounds: tuple[float, float],
+    rise: float,
+) -> tuple[float, float]:
+    """Return the sizes at which the profile objective has risen from that of the best size, or the
+    bounds.
+
+    Args:
+        evidence: of other effects, freed.
+        segments: of the effect's variant.
+        size: the best.
+        bounds: of the size.
+        rise: of the objective, twice the log likelihood.
+    """
 
     def objective(tried: float) -> float:
-        ends = [s.begin + s.low for s in segments], [s.begin + s.high for s in segments]
         # The segment that holds the size, or the outermost one.
-        away = [max(low - tried, tried - high, 0.0) for low, high in zip(*ends, strict=True)]
+        away = [max(s.begin + s.low - tried, tried - s.begin - s.high, 0.0) for s in segments]
         segment = segments[int(np.argmin(away))]
         change = segment.offset + (tried - segment.begin) * segment.column
         return fit_nuisances(evidence.without(change)).objective
 
-    allowed = objective(size) + CHI_SQUARE * excess
+    allowed = objective(size) + rise
     found = []
-    for end in (parameter.low, parameter.high):
-        step = FIRST_STEP * (end - size)
-        inside, outside = size, size + step
+    for end in bounds:
+        inside, outside = size, size + FIRST_STEP * (end - size)
         while abs(outside - size) < abs(end - size) and objective(outside) < allowed:
             inside, outside = outside, outside + 2.0 * (outside - inside)
-        outside = end if abs(outside - size) > abs(end - size) else outside
-        if objective(outside) < allowed:
-            found.append(outside)
-            continue
+        if abs(outside - size) >= abs(end - size):
+            outside = end
+            if objective(end) < allowed:
+                inside = end
         for _ in range(HALVINGS):
             middle = 0.5 * (inside + outside)
             inside, outside = (middle, outside) if objective(middle) < allowed else (inside, middle)

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dotsim_ros.gap.assumptions import SHARED, Nuisance, centred
+from dotsim_ros.gap.certainty import CHI_SQUARE, profile_ends
+from dotsim_ros.gap.covariance import Whitening
 from dotsim_ros.gap.decision import HEAVIER, limit_factor, threshold_of
 from dotsim_ros.gap.effect import FORCE, Effect, EffectParameter
-from dotsim_ros.gap.evidence import Segment, Variant
+from dotsim_ros.gap.evidence import Case, Segment, Trajectory, Variant
 from dotsim_ros.gap.inference import (
     Evidence,
     cosines,
@@ -157,3 +160,50 @@ def test_the_evidence_of_many_data_is_that_of_the_integral(random: np.random.Gen
     square, right = column @ column, column @ seen.residual
     exact = 0.5 * right**2 / (square + 1.0) - 0.5 * np.log(square + 1.0)
     assert gained == pytest.approx(exact, abs=0.5)
+
+
+def test_a_profile_of_a_linear_effect_ends_at_its_standard_errors(
+    random: np.random.Generator,
+) -> None:
+    evidence = evidence_of(random)
+    column = random.standard_normal(len(evidence.residual))
+    noise = random.standard_normal(len(evidence.residual))
+    seen = evidence.with_residual(2.0 * column + noise)
+    variant = segment_of(random, 1).variant
+    segment = Segment(variant, 0.0, np.zeros_like(column), column, 0.0, 5.0)
+    size = best_trial(seen, [segment], fit_nuisances(seen).objective).size
+    low, high = profile_ends(seen, [segment], size, (0.0, 5.0), CHI_SQUARE)
+    error = 1.0 / lengths(evidence, column[:, None])[0]
+    assert high - size == pytest.approx(1.96 * error, rel=0.1)
+    assert size - low == pytest.approx(1.96 * error, rel=0.1)
+    # What the data hardly tell may be anywhere within its range.
+    blind = Segment(segment.variant, 0.0, segment.offset, 1e-3 * column, 0.0, 5.0)
+    assert profile_ends(seen, [blind], 5.0, (0.0, 5.0), 1e4) == pytest.approx((0.0, 5.0))
+
+
+def test_what_the_twin_is_known_to_be_off_by_is_no_residual(random: np.random.Generator) -> None:
+    nuisances = centred(
+        [Nuisance("E", "log", 0.1, SHARED), Nuisance("delay", "s", 0.005, SHARED)],
+        {"delay": 0.007},
+    )
+    shape = (4, 5)
+    predicted = random.standard_normal(shape)
+    columns = random.standard_normal((2, *shape))
+    # A column is of one deviation.
+    observed = predicted + 0.007 / 0.005 * columns[1]
+    used = np.ones(shape, dtype=bool)
+    trajectory = Trajectory(
+        recording=None,
+        is_reference=False,
+        places=None,
+        observed=observed,
+        predicted=predicted,
+        whitening=Whitening(used, np.eye(used.sum())),
+        nuisance=columns,
+        pattern=np.zeros((1, *shape)),
+    )
+    case = Case([trajectory], nuisances, {}, None, None, None)
+    evidence = case.evidence([0])
+    assert np.allclose(evidence.residual, 0.0)
+    assert np.allclose(predicted + case.moved(0, np.zeros(2)), observed)
+    assert np.allclose(case.moved(0, np.array([1.0, 0.0])) - case.moved(0, np.zeros(2)), columns[0])
