@@ -108,6 +108,11 @@ def gap_page(figures: dict[str, Any]) -> str:
                         "never",
                     ),
                     (
+                        "worse by more than 1 % of the RMS",
+                        _shown(added["worse_by_one_percent"]),
+                        "never",
+                    ),
+                    (
                         "same law: error of the size, median",
                         _of_one(same["median_relative_error"]),
                         "10 %",

@@ -394,6 +394,9 @@ def _after_adding(cases: Sequence[StudyCase]) -> dict[str, Any]:
         "worse_than_recalibrated": rate(
             [c.left.with_effects > 1.001 * c.left.recalibrated for c in cases]
         ),
+        "worse_by_one_percent": rate(
+            [c.left.with_effects > 1.01**2 * c.left.recalibrated for c in cases]
+        ),
         "median_share_closed": median([_share_closed(c.left, c.left.with_effects) for c in cases]),
     }
 

@@ -381,7 +381,7 @@ def make_trajectories(
                 simulated[0],
                 whitening,
                 columns,
-                patterns(recording, simulated[0]),
+                patterns(recording, simulated[0], places.axes),
             )
         )
     if not any(not t.is_reference for t in trajectories):

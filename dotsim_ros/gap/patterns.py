@@ -19,12 +19,17 @@ PLACES = (("load",), ("apex", "contact"), ("rim",), ("far",))
 """Regions that one pattern covers."""
 
 
-def patterns(recording: Recording, predicted: Array) -> Array:
+LEANING = (("apex", "contact"), ("rim",), ("far",), ("base",))
+"""Regions that may go with the sideways force, as far as the dome's base."""
+
+
+def patterns(recording: Recording, predicted: Array, axes: Array) -> Array:
     """Return (K, F, SIZE) patterns of a trajectory, each of about one percent of the press.
 
     Args:
         recording: the trajectory.
         predicted: (F, SIZE) observables of the twin, whose forces give the sign along a slide.
+        axes: (3, 3) rows: of the observables, in the base frame.
     """
     force = predicted[:, 3 * PATCH_COUNT :]
     scale = 0.01 * amplitude(recording, force)
@@ -43,7 +48,17 @@ def patterns(recording: Recording, predicted: Array) -> Array:
     result.append(time * scale * (np.isin(region, ("contact", "apex", "rim")) & (axis == 0)))
     depth = (recording.depth_m / max(float(recording.depth_m.max()), 1e-6))[:, None]
     result.append((depth - 0.5) * scale * ((region == "load") & (axis == 0)))
+    sideways = _sideways(force, axes)
+    result += [scale * np.isin(region, place) * sideways[:, axis] for place in LEANING]
     return np.stack(result)
+
+
+def _sideways(force_n: Array, axes: Array) -> Array:
+    """Return (F, 3) the share of the force that is parallel to the base, with its direction, in the
+    axes of the observables."""
+    lateral = np.nan_to_num(force_n) @ axes * [1.0, 1.0, 0.0]
+    size = np.linalg.norm(np.nan_to_num(force_n), axis=1, keepdims=True)
+    return np.asarray(np.divide(lateral, size, out=np.zeros_like(lateral), where=size > 0) @ axes.T)
 
 
 def _time_of_hold(recording: Recording) -> Array:

@@ -151,6 +151,25 @@ def _sticky_base(answer: Answer, size: float) -> tuple[Array, Array]:
     return answer.skin_position_m + lean, answer.force_n
 
 
+def _swollen(answer: Answer, size: float) -> tuple[Array, Array]:
+    # The skin stands out by so much, except at the bonded base.
+    distance = np.linalg.norm(answer.rest_m, axis=1, keepdims=True)
+    height = answer.rest_m[:, 2:] / answer.rest_m[:, 2].max()
+    outward = answer.rest_m / np.maximum(distance, 1e-9)
+    return answer.skin_position_m + size * height * outward, answer.force_n
+
+
+def _late_skin(answer: Answer, size: float) -> tuple[Array, Array]:
+    # The skin is seen by a slower clock than pose and force.
+    seen = answer.stamp_s - size
+    right = np.clip(np.searchsorted(answer.stamp_s, seen), 1, len(seen) - 1)
+    left = right - 1
+    step = answer.stamp_s[right] - answer.stamp_s[left]
+    share = np.clip((seen - answer.stamp_s[left]) / step, 0.0, 1.0)[:, None, None]
+    skin = answer.skin_position_m
+    return (1.0 - share) * skin[left] + share * skin[right], answer.force_n
+
+
 LAWS: Mapping[str, Law] = {
     law.name: law
     for law in (
@@ -168,5 +187,7 @@ LAWS: Mapping[str, Law] = {
         Law("set", "permanent_set", 0.04, 0.1, "of the peak", answer=_set),
         Law("crosstalk", "", 0.1, 0.25, "share", answer=_crosstalk),
         Law("leaning_base", "", 0.05e-3, 0.2e-3, "m/N", answer=_sticky_base),
+        Law("swollen", "", 0.1e-3, 0.3e-3, "m", answer=_swollen),
+        Law("late_skin", "", 0.05, 0.15, "s", answer=_late_skin),
     )
 }  # fmt: skip

@@ -13,6 +13,7 @@ from dotsim_ros.gap.observables import (
     places_of,
     regions_of_observables,
 )
+from dotsim_ros.gap.patterns import LEANING, patterns
 from dotsim_ros.gap.recording import Phase, Recording, phases_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
@@ -94,3 +95,21 @@ def test_every_observable_has_a_region() -> None:
     regions = regions_of_observables()
     assert len(regions) == SIZE
     assert set(regions) == {"apex", "contact", "rim", "far", "base", "load"}
+
+
+def test_patterns_lean_with_the_force_parallel_to_the_base_whatever_the_axes(
+    skin: SkinMesh,
+) -> None:
+    recording = recording_of([[0, 0, 16], [0, 0, 15], [0, 0, 14]], [0.0, 0.1, 0.2])
+    axes = places_of(recording, skin).axes
+    turned = np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+    base = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 2.0], [3.0, 0.0, 4.0]])
+    for rows in (axes, turned):
+        predicted = np.zeros((3, SIZE))
+        predicted[:, 3 * PATCH_COUNT :] = base @ rows.T
+        leaning = patterns(recording, predicted, rows)[-len(LEANING) :]
+        assert np.allclose(leaning[:, :2], 0.0)
+        # Of the last patch, which is of the base: along x alone, by the force's share there.
+        moved = leaning[-1, 2, 3 * PATCH_COUNT - 3 : 3 * PATCH_COUNT] @ rows
+        assert moved[0] == pytest.approx(0.6 * 0.01 * recording.depth_m[2])
+        assert np.allclose(moved[1:], 0.0)
