@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from dotsim_ros.evaluation.table import entry_list
+from dotsim_ros.gap.decision import HEAVIER
 from dotsim_ros.gap.library import load_effects
 
 
@@ -47,6 +48,7 @@ def gap_page(figures: dict[str, Any]) -> str:
     nulls, added, same = figures["nulls"], figures["after_adding"], figures["same_law"]
     others = figures["baselines"]
     closed = others["median_share_closed_from_20"]
+    biases, factors = figures["bias"], figures["limit_factors"]
     return "\n".join(
         [
             "# The gap finder on hidden effects\n",
@@ -167,6 +169,24 @@ def gap_page(figures: dict[str, Any]) -> str:
                         ),
                     )
                     for law, answers in figures["confusion"].items()
+                ],
+            ),
+            "## What the halves tell\n",
+            "What the twin is off by, as each half says it to the finder before the other half is "
+            "searched, and by how much an effect must gain more than all do on simulated nulls "
+            "(4 where less is told).\n",
+            _table(
+                ("", "first half", "second half"),
+                [
+                    *(
+                        (f"mean of {name}", *(f"{half.get(name, 0.0):.3g}" for half in biases))
+                        for name in sorted(set().union(*biases))
+                    ),
+                    *(
+                        (f"factor of {name}", *(f"{half.get(name, 0.0):.3g}" for half in factors))
+                        for name in sorted(set().union(*factors))
+                        if any(half.get(name, 0.0) > HEAVIER for half in factors)
+                    ),
                 ],
             ),
             "## From which size on an effect is seen\n",

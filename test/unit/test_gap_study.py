@@ -99,6 +99,8 @@ def test_the_page_shows_what_the_cases_gave() -> None:
                 "absolute": {"latency": {"towards 0.15": limit}},
                 "differential": {"latency": {"towards 0.15": {"size": None}}},
             },
+            "bias": [{"delay": 0.00692}, {"delay": 0.0082}],
+            "limit_factors": [{"latency": 8.67, "adhesion": 0.1}, {"latency": 3.0}],
             "rule_version": 4,
             "solves": 12,
             "provenance": {"seed": 4},
@@ -107,5 +109,8 @@ def test_the_page_shows_what_the_cases_gave() -> None:
     assert "| nulls with a name | 10% [2%, 40%] of 10 |" in page
     assert "| latency | towards 0.15 | 0.0125 s (whitened 7.5) | - |" in page
     assert "wrong names on nulls: backlash" in page
+    assert "| mean of delay | 0.00692 | 0.0082 |" in page
+    assert "| factor of latency | 8.67 | 3 |" in page
+    assert "adhesion | 0.1" not in page
     assert "| same law: error of the size, median | 20% | 10 % |" in page
     assert "| same law: 95 % intervals that cover | 50% [9%, 91%] of 2 |" in page
