@@ -22,7 +22,7 @@ from dotsim_ros.evaluation.gap_presses import (
     open_presses,
     search_of,
 )
-from dotsim_ros.gap.answer import null_gains, screen
+from dotsim_ros.gap.answer import null_gains, pattern_gain, screen
 from dotsim_ros.gap.assumptions import BIASED, DIFFERENTIAL
 from dotsim_ros.gap.covariance import Discrepancy, fit_discrepancy
 from dotsim_ros.gap.inference import fit_nuisances
@@ -33,7 +33,7 @@ LIMIT_DRAWS = 30
 """From each half."""
 NULLS_OF_DRAW = 10
 QUANTILE = 0.98
-MARGIN = 1.3
+MARGIN = 1.5
 """By how much a factor is larger than what the presses of one unit show: draws from one half differ
 by less than halves do."""
 
@@ -49,6 +49,8 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
     found = _with_bias(source, names, _covariances(source, names))
     gains: dict[str, list[float]] = {}
     simulated: list[float] = []
+    patterns: list[float] = []
+    simulated_patterns: list[float] = []
     misfits: list[float] = []
     first, second = halves(names, seed)
     for number, (known, shown) in enumerate(((first, second), (second, first))):
@@ -62,15 +64,23 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
                 misfits.append(search.base.objective / len(search.evidence.residual))
                 for entry in ranked:
                     gains.setdefault(entry.effect.name, []).append(entry.trial.gain)
-                simulated += null_gains(search, ranked, NULLS_OF_DRAW)[0].tolist()
+                patterns.append(pattern_gain(search))
+                by_effects, by_patterns = null_gains(search, ranked, NULLS_OF_DRAW)
+                simulated += by_effects.tolist()
+                simulated_patterns += by_patterns.tolist()
                 source.progress("limits", number * LIMIT_DRAWS + draw + 1, 2 * LIMIT_DRAWS)
     threshold = float(np.quantile(simulated, QUANTILE))
     factors = {
         name: round(MARGIN * max(0.0, float(np.quantile(each, QUANTILE))) / threshold, 2)
         for name, each in sorted(gains.items())
     }
-    misfit = round(float(np.quantile(misfits, QUANTILE)), 4)
-    return replace(found, limit_factors=factors, misfit_limit=misfit)
+    by_patterns_alone = [np.quantile(each, QUANTILE) for each in (patterns, simulated_patterns)]
+    return replace(
+        found,
+        limit_factors=factors,
+        pattern_factor=round(MARGIN * float(by_patterns_alone[0] / by_patterns_alone[1]), 2),
+        misfit_limit=round(float(np.quantile(misfits, QUANTILE)), 4),
+    )
 
 
 def _covariances(source: Source, names: Sequence[str]) -> Discrepancy:

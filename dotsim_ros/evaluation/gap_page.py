@@ -79,6 +79,11 @@ def gap_page(figures: dict[str, Any]) -> str:
                         _shown(figures["unknown_called_unknown"]),
                         "90 %",
                     ),
+                    (
+                        "the same, where no effect's signature is like it (cosine below 0.9)",
+                        _shown(figures["unimitated_called_unknown"]),
+                        "90 %",
+                    ),
                     ("both of two, whatever they are", _shown(figures["both_of_two"]), "80 %"),
                     (
                         "both of two, each of whitened size 10 or more",

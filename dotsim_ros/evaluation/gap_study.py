@@ -38,7 +38,7 @@ from dotsim_ros.gap import decision
 from dotsim_ros.gap.answer import answer_of, null_gains, screen, set_limits
 from dotsim_ros.gap.covariance import Discrepancy
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.inference import lengths
+from dotsim_ros.gap.inference import cosines, lengths
 from dotsim_ros.gap.observables import PATCH_COUNT, observe
 from dotsim_ros.gap.search_state import Search
 from dotsim_ros.gap.simulate import TOLERANCE_M
@@ -62,6 +62,8 @@ PAIRS = 12
 """For each repeat and half."""
 DESIGNS = ((0.25, CASE_SIZE), (0.5, CASE_SIZE), (1.0, CASE_SIZE), (1.0, 12))
 """Shares of a law's full size, and presses of a case."""
+IMITATED = 0.9
+"""An effect of the library with a larger cosine explains 80 % of a hidden one: it imitates it."""
 UNKNOWN = ""
 
 
@@ -74,6 +76,8 @@ class StudyCase:
         verdict, named, alternatives: the finder's.
         whitened_size: of the hidden change, nuisances projected out.
         least_size: the same of the smallest of its parts.
+        alike: largest cosine between the hidden change and an effect of the library, as it was
+            found, nuisances projected out.
         left: on trajectories that were not searched.
         lasso: effect that the lasso names.
         screening: effect that screening alone names.
@@ -85,6 +89,7 @@ class StudyCase:
     alternatives: tuple[str, ...]
     whitened_size: float
     least_size: float
+    alike: float
     left: Left
     lasso: str | None
     screening: str | None
@@ -103,7 +108,13 @@ class StudyCase:
             return self.verdict is Verdict.UNKNOWN
         if self.verdict is Verdict.SET and len(self.alternatives) == 1:
             return bool(self.hidden & {*self.named, *self.alternatives})
-        return set(self.named) - self.parts == self.hidden
+        # Of an offset along some direction any axis may be the largest.
+        groups = [library_names(one) | part_names(one) for one in self._each()]
+        named = set(self.named)
+        return all(named & group for group in groups) and named <= set().union(*groups)
+
+    def _each(self) -> list[Truth]:
+        return [Truth((part,)) for part in self.truth]
 
     @property
     def parts(self) -> set[str]:
@@ -317,6 +328,8 @@ def _decide(
     def size_of(change: Sequence[Array]) -> float:
         return float(lengths(search.evidence, altered.whitened(change, chosen)[:, None])[0])
 
+    columns = [altered.whitened(hidden, chosen), *(entry.trial.change for entry in ranked)]
+    alike = float(np.abs(cosines(search.evidence, np.stack(columns, axis=1))[0, 1:]).max())
     parts = [size_of([share * part for part in changes[name]]) for name, share in truth]
     return StudyCase(
         truth,
@@ -325,6 +338,7 @@ def _decide(
         tuple(entry.effect.name for entry in answer.alternatives),
         size_of(hidden),
         min(parts, default=0.0),
+        alike if truth else 0.0,
         left_on_others(search, answer.named, others, case),
         lasso,
         first.effect.name if first.is_past_limit else None,
@@ -339,6 +353,7 @@ def _published(case: StudyCase) -> dict[str, Any]:
         "named": list(case.named),
         "alternatives": list(case.alternatives),
         "whitened_size": round(case.whitened_size, 2),
+        "alike": round(case.alike, 3),
         "left": {name: round(value, 3) for name, value in left.items()},
     }
 
@@ -374,6 +389,9 @@ def figures(cases: Sequence[StudyCase]) -> dict[str, Any]:
             for name in dict.fromkeys(c.truth[0][0] for c in single)
         },
         "unknown_called_unknown": rate([c.is_right for c in unknown if c.whitened_size > 10.0]),
+        "unimitated_called_unknown": rate(
+            [c.is_right for c in unknown if c.whitened_size > 10.0 and c.alike < IMITATED]
+        ),
         "both_of_two": rate([c.is_right for c in pairs]),
         "both_of_two_from_10": rate([c.is_right for c in pairs if c.least_size >= 10.0]),
         "one_of_two": rate([bool(set(c.named) & c.hidden) for c in pairs]),

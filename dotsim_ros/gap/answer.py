@@ -72,18 +72,16 @@ def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains:
     """
     alpha = search.request.alpha
     threshold = set_limits(search, ranked, gains)
-    pattern_threshold = decision.PATTERNS_HEAVIER * decision.threshold_of(
-        pattern_gains.tolist(), alpha
-    )
-    search.pattern_chance = decision.PATTERNS_HEAVIER * float(np.median(pattern_gains))
+    heavier = max(decision.PATTERNS_HEAVIER, search.discrepancy.pattern_factor)
+    pattern_threshold = heavier * decision.threshold_of(pattern_gains.tolist(), alpha)
+    search.pattern_chance = heavier * float(np.median(pattern_gains))
     is_effect = any(entry.is_past_limit for entry in ranked)
-    pattern_gain = _pattern_gain(search, search.evidence, search.base.objective)
     if is_effect:
         ranked = _refit(search, ranked)
     verdict = Verdict.NO_GAP
     named: list[Ranked] = []
     alternatives: list[Ranked] = []
-    if is_effect or pattern_gain > pattern_threshold:
+    if is_effect or pattern_gain(search) > pattern_threshold:
         verdict, named, alternatives = _decide(search, ranked)
     first = max(named or ranked, key=lambda entry: entry.trial.gain / entry.limit)
     scale = first.limit / threshold
@@ -119,9 +117,10 @@ def null_gains(search: Search, ranked: Sequence[Ranked], count: int) -> tuple[Ar
     return gains, patterns
 
 
-def _pattern_gain(search: Search, evidence: Evidence, base: float) -> float:
-    """Return what all patterns together gain over an objective."""
-    return base - fit_nuisances(evidence.with_nuisances(search.pattern_columns)).objective
+def pattern_gain(search: Search) -> float:
+    """Return what all patterns together gain over the recalibrated twin."""
+    widened = search.evidence.with_nuisances(search.pattern_columns)
+    return search.base.objective - fit_nuisances(widened).objective
 
 
 def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:

@@ -74,6 +74,7 @@ class Discrepancy:
         bias: by nuisance, the mean of what the twin is off by (see `assumptions.BIASED`).
         limit_factors: by effect, how much more it gains on true data without any effect than on
             simulated ones.
+        pattern_factor: the same of what all patterns gain together.
         misfit_limit: largest objective of an observable (see `inference.Fit`) that the twin,
             recalibrated, leaves of true data without any effect; 0 is that of the covariance.
     """
@@ -83,6 +84,7 @@ class Discrepancy:
     source: str
     bias: Mapping[str, float] = field(default_factory=dict)
     limit_factors: Mapping[str, float] = field(default_factory=dict)
+    pattern_factor: float = 0.0
     misfit_limit: float = 0.0
 
 
@@ -184,6 +186,7 @@ def save_discrepancy(discrepancy: Discrepancy, path: Path) -> None:
         bias=np.array(list(discrepancy.bias.values())),
         limited=np.array(list(discrepancy.limit_factors), dtype=str),
         limit_factor=np.array(list(discrepancy.limit_factors.values())),
+        pattern_factor=np.array(discrepancy.pattern_factor),
         misfit_limit=np.array(discrepancy.misfit_limit),
     )
     os.replace(temporary, path)
@@ -204,6 +207,7 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
             str(arrays["source"]),
             dict(zip(arrays["biased"].tolist(), arrays["bias"].tolist(), strict=True)),
             dict(zip(arrays["limited"].tolist(), arrays["limit_factor"].tolist(), strict=True)),
+            float(arrays["pattern_factor"]),
             float(arrays["misfit_limit"]),
         )
     if found.between.shape != (SIZE, SIZE):

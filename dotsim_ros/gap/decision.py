@@ -53,8 +53,7 @@ the commissioning of a second unit, with nothing missing, is off by 0.34; the ma
 MISFIT_SINCE = 0.2
 """The same against the unit's own commissioning."""
 PATTERNS_HEAVIER = 3.0
-"""The same of patterns: the ratio of true to simulated gains, at the 98th percentile, of draws of
-eight from fourteen presses of the stand-in sensor that the discrepancy did not come from."""
+"""The same of patterns; a larger factor comes with the discrepancy."""
 
 
 def limit_factor(name: str, measured: Mapping[str, float]) -> float:

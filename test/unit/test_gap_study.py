@@ -26,7 +26,7 @@ def case(
     left: Left | None = None,
 ) -> StudyCase:
     left = left or Left(1.0, 1.0, 1.0, 1.0)
-    return StudyCase(truth, verdict, named, alternatives, size, size, left, None, None)
+    return StudyCase(truth, verdict, named, alternatives, size, size, 0.5, left, None, None)
 
 
 def test_halves_share_nothing_and_each_has_repeats_of_every_protocol() -> None:
@@ -64,7 +64,9 @@ def test_an_answer_is_right_if_it_names_all_that_is_hidden_and_nothing_else() ->
     assert not case(late, Verdict.SET, "backlash", alternatives=("latency", "gamma")).is_right
     # An offset lies along all axes.
     assert case(off, Verdict.NAMED, "pose_offset", "pose_offset_x").is_right
-    assert not case(off, Verdict.NAMED, "pose_offset_x").is_right
+    assert case(off, Verdict.NAMED, "pose_offset_x").is_right
+    assert not case(off, Verdict.NAMED, "pose_offset_x", "latency").is_right
+    assert not case((*late, *off), Verdict.NAMED, "pose_offset", "pose_offset_x").is_right
     assert case((("crosstalk", 1.0),), Verdict.UNKNOWN).is_right
     assert not case((*late, *off), Verdict.NAMED, "latency").is_right
     assert case((*late, *off), Verdict.NAMED, "latency", "pose_offset").is_right
