@@ -26,8 +26,6 @@ from dotsim_ros.gap.answer import null_gains, pattern_gain, screen
 from dotsim_ros.gap.assumptions import BIASED, DIFFERENTIAL
 from dotsim_ros.gap.covariance import Discrepancy, fit_discrepancy
 from dotsim_ros.gap.inference import fit_nuisances
-from dotsim_ros.gap.measurement import read_measurement
-from dotsim_ros.sensor import skin_of
 
 LIMIT_DRAWS = 30
 """From each half."""
@@ -84,10 +82,9 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
 
 
 def _covariances(source: Source, names: Sequence[str]) -> Discrepancy:
-    measurement = read_measurement(source.directory, own_skin=skin_of(source.sensor.gel))
-    recordings = [r for r in measurement.recordings if r.name in names]
+    recordings = [r for r in source.measurement.recordings if r.name in names]
     residuals = residuals_without_effect(
-        replace(measurement, recordings=tuple(recordings)),
+        replace(source.measurement, recordings=tuple(recordings)),
         source.sensor,
         source.run,
         workers=source.workers,

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.evaluation.gap_presses import NULL_DRAWS
 from dotsim_ros.gap.answer import null_gains, screen, set_limits
 from dotsim_ros.gap.evidence import Segment, Variant
 from dotsim_ros.gap.inference import fit_nuisances, lengths
@@ -20,7 +21,6 @@ from dotsim_ros.gap.search_state import Ranked, Search
 
 Array = NDArray[np.float64]
 
-NULLS = 60
 HALVINGS = 7
 SMALLEST = 1.0 / 128.0
 """Share of the range at which the search for a limit begins."""
@@ -39,7 +39,7 @@ def detection_limits(
     sizes: dict[tuple[str, float], list[tuple[float, float]]] = {}
     for search in searches:
         ranked = screen(search, variants)
-        gains, _ = null_gains(search, ranked, NULLS)
+        gains, _ = null_gains(search, ranked, NULL_DRAWS)
         set_limits(search, ranked, gains)
         for entry in ranked:
             parameter = entry.effect.parameters[0]

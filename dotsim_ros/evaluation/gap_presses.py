@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from dotsim_ros.gap.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance, centred
 from dotsim_ros.gap.covariance import Discrepancy, Noise
 from dotsim_ros.gap.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.measurement import read_measurement
+from dotsim_ros.gap.measurement import Measurement, read_measurement
 from dotsim_ros.gap.search import simulate_effects
 from dotsim_ros.gap.search_state import Request, Search
 from dotsim_ros.gap.simulate import open_solver
@@ -30,6 +31,8 @@ CASE_SIZE = 8
 """Trajectories of a case."""
 GRID = (0.15, 0.3, 0.6, 1.0)
 """Sizes at which effects are simulated, as shares of the way from none to each end of the range."""
+NULL_DRAWS = 60
+"""Simulated nulls of a case: fewer than a search takes."""
 CLOSE = 0.2
 """A size that is nearer to one that is simulated, as a share of it, is left out."""
 
@@ -51,6 +54,11 @@ class Source:
     run: Path
     workers: int
     progress: Progress
+
+    @cached_property
+    def measurement(self) -> Measurement:
+        """The presses, read once."""
+        return read_measurement(self.directory, own_skin=skin_of(self.sensor.gel))
 
     def request(self, seed: int) -> Request:
         """Return what a search of such presses is asked for."""
@@ -114,7 +122,7 @@ def open_case(
         is_own_reference: whether the same presses are their own commissioning: nothing has changed.
     """
     sensor = source.sensor
-    measurement = read_measurement(source.directory, own_skin=skin_of(sensor.gel))
+    measurement = source.measurement
     by_name = {recording.name: recording for recording in measurement.recordings}
     recordings = [by_name[name] for name in names]
     library, values = load_effects(), values_of(sensor)

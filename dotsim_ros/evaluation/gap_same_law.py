@@ -10,7 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.gap_presses import Presses, Source, draw_presses, search_of
+from dotsim_ros.evaluation.gap_presses import (
+    NULL_DRAWS,
+    Presses,
+    Source,
+    draw_presses,
+    search_of,
+)
 from dotsim_ros.evaluation.rates import median, rate
 from dotsim_ros.gap.answer import answer_of, null_gains, screen
 from dotsim_ros.gap.certainty import estimates_of
@@ -21,7 +27,6 @@ Array = NDArray[np.float64]
 
 SHARES = (0.4, 0.6, 0.8)
 """Of the way from none to each end of an effect's range."""
-NULL_DRAWS = 60
 
 
 @dataclass(frozen=True)

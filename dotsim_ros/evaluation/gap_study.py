@@ -24,6 +24,7 @@ from dotsim_ros.evaluation.gap_calibration import calibrated_discrepancy
 from dotsim_ros.evaluation.gap_limits import detection_limits
 from dotsim_ros.evaluation.gap_presses import (
     CASE_SIZE,
+    NULL_DRAWS,
     Presses,
     Source,
     draw_presses,
@@ -55,8 +56,6 @@ from dotsim_ros.measured.data_set import read_data_set
 Array = NDArray[np.float64]
 
 STIFFNESS_DECOY = 0.05
-NULL_DRAWS = 60
-"""Simulated nulls of a case: fewer than a search takes."""
 LIMIT_SEARCHES = 5
 PAIRS = 12
 """For each repeat and half."""

@@ -53,7 +53,8 @@ the commissioning of a second unit, with nothing missing, is off by 0.34; the ma
 MISFIT_SINCE = 0.2
 """The same against the unit's own commissioning."""
 PATTERNS_HEAVIER = 3.0
-"""The same of patterns; a larger factor comes with the discrepancy."""
+"""What all patterns gain together is past its limit at this multiple of the simulated nulls'
+threshold, or at the larger one that comes with the discrepancy."""
 
 
 def limit_factor(name: str, measured: Mapping[str, float]) -> float:
