@@ -126,6 +126,7 @@ class Observer:
     Attributes:
         commands: all that came.
         diagnostics: the newest, by name.
+        heard: the poses of the arm that came, each with its stamp (s).
         tool: the newest pose of the arm.
         last_pose_s: its stamp.
     """
@@ -133,6 +134,7 @@ class Observer:
     def __init__(self, namespace: str, *, commands: str = "tactile_policy/cmd_vel") -> None:
         self.commands: list[Command] = []
         self.diagnostics: dict[str, msg_adapters.Status] = {}
+        self.heard: list[tuple[float, Pose]] = []
         self.tool = Pose((0.3, 0.0, 0.2), DOWN)
         self.last_pose_s = 0.0
         self._prefix = f"{namespace}/" if namespace else ""
@@ -237,6 +239,7 @@ class Observer:
     def _on_pose(self, message: PoseStamped) -> None:
         self.tool = Pose(*msg_adapters.decode_pose_stamped(message))
         self.last_pose_s = 1e-9 * msg_adapters.message_stamp_ns(message)
+        self.heard.append((self.last_pose_s, self.tool))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in msg_adapters.decode_diagnostics(message):
