@@ -222,13 +222,22 @@ def _gain(search: Search, entries: Sequence[Ranked]) -> float:
 
 
 def _left(search: Search, entries: Sequence[Ranked]) -> float:
-    """Return the gap that effects leave: what patterns could remove beside them, or by how much
-    more the data differ than data without any effect, whichever is more."""
-    own = _fit_of(search.evidence, entries).objective
-    everything = _fit_of(search.evidence.with_nuisances(search.pattern_columns), entries).objective
+    """Return the gap that effects leave: what patterns could remove beside them, if skin and force
+    need not agree about an effect's size, or by how much more the data differ than data without any
+    effect, whichever is more."""
+    evidence = search.evidence
+    own = _fit_of(evidence, entries).objective
+    by_channel = [
+        search.case.channel_columns(entry.trial.variant, entry.trial.size, search.chosen)
+        for entry in entries
+    ]
+    columns = np.concatenate(by_channel, axis=1)
+    high = np.full(columns.shape[1], decision.LARGEST_IN_CHANNEL)
+    widened = evidence.with_nuisances(search.pattern_columns)
+    everything = fit(widened, columns, np.zeros(len(high)), high).objective
     # What patterns remove of noise alone is no gap.
     by_patterns = own - everything - search.pattern_chance
-    misfit = own - search.misfit_limit * len(search.evidence.residual)
+    misfit = own - search.misfit_limit * len(evidence.residual)
     return max(by_patterns, misfit, 0.0)
 
 

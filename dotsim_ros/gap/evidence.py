@@ -15,7 +15,7 @@ from dotsim_ros.gap.assumptions import OWN, Nuisance, nuisance_columns, nuisance
 from dotsim_ros.gap.covariance import Discrepancy, Noise, Whitening, usable, whitening_of
 from dotsim_ros.gap.effect import FORCE, SKIN, Active, Effect
 from dotsim_ros.gap.inference import Evidence
-from dotsim_ros.gap.observables import Places, observe, places_of
+from dotsim_ros.gap.observables import PATCH_COUNT, Places, observe, places_of
 from dotsim_ros.gap.patterns import patterns
 from dotsim_ros.gap.recording import Recording
 from dotsim_ros.gap.simulate import Progress, Solver, request_of
@@ -219,6 +219,18 @@ class Case:
             (1.0 - share) * before + share * after
             for before, after in zip(variant.change[right - 1], variant.change[right], strict=True)
         ]
+
+    def channel_columns(self, variant: Variant, size: float, chosen: Sequence[int]) -> Array:
+        """Return (n, 2) whitened: what a variant at a size does to the skin alone, and to the force
+        alone."""
+        change = self.change_at(variant, size)
+        columns = []
+        for channel in (slice(None, 3 * PATCH_COUNT), slice(3 * PATCH_COUNT, None)):
+            alone = [np.zeros_like(one) for one in change]
+            for part, one in zip(alone, change, strict=True):
+                part[:, channel] = one[:, channel]
+            columns.append(self.whitened(alone, chosen))
+        return np.stack(columns, axis=1)
 
     def excited(self, effect: Effect) -> bool:
         """Return whether a measured trajectory excites an effect, in a channel that is there."""

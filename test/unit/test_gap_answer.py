@@ -1,0 +1,132 @@
+"""The rule on drawn data of known truth: one effect that shows in skin and force."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dotsim_ros.gap.answer import Answer, answer_of, null_gains, screen
+from dotsim_ros.gap.assumptions import SHARED, Nuisance
+from dotsim_ros.gap.covariance import Discrepancy, Noise, Whitening
+from dotsim_ros.gap.effect import FORCE, SKIN, Effect, EffectParameter
+from dotsim_ros.gap.evidence import Case, Trajectory, Variant
+from dotsim_ros.gap.findings import Verdict
+from dotsim_ros.gap.observables import PATCH_COUNT, SIZE
+from dotsim_ros.gap.search_state import Request, Search
+
+TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
+SHAPE = (FRAMES, SIZE)
+OF_FORCE = np.arange(SIZE) >= 3 * PATCH_COUNT
+DEVIATION = np.where(OF_FORCE, 3.0, 0.5)
+"""Of what the effect does at its full size, in deviations of the noise."""
+EFFECT = Effect(
+    "late",
+    "Late",
+    (EffectParameter("size", "s", 0.0, 0.0, 1.0, (1.0,)),),
+    (SKIN, FORCE),
+    "",
+    bool,
+)
+
+
+def trajectory_of(observed: np.ndarray, random: np.random.Generator) -> Trajectory:
+    used = np.ones(SHAPE, dtype=bool)
+    return Trajectory(
+        recording=None,
+        is_reference=False,
+        places=None,
+        observed=observed,
+        predicted=np.zeros(SHAPE),
+        whitening=Whitening(used, np.eye(used.sum())),
+        nuisance=random.standard_normal((1, *SHAPE)),
+        pattern=0.01 * random.standard_normal((2, *SHAPE)),
+    )
+
+
+@pytest.fixture
+def random() -> np.random.Generator:
+    return np.random.default_rng(3)
+
+
+@pytest.fixture
+def change(random: np.random.Generator) -> list[np.ndarray]:
+    """Return (F, SIZE) of each trajectory: what the effect does at its full size."""
+    return [DEVIATION * random.standard_normal(SHAPE) for _ in range(TRAJECTORIES)]
+
+
+def variant_of(change: list[np.ndarray]) -> Variant:
+    variant = Variant(EFFECT, {})
+    variant.put(0.0, [np.zeros(SHAPE) for _ in change])
+    variant.put(1.0, change)
+    return variant
+
+
+def case_of(observed: list[np.ndarray], random: np.random.Generator) -> Case:
+    trajectories = [trajectory_of(one, random) for one in observed]
+    # Sizes are not refined: the effect is linear, and there is nothing to solve.
+    nuisances = [Nuisance("E", "log", 0.1, SHARED)]
+    nothing = SimpleNamespace(solve_count=0)
+    return Case(trajectories, nuisances, {EFFECT.name: EFFECT}, nothing, None, None)
+
+
+def answered(
+    change: list[np.ndarray], skin: float, force: float, random: np.random.Generator
+) -> Answer:
+    """Return the answer to data that show the effect at one size in the skin, at one in the
+    force."""
+    share = np.where(OF_FORCE, force, skin)
+    observed = [share * one + random.standard_normal(SHAPE) for one in change]
+    search = Search(
+        Request(Path(), None, Path(), budget=0),
+        case_of(observed, random),
+        list(range(TRAJECTORIES)),
+        [],
+        Noise(),
+        Discrepancy(np.eye(SIZE), np.eye(SIZE), "drawn"),
+        random,
+        lambda step, done, total: None,
+    )
+    ranked = screen(search, [variant_of(change)])
+    return answer_of(search, ranked, *null_gains(search, ranked, NULLS))
+
+
+def test_an_effect_of_one_size_in_skin_and_force_is_named(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    answer = answered(change, 0.8, 0.8, random)
+    assert answer.verdict is Verdict.NAMED
+    assert [entry.effect.name for entry in answer.named] == ["late"]
+    assert answer.named[0].trial.size == pytest.approx(0.8, abs=0.1)
+    assert answer.named[0].explained == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("skin", "force"), [(0.8, 0.0), (0.0, 0.8)])
+def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
+    change: list[np.ndarray], random: np.random.Generator, skin: float, force: float
+) -> None:
+    answer = answered(change, skin, force, random)
+    assert answer.statistic > answer.threshold
+    assert answer.verdict is Verdict.UNKNOWN
+    assert answer.named == []
+
+
+def test_without_anything_there_is_no_gap(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    assert answered(change, 0.0, 0.0, random).verdict is Verdict.NO_GAP
+
+
+def test_the_parts_of_a_change_in_each_channel_add_up_to_it(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    case = case_of(change, random)
+    variant, chosen = variant_of(change), [0, 3, 4]
+    columns = case.channel_columns(variant, 0.4, chosen)
+    whole = case.whitened(case.change_at(variant, 0.4), chosen)
+    assert np.allclose(columns.sum(axis=1), whole)
+    in_force = np.tile(OF_FORCE, FRAMES * len(chosen))
+    assert not columns[in_force, 0].any()
+    assert not columns[~in_force, 1].any()
