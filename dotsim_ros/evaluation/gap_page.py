@@ -110,6 +110,11 @@ def gap_page(figures: dict[str, Any]) -> str:
                         "85 %",
                     ),
                     (
+                        "the same where one effect is hidden",
+                        _of_one(added["median_share_closed_single"]),
+                        "",
+                    ),
+                    (
                         "worse than recalibration alone",
                         _shown(added["worse_than_recalibrated"]),
                         "never",

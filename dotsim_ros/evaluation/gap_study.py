@@ -414,8 +414,13 @@ def _after_adding(cases: Sequence[StudyCase]) -> dict[str, Any]:
         "worse_by_one_percent": rate(
             [c.left.with_effects > 1.01**2 * c.left.recalibrated for c in cases]
         ),
-        "median_share_closed": median([_share_closed(c.left, c.left.with_effects) for c in cases]),
+        "median_share_closed": _median_closed(cases),
+        "median_share_closed_single": _median_closed([c for c in cases if len(c.truth) == 1]),
     }
+
+
+def _median_closed(cases: Sequence[StudyCase]) -> float | None:
+    return median([_share_closed(c.left, c.left.with_effects) for c in cases])
 
 
 def _share_closed(left: Left, now: float) -> float | None:
@@ -442,6 +447,6 @@ def _baselines(nulls: Sequence[StudyCase], single: Sequence[StudyCase]) -> dict[
         "median_share_closed_from_20": {
             "recalibration": 0.0,
             "black_box": median([_share_closed(c.left, c.left.black_box) for c in large]),
-            "ours": median([_share_closed(c.left, c.left.with_effects) for c in large]),
+            "ours": _median_closed(large),
         },
     }

@@ -77,15 +77,17 @@ def test_the_page_shows_what_the_cases_gave() -> None:
     cases = [
         *(case((), Verdict.NO_GAP) for _ in range(9)),
         case((), Verdict.NAMED, "backlash"),
-        case(late, Verdict.NAMED, "latency", left=Left(4.0, 1.5, 1.0, 4.0)),
+        case(late, Verdict.NAMED, "latency", left=Left(5.0, 1.5, 1.4, 1.0)),
         case(late, Verdict.NO_GAP),
-        case((*late, ("set", 1.0)), Verdict.NAMED, "latency"),
+        case((*late, ("set", 1.0)), Verdict.NAMED, "latency", left=Left(4.0, 4.0, 3.0, 2.0)),
     ]
     found = figures(cases)
     assert found["nulls"]["false_names"]["share"] == pytest.approx(0.1)
     assert found["named_right_by_whitened_size"]["10 to 20"]["share"] == pytest.approx(0.5)
     assert found["both_of_two"]["share"] == 0.0
     assert found["one_of_two"]["share"] == 1.0
+    assert found["after_adding"]["median_share_closed"] == pytest.approx(0.7)
+    assert found["after_adding"]["median_share_closed_single"] == pytest.approx(0.9)
     limit = {"size": 0.0125, "whitened_size": 7.5}
     page = gap_page(
         {
@@ -103,7 +105,7 @@ def test_the_page_shows_what_the_cases_gave() -> None:
             },
             "bias": [{"delay": 0.00692}, {"delay": 0.0082}],
             "limit_factors": [{"latency": 8.67, "adhesion": 0.1}, {"latency": 3.0}],
-            "rule_version": 4,
+            "rule_version": 5,
             "solves": 12,
             "provenance": {"seed": 4},
         }
@@ -111,6 +113,8 @@ def test_the_page_shows_what_the_cases_gave() -> None:
     assert "| nulls with a name | 10% [2%, 40%] of 10 |" in page
     assert "| latency | towards 0.15 | 0.0125 s (whitened 7.5) | - |" in page
     assert "wrong names on nulls: backlash" in page
+    assert "| share of the gap closed, median | 70% | 85 % |" in page
+    assert "| the same where one effect is hidden | 90% |  |" in page
     assert "| mean of delay | 0.00692 | 0.0082 |" in page
     assert "| factor of latency | 8.67 | 3 |" in page
     assert "adhesion | 0.1" not in page
