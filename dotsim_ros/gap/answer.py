@@ -227,14 +227,8 @@ def _left(search: Search, entries: Sequence[Ranked]) -> float:
     effect, whichever is more."""
     evidence = search.evidence
     own = _fit_of(evidence, entries).objective
-    by_channel = [
-        search.case.channel_columns(entry.trial.variant, entry.trial.size, search.chosen)
-        for entry in entries
-    ]
-    columns = np.concatenate(by_channel, axis=1)
-    high = np.full(columns.shape[1], decision.LARGEST_IN_CHANNEL)
     widened = evidence.with_nuisances(search.pattern_columns)
-    everything = fit(widened, columns, np.zeros(len(high)), high).objective
+    everything = _fit_by_channel(search, widened, entries).objective
     # What patterns remove of noise alone is no gap.
     by_patterns = own - everything - search.pattern_chance
     misfit = own - search.misfit_limit * len(evidence.residual)
@@ -244,6 +238,31 @@ def _left(search: Search, entries: Sequence[Ranked]) -> float:
 def _fit_of(evidence: Evidence, entries: Sequence[Ranked]) -> Fit:
     columns = np.stack([entry.trial.change for entry in entries], axis=1)
     return fit(evidence, columns, np.zeros(len(entries)), np.full(len(entries), 1.3))
+
+
+def _fit_by_channel(search: Search, evidence: Evidence, entries: Sequence[Ranked]) -> Fit:
+    """Return the fit of effects whose sizes in the skin need not be those in the force: of each,
+    the two in turn, as shares of the size found."""
+    by_channel = [
+        search.case.channel_columns(entry.trial.variant, entry.trial.size, search.chosen)
+        for entry in entries
+    ]
+    columns = np.concatenate(by_channel, axis=1)
+    high = np.full(columns.shape[1], decision.LARGEST_IN_CHANNEL)
+    return fit(evidence, columns, np.zeros(len(high)), high)
+
+
+def sizes_by_channel(search: Search, entry: Ranked) -> tuple[float, float] | None:
+    """Return the size of an effect as the skin tells it and as the force does, None where they do
+    not disagree, or one of them says nothing of it."""
+    found = _fit_by_channel(search, search.evidence, [entry])
+    gain = _fit_of(search.evidence, [entry]).objective - found.objective
+    variant, size = entry.trial.variant, entry.trial.size
+    shows = search.case.channel_columns(variant, size, search.chosen).any(axis=0)
+    if gain < decision.SAME or not shows.all():
+        return None
+    skin, force = (variant.absent + share * (size - variant.absent) for share in found.size)
+    return float(skin), float(force)
 
 
 def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from dotsim_ros.calibration.parameters import PARAMETERS, GelValues
 from dotsim_ros.calibration.simulation import SolveError
 from dotsim_ros.gap import wording
-from dotsim_ros.gap.answer import Answer
+from dotsim_ros.gap.answer import Answer, sizes_by_channel
 from dotsim_ros.gap.assumptions import values_after
 from dotsim_ros.gap.certainty import BOOTSTRAPS, close_pairs
 from dotsim_ros.gap.effect import Active
@@ -77,7 +77,8 @@ def findings_of(
     )
     shared = case.shared_nuisances()
     fallback: tuple[ChannelGap, ...] = ()
-    if verdict is Verdict.UNKNOWN:
+    is_unknown = verdict is Verdict.UNKNOWN
+    if is_unknown:
         fallback = channel_gaps(_fallback(search), judged)
     fitted = values_after(case.values, shared, refitted.nuisance[: len(shared)])
     gaps = channel_gaps(residuals, judged)
@@ -90,6 +91,7 @@ def findings_of(
             [e.effect for e in answer.alternatives],
             gaps,
             nearest=ranked[0].effect if ranked else None,
+            sizes=sizes_by_channel(search, ranked[0]) if is_unknown and ranked else None,
             place=wording.largest_place(places),
         ),
         named=tuple(e.effect.name for e in named),

@@ -78,6 +78,7 @@ def sentence(
     gaps: Sequence[ChannelGap],
     *,
     nearest: Effect | None,
+    sizes: tuple[float, float] | None,
     place: str,
 ) -> str:
     """Return the answer in one or two sentences.
@@ -88,6 +89,7 @@ def sentence(
         alternatives: effects that the first is not told from.
         gaps: by channel, on the locked trajectories.
         nearest: the effect that comes nearest, where none is named.
+        sizes: of the nearest, as the skin and as the force tell it, where they disagree.
         place: where the residual is largest, in words.
     """
     if verdict is Verdict.NO_GAP:
@@ -96,7 +98,15 @@ def sentence(
         text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
         text += f"explains it. It is largest in {place}."
         if nearest is not None:
-            text += f" Nearest comes: {_amid(nearest.title)}."
+            text += f" Nearest comes: {_amid(nearest.title)}"
+            if sizes is not None:
+                first = nearest.parameters[0]
+                unit = f" {first.unit}" if first.unit else ""
+                text += (
+                    f", but the skin tells {first.name} = {sizes[0]:.2g}{unit} and the force "
+                    f"{sizes[1]:.2g}{unit}: one effect has one size"
+                )
+            text += "."
         return text
     parts = [
         f"{effect.title} is missing: {', '.join(shown(e) for e in estimates)}"

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dotsim_ros.gap.answer import Answer, answer_of, null_gains, screen
+from dotsim_ros.gap.answer import Answer, answer_of, null_gains, screen, sizes_by_channel
 from dotsim_ros.gap.assumptions import SHARED, Nuisance
 from dotsim_ros.gap.covariance import Discrepancy, Noise, Whitening
 from dotsim_ros.gap.effect import FORCE, SKIN, Effect, EffectParameter
@@ -16,6 +16,7 @@ from dotsim_ros.gap.evidence import Case, Trajectory, Variant
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.search_state import Request, Search
+from dotsim_ros.gap.wording import sentence
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)
@@ -72,14 +73,13 @@ def case_of(observed: list[np.ndarray], random: np.random.Generator) -> Case:
     return Case(trajectories, nuisances, {EFFECT.name: EFFECT}, nothing, None, None)
 
 
-def answered(
+def search_of(
     change: list[np.ndarray], skin: float, force: float, random: np.random.Generator
-) -> Answer:
-    """Return the answer to data that show the effect at one size in the skin, at one in the
-    force."""
+) -> Search:
+    """Return a search of data that show the effect at one size in the skin, at one in the force."""
     share = np.where(OF_FORCE, force, skin)
     observed = [share * one + random.standard_normal(SHAPE) for one in change]
-    search = Search(
+    return Search(
         Request(Path(), None, Path(), budget=0),
         case_of(observed, random),
         list(range(TRAJECTORIES)),
@@ -89,6 +89,9 @@ def answered(
         random,
         lambda step, done, total: None,
     )
+
+
+def answered(search: Search, change: list[np.ndarray]) -> Answer:
     ranked = screen(search, [variant_of(change)])
     return answer_of(search, ranked, *null_gains(search, ranked, NULLS))
 
@@ -96,27 +99,38 @@ def answered(
 def test_an_effect_of_one_size_in_skin_and_force_is_named(
     change: list[np.ndarray], random: np.random.Generator
 ) -> None:
-    answer = answered(change, 0.8, 0.8, random)
+    search = search_of(change, 0.8, 0.8, random)
+    answer = answered(search, change)
     assert answer.verdict is Verdict.NAMED
     assert [entry.effect.name for entry in answer.named] == ["late"]
     assert answer.named[0].trial.size == pytest.approx(0.8, abs=0.1)
     assert answer.named[0].explained == pytest.approx(1.0, abs=0.05)
+    assert sizes_by_channel(search, answer.named[0]) is None
 
 
 @pytest.mark.parametrize(("skin", "force"), [(0.8, 0.0), (0.0, 0.8)])
 def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
     change: list[np.ndarray], random: np.random.Generator, skin: float, force: float
 ) -> None:
-    answer = answered(change, skin, force, random)
+    search = search_of(change, skin, force, random)
+    answer = answered(search, change)
     assert answer.statistic > answer.threshold
     assert answer.verdict is Verdict.UNKNOWN
     assert answer.named == []
+    sizes = sizes_by_channel(search, answer.ranked[0])
+    assert sizes == pytest.approx((skin, force), abs=0.1)
+    text = sentence(
+        answer.verdict, [], [], [], nearest=EFFECT, sizes=sizes, place="the skin at the rim"
+    )
+    told, other = (f"{size:.2g} s" for size in sizes)
+    assert f"late, but the skin tells size = {told} and the force {other}: one effect" in text
 
 
 def test_without_anything_there_is_no_gap(
     change: list[np.ndarray], random: np.random.Generator
 ) -> None:
-    assert answered(change, 0.0, 0.0, random).verdict is Verdict.NO_GAP
+    search = search_of(change, 0.0, 0.0, random)
+    assert answered(search, change).verdict is Verdict.NO_GAP
 
 
 def test_the_parts_of_a_change_in_each_channel_add_up_to_it(
