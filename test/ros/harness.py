@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,8 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
@@ -120,6 +121,17 @@ class Executable:
                 self.process.wait()
 
 
+def spin_until_shut_down(executor: Executor) -> None:
+    """Run an executor until its context is shut down, whatever that meets half-way."""
+    try:
+        executor.spin()
+    except ExternalShutdownException:
+        pass
+    except RCLError:
+        if executor.context.ok():
+            raise
+
+
 @contextmanager
 def running(
     module: str = "dotsim_ros.nodes.tactile_sim",
@@ -210,7 +222,9 @@ class Client:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread = threading.Thread(
+            target=spin_until_shut_down, args=(self._executor,), daemon=True
+        )
         if not is_deaf:
             self._thread.start()
 
@@ -310,10 +324,6 @@ class Client:
             "/tactile_sim/set_parameters_atomically",
             parameters=[parameter.to_parameter_msg() for parameter in parameters],
         ).result
-
-    def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
 
     def _collector(self, topic: str) -> Callable[[Any], None]:
         def collect(message: Any) -> None:

@@ -17,8 +17,8 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from harness import PATIENCE_S, Executable, running, spin_until_shut_down
+from rclpy.executors import SingleThreadedExecutor
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
@@ -148,7 +148,7 @@ class Observer:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._stop = Event()
-        self._threads = [Thread(target=self._spin, daemon=True)]
+        self._threads = [Thread(target=spin_until_shut_down, args=(self._executor,), daemon=True)]
         self._threads[0].start()
 
     def close(self) -> None:
@@ -225,10 +225,6 @@ class Observer:
             f"the state {state} for {reason}",
         )
         return self.state()
-
-    def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
 
     def _on_command(self, message: TwistStamped) -> None:
         twist = np.concatenate(msg_adapters.decode_twist_stamped(message))

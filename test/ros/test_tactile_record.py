@@ -2,14 +2,14 @@
 
 import threading
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from harness import PATIENCE_S, Executable, running, spin_until_shut_down
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
@@ -43,12 +43,10 @@ class Source:
         }
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread = threading.Thread(
+            target=spin_until_shut_down, args=(self._executor,), daemon=True
+        )
         self._thread.start()
-
-    def _spin(self):
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
 
     def meet(self, *topics):
         end_s = time.monotonic() + PATIENCE_S

@@ -14,7 +14,6 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -25,9 +24,9 @@ import rclpy
 import xarm_messages
 from arm_rig import ArmClient, arm_client
 from geometry_msgs.msg import PoseStamped
-from harness import Executable, running
+from harness import Executable, running, spin_until_shut_down
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import ExternalShutdownException, MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor
 from scipy.spatial.transform import Rotation
 
 import msg_adapters
@@ -107,7 +106,9 @@ class FakeDriver:
         # Several threads: were two calls under way, it would see both.
         self._executor = MultiThreadedExecutor(num_threads=4, context=self._context)
         self._executor.add_node(self.node)
-        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread = threading.Thread(
+            target=spin_until_shut_down, args=(self._executor,), daemon=True
+        )
         self._thread.start()
 
     def close(self) -> None:
@@ -150,10 +151,6 @@ class FakeDriver:
         response.ret = self.robot.answer
         response.message = "told to refuse" if self.robot.answer else ""
         return response
-
-    def _spin(self) -> None:
-        with suppress(ExternalShutdownException):
-            self._executor.spin()
 
 
 @dataclass
