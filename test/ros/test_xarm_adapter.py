@@ -248,6 +248,8 @@ def test_velocities_arrive_in_millimetres_with_a_watchdog(rig: Rig) -> None:
         assert not call.is_tool_coord
         assert len(call.speeds) == 6
     np.testing.assert_allclose(calls[0].speeds, [50.0, 0.0, -10.0, 0.0, 0.1, 0.0], rtol=1e-6)
+    # What was commanded last goes on until the adapter stops it.
+    rig.client.wait(lambda: not any(rig.driver.calls[-1].speeds), "the arm to be stopped")
     _, calls = lead(rig, 0.3, frame_id="link_tcp")
     assert all(call.is_tool_coord for call in calls if any(call.speeds))
 
