@@ -9,10 +9,11 @@ latency from one draw alone was twice that from another.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dotsim_ros.evaluation.gap_null import residuals_without_effect
 from dotsim_ros.evaluation.gap_presses import (
@@ -27,6 +28,9 @@ from dotsim_ros.gap.answer import null_gains, pattern_gain, screen
 from dotsim_ros.gap.assumptions import BIASED, DIFFERENTIAL
 from dotsim_ros.gap.covariance import Discrepancy, fit_discrepancy
 from dotsim_ros.gap.inference import fit_nuisances
+from dotsim_ros.gap.recording import Recording
+
+Array = NDArray[np.float64]
 
 SPLITS = 4
 """Draws of the halves."""
@@ -47,7 +51,9 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
         names: of those to use.
         seed: of the draws.
     """
-    found = _with_bias(source, names, _covariances(source, names))
+    recordings = [r for r in source.measurement.recordings if r.name in names]
+    residuals = _residuals(source, recordings)
+    found = _with_bias(source, names, _covariances(source, recordings, residuals))
     gains: dict[str, list[float]] = {}
     simulated: list[float] = []
     patterns: list[float] = []
@@ -57,7 +63,8 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
     drawn = [halves(names, int(random.integers(2**31))) for _ in range(SPLITS)]
     both_ways = [way for one, other in drawn for way in ((one, other), (other, one))]
     for number, (known, shown) in enumerate(both_ways):
-        half = _with_bias(source, known, _covariances(source, known))
+        of_half = [r for r in recordings if r.name in known]
+        half = _with_bias(source, known, _covariances(source, of_half, residuals))
         with open_presses(source, shown, half) as presses:
             for draw in range(LIMIT_DRAWS):
                 chosen = draw_presses(len(presses.case.trajectories), random)
@@ -86,17 +93,23 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
     )
 
 
-def _covariances(source: Source, names: Sequence[str]) -> Discrepancy:
-    recordings = [r for r in source.measurement.recordings if r.name in names]
-    residuals = residuals_without_effect(
+def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, Array]:
+    """Return what the twin leaves of each recording, (F, SIZE), by name."""
+    each = residuals_without_effect(
         replace(source.measurement, recordings=tuple(recordings)),
         source.sensor,
         source.run,
         workers=source.workers,
         progress=lambda done, total: source.progress("discrepancy", done, total),
     )
+    return {r.name: residual for r, residual in zip(recordings, each, strict=True)}
+
+
+def _covariances(
+    source: Source, recordings: Sequence[Recording], residuals: Mapping[str, Array]
+) -> Discrepancy:
     text = f"{len(recordings)} presses of {source.directory.name} with {source.sensor.name}"
-    return fit_discrepancy(recordings, residuals, text)
+    return fit_discrepancy(recordings, [residuals[r.name] for r in recordings], text)
 
 
 def _with_bias(source: Source, names: Sequence[str], discrepancy: Discrepancy) -> Discrepancy:

@@ -228,7 +228,7 @@ def _left(search: Search, entries: Sequence[Ranked]) -> float:
     evidence = search.evidence
     own = _fit_of(evidence, entries).objective
     widened = evidence.with_nuisances(search.pattern_columns)
-    everything = _fit_by_channel(search, widened, entries).objective
+    everything = _fit_by_channel(widened, _by_channel(search, entries)).objective
     # What patterns remove of noise alone is no gap.
     by_patterns = own - everything - search.pattern_chance
     misfit = own - search.misfit_limit * len(evidence.residual)
@@ -240,14 +240,18 @@ def _fit_of(evidence: Evidence, entries: Sequence[Ranked]) -> Fit:
     return fit(evidence, columns, np.zeros(len(entries)), np.full(len(entries), 1.3))
 
 
-def _fit_by_channel(search: Search, evidence: Evidence, entries: Sequence[Ranked]) -> Fit:
-    """Return the fit of effects whose sizes in the skin need not be those in the force: of each,
-    the two in turn, as shares of the size found."""
-    by_channel = [
+def _by_channel(search: Search, entries: Sequence[Ranked]) -> Array:
+    """Return (n, 2 k) what k effects of the size found do to the skin alone and to the force alone,
+    in turn."""
+    columns = [
         search.case.channel_columns(entry.trial.variant, entry.trial.size, search.chosen)
         for entry in entries
     ]
-    columns = np.concatenate(by_channel, axis=1)
+    return np.concatenate(columns, axis=1)
+
+
+def _fit_by_channel(evidence: Evidence, columns: Array) -> Fit:
+    """Return the fit of effects whose sizes in the skin need not be those in the force."""
     high = np.full(columns.shape[1], decision.LARGEST_IN_CHANNEL)
     return fit(evidence, columns, np.zeros(len(high)), high)
 
@@ -255,12 +259,13 @@ def _fit_by_channel(search: Search, evidence: Evidence, entries: Sequence[Ranked
 def sizes_by_channel(search: Search, entry: Ranked) -> tuple[float, float] | None:
     """Return the size of an effect as the skin tells it and as the force does, None where they do
     not disagree, or one of them says nothing of it."""
-    found = _fit_by_channel(search, search.evidence, [entry])
-    gain = _fit_of(search.evidence, [entry]).objective - found.objective
-    variant, size = entry.trial.variant, entry.trial.size
-    shows = search.case.channel_columns(variant, size, search.chosen).any(axis=0)
-    if gain < decision.SAME or not shows.all():
+    columns = _by_channel(search, [entry])
+    if not columns.any(axis=0).all():
         return None
+    found = _fit_by_channel(search.evidence, columns)
+    if _fit_of(search.evidence, [entry]).objective - found.objective < decision.SAME:
+        return None
+    variant, size = entry.trial.variant, entry.trial.size
     skin, force = (variant.absent + share * (size - variant.absent) for share in found.size)
     return float(skin), float(force)
 

@@ -15,7 +15,7 @@ from dotsim_ros.gap.assumptions import OWN, Nuisance, nuisance_columns, nuisance
 from dotsim_ros.gap.covariance import Discrepancy, Noise, Whitening, usable, whitening_of
 from dotsim_ros.gap.effect import FORCE, SKIN, Active, Effect
 from dotsim_ros.gap.inference import Evidence
-from dotsim_ros.gap.observables import PATCH_COUNT, Places, observe, places_of
+from dotsim_ros.gap.observables import CHANNELS, Places, observe, places_of
 from dotsim_ros.gap.patterns import patterns
 from dotsim_ros.gap.recording import Recording
 from dotsim_ros.gap.simulate import Progress, Solver, request_of
@@ -225,7 +225,7 @@ class Case:
         alone."""
         change = self.change_at(variant, size)
         columns = []
-        for channel in (slice(None, 3 * PATCH_COUNT), slice(3 * PATCH_COUNT, None)):
+        for channel in CHANNELS.values():
             alone = [np.zeros_like(one) for one in change]
             for part, one in zip(alone, change, strict=True):
                 part[:, channel] = one[:, channel]

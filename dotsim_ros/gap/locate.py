@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from dotsim_ros.gap.covariance import Discrepancy, Noise, amplitude, white_variance
 from dotsim_ros.gap.evidence import Case, Trajectory
 from dotsim_ros.gap.findings import ChannelGap, Place, WorstFrame
-from dotsim_ros.gap.observables import PATCH_COUNT, SIZE, regions_of_observables
+from dotsim_ros.gap.observables import CHANNELS, regions_of_observables
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-CHANNELS = {"skin": slice(0, 3 * PATCH_COUNT), "force": slice(3 * PATCH_COUNT, SIZE)}
 UNITS = {"skin": "m", "force": "N"}
 RESAMPLED = 200
 FOOTPRINT = 0.3

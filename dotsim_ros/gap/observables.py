@@ -28,6 +28,7 @@ REGIONS = ("apex", "contact", "contact", "rim", "rim", "far", "base")
 PATCH_COUNT = sum(SECTORS)
 SIZE = 3 * PATCH_COUNT + 3
 """Observables of a frame: the patches' displacements (m), then the force (N)."""
+CHANNELS = {"skin": slice(0, 3 * PATCH_COUNT), "force": slice(3 * PATCH_COUNT, SIZE)}
 
 
 @dataclass(frozen=True)

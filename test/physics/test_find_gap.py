@@ -86,7 +86,7 @@ def test_a_gel_that_softens_is_named_and_closes_the_gap(tmp_path: Path, run: Pat
 
 
 def test_crosstalk_that_no_effect_imitates_is_unknown(tmp_path: Path, run: Path) -> None:
-    findings, overlay = searched(tmp_path, run, ("crosstalk", 0.8))
+    findings, overlay = searched(tmp_path, run, ("crosstalk", 0.5))
     assert findings.verdict is Verdict.UNKNOWN
     assert overlay is None
     assert findings.named == ()

@@ -12,9 +12,8 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from harness import spin_until_shut_down
+from harness import spin_in_background
 from rcl_interfaces.srv import SetParametersAtomically
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
@@ -50,12 +49,7 @@ class ArmClient:
         for topic, kind in topics.items():
             self.node.create_subscription(kind, topic, self._collector(topic), 50)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(
-            target=spin_until_shut_down, args=(self._executor,), daemon=True
-        )
-        self._thread.start()
+        self._thread = spin_in_background(self.node)
 
     def close(self) -> None:
         """Leave the graph."""

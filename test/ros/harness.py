@@ -19,6 +19,7 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy._rclpy_pybind11 import RCLError
 from rclpy.executors import Executor, ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
@@ -121,15 +122,24 @@ class Executable:
                 self.process.wait()
 
 
-def spin_until_shut_down(executor: Executor) -> None:
-    """Run an executor until its context is shut down, whatever that meets half-way."""
-    try:
-        executor.spin()
-    except ExternalShutdownException:
-        pass
-    except RCLError:
-        if executor.context.ok():
-            raise
+def spin_in_background(node: Node, executor: Executor | None = None) -> threading.Thread:
+    """Start a thread that runs a node, by itself or by an executor, until its context is shut down,
+    whatever that meets half-way."""
+    runs = SingleThreadedExecutor(context=node.context) if executor is None else executor
+    runs.add_node(node)
+
+    def spin() -> None:
+        try:
+            runs.spin()
+        except ExternalShutdownException:
+            pass
+        except RCLError:
+            if node.context.ok():
+                raise
+
+    thread = threading.Thread(target=spin, daemon=True)
+    thread.start()
+    return thread
 
 
 @contextmanager
@@ -220,18 +230,12 @@ class Client:
         for topic, kind in {**topics, STATE_TOPIC: PoseStamped}.items():
             self.node.create_subscription(kind, topic, self._collector(topic), 50)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(
-            target=spin_until_shut_down, args=(self._executor,), daemon=True
-        )
-        if not is_deaf:
-            self._thread.start()
+        self._thread = None if is_deaf else spin_in_background(self.node)
 
     def close(self) -> None:
         """Leave the graph."""
         rclpy.try_shutdown(context=self._context)
-        if self._thread.is_alive():
+        if self._thread is not None:
             self._thread.join(10.0)
         self.node.destroy_node()
 

@@ -17,8 +17,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running, spin_until_shut_down
-from rclpy.executors import SingleThreadedExecutor
+from harness import PATIENCE_S, Executable, running, spin_in_background
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
 
@@ -145,11 +144,8 @@ class Observer:
         self.node.create_subscription(TwistStamped, commands, self._on_command, 100)
         self.node.create_subscription(PoseStamped, "ee_pose", self._on_pose, 10)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self.node)
         self._stop = Event()
-        self._threads = [Thread(target=spin_until_shut_down, args=(self._executor,), daemon=True)]
-        self._threads[0].start()
+        self._threads = [spin_in_background(self.node)]
 
     def close(self) -> None:
         """Leave the graph."""

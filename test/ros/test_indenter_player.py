@@ -1,6 +1,5 @@
 """`indenter_player` as a process, its poses read over DDS."""
 
-import threading
 import time
 from contextlib import contextmanager
 
@@ -8,8 +7,7 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running, spin_until_shut_down
-from rclpy.executors import SingleThreadedExecutor
+from harness import PATIENCE_S, Executable, running, spin_in_background
 from rclpy.qos import HistoryPolicy, QoSProfile
 
 import msg_adapters
@@ -35,12 +33,7 @@ class Listener:
         self._node = rclpy.create_node("listener", context=self._context)
         self._wrench = self._node.create_publisher(WrenchStamped, "wrench", KEEP_ALL)
         self._node.create_subscription(PoseStamped, "indenter/pose", self._on_pose, KEEP_ALL)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(
-            target=spin_until_shut_down, args=(self._executor,), daemon=True
-        )
-        self._thread.start()
+        self._thread = spin_in_background(self._node)
 
     def _on_pose(self, message):
         self.answered_before.append(self._answers)

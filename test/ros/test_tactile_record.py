@@ -1,6 +1,5 @@
 """`tactile_record` as a process, fed over DDS, its bag read back."""
 
-import threading
 import time
 from contextlib import contextmanager
 
@@ -8,8 +7,7 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running, spin_until_shut_down
-from rclpy.executors import SingleThreadedExecutor
+from harness import PATIENCE_S, Executable, running, spin_in_background
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
@@ -41,12 +39,7 @@ class Source:
             topic: self._node.create_publisher(kind, topic, KEEP_ALL)
             for topic, kind in TOPICS.items()
         }
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._thread = threading.Thread(
-            target=spin_until_shut_down, args=(self._executor,), daemon=True
-        )
-        self._thread.start()
+        self._thread = spin_in_background(self._node)
 
     def meet(self, *topics):
         end_s = time.monotonic() + PATIENCE_S

@@ -24,7 +24,7 @@ import rclpy
 import xarm_messages
 from arm_rig import ArmClient, arm_client
 from geometry_msgs.msg import PoseStamped
-from harness import Executable, running, spin_until_shut_down
+from harness import Executable, running, spin_in_background
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from scipy.spatial.transform import Rotation
@@ -104,12 +104,8 @@ class FakeDriver:
         )
         self.node.create_timer(STATE_PERIOD_S, self._report, callback_group=group)
         # Several threads: were two calls under way, it would see both.
-        self._executor = MultiThreadedExecutor(num_threads=4, context=self._context)
-        self._executor.add_node(self.node)
-        self._thread = threading.Thread(
-            target=spin_until_shut_down, args=(self._executor,), daemon=True
-        )
-        self._thread.start()
+        several = MultiThreadedExecutor(num_threads=4, context=self._context)
+        self._thread = spin_in_background(self.node, several)
 
     def close(self) -> None:
         """Leave the graph."""
