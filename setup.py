@@ -105,16 +105,16 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "calibrate = dotsim_ros.nodes.calibrate:main",
+            "calibrate = dotsim_ros.cli.executables:calibrate",
             "dotsim_ros = dotsim_ros.cli.main:main",
-            "find_gap = dotsim_ros.nodes.find_gap:main",
-            "indenter_player = dotsim_ros.nodes.indenter_player:main",
-            "plan_gap = dotsim_ros.nodes.plan_gap:main",
-            "tactile_policy = dotsim_ros.nodes.tactile_policy:main",
-            "tactile_record = dotsim_ros.nodes.tactile_record:main",
-            "tactile_sim = dotsim_ros.nodes.tactile_sim:main",
-            "xarm_adapter = dotsim_ros.nodes.xarm_adapter:main",
-            "xarm_sim = dotsim_ros.nodes.xarm_sim:main",
+            "find_gap = dotsim_ros.cli.executables:find_gap",
+            "indenter_player = dotsim_ros.nodes.indenter_player.node:main",
+            "plan_gap = dotsim_ros.cli.executables:plan_gap",
+            "tactile_policy = dotsim_ros.nodes.tactile_policy.node:main",
+            "tactile_record = dotsim_ros.nodes.tactile_record.node:main",
+            "tactile_sim = dotsim_ros.nodes.tactile_sim.node:main",
+            "xarm_adapter = dotsim_ros.nodes.xarm_adapter.node:main",
+            "xarm_sim = dotsim_ros.nodes.xarm_sim.node:main",
         ]
     },
 )

@@ -11,8 +11,8 @@ assert not heavy, f"importing dotsim_ros loaded {heavy}"
 
 from dotsim_ros.geometry.indenter import load_indenter  # noqa: E402
 from dotsim_ros.geometry.pose import Pose  # noqa: E402
-from dotsim_ros.geometry.specification import load_sensor  # noqa: E402
 from dotsim_ros.sensor import TactileSensor  # noqa: E402
+from dotsim_ros.specification import load_sensor  # noqa: E402
 
 sensor = TactileSensor(load_sensor("densetact2"), indenter=load_indenter("sphere_4mm"))
 apex_m = float(sensor.skin.rest_position_m[:, 2].max())

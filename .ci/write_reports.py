@@ -7,8 +7,8 @@ from calibration_result import calibration
 from gap_findings import EXAMPLES
 
 from dotsim_ros.calibration.report import write_report as write_calibration
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.report import write_report as write_gap
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.gap.report.write import write_report as write_gap
 
 folder = Path(sys.argv[1])
 for name, findings in EXAMPLES.items():

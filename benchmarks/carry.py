@@ -14,14 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.evaluation.image_metrics import image_psnr_db
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.specification import load_sensor
 
 UNCHANGING = Lighting(ambient_fraction=1e9)
 

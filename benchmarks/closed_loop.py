@@ -24,16 +24,23 @@ from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 
 import msg_adapters
-from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.evaluation.table import entry_list, write_text
-from dotsim_ros.evaluation.trajectory import motion_figures, summarize, trial_start
-from dotsim_ros.nodes.closed_loop import ARM, POLICY, SENSOR, ClosedLoop, LoopSetup, policy_name
-from dotsim_ros.nodes.loop_observer import LOOP_TOPICS, Heard
-from dotsim_ros.nodes.policy_files import policy_folder
-from dotsim_ros.tasks.loop_recording import LoopRecording
-from dotsim_ros.tasks.paths import PATHS, reference_path
-from dotsim_ros.tasks.policy_card import read_policy
-from dotsim_ros.tasks.safety import SafetyLimits
+from dotsim_ros.evaluation.trajectory.trials import motion_figures, summarize, trial_start
+from dotsim_ros.nodes.loop.closed_loop import (
+    ARM,
+    POLICY,
+    SENSOR,
+    ClosedLoop,
+    LoopSetup,
+    policy_name,
+)
+from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, Heard
+from dotsim_ros.nodes.tactile_policy.files import policy_folder
+from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.tasks.policy.card import read_policy
+from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.policy.paths import PATHS, reference_path
+from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 FloatArray = NDArray[np.float64]
 

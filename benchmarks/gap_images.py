@@ -3,9 +3,9 @@
 The pictures are those of a measured data set. What images show where nothing is missing is learnt
 from the trajectories that the twin's network was fitted on (`--noise` writes the file that the
 package ships); all that is judged comes from the others: nulls are subsets of them as they were
-measured, cases are hidden laws (`dotsim_ros.hidden.pictures`) applied to one subset. The nulls are
-also drawn the other way round, learnt from the held-out trajectories and judged on subsets of the
-fitted ones. Subsets overlap, so these are fewer independent draws than their number.
+measured, cases are hidden laws (`evaluation.gap.hidden.images`) applied to one subset. The nulls
+are also drawn the other way round, learnt from the held-out trajectories and judged on subsets of
+the fitted ones. Subsets overlap, so these are fewer independent draws than their number.
 
 example:
   python benchmarks/gap_images.py --data ../shared/measured/sensor_a --run out/gap_images \
@@ -24,21 +24,21 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.gap.effect import Effect
+from dotsim_ros.effects.effect import Effect
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, PictureLaw, Takes, taken
+from dotsim_ros.gap.find import case_of
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.optical_case import IDLE, OpticalCase
-from dotsim_ros.gap.optical_find import case_of
-from dotsim_ros.gap.optical_fit import PictureSearch
-from dotsim_ros.gap.optical_null import OpticalNull, fit_optical_null, save_optical_null
-from dotsim_ros.gap.optical_search import Signature, signatures_of
-from dotsim_ros.gap.progress import PrintedProgress
-from dotsim_ros.gap.search_state import Request
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.hidden.pictures import LAWS, PictureLaw, Takes, taken
-from dotsim_ros.optics.network_card import read_network
+from dotsim_ros.gap.images.case import IDLE, OpticalCase
+from dotsim_ros.gap.images.fit import PictureSearch
+from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, save_optical_null
+from dotsim_ros.gap.images.search import Signature, signatures_of
+from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.optics.network.card import read_network
+from dotsim_ros.progress import PrintedProgress
+from dotsim_ros.provenance import provenance, write_json
 from dotsim_ros.sensor import given_path
+from dotsim_ros.specification import load_sensor
 
 Array = NDArray[np.float64]
 Signatures = Mapping[str, Sequence[Signature]]

@@ -19,15 +19,15 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dotsim_ros.evaluation.gap_calibration import calibrated_discrepancy
-from dotsim_ros.evaluation.gap_presses import CASE_SIZE, Source, halves, silent
-from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.gap.covariance import save_discrepancy
-from dotsim_ros.gap.search import find_gap
-from dotsim_ros.gap.search_state import Request
-from dotsim_ros.gel.refinement import cache_directory
-from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
+from dotsim_ros.evaluation.gap.presses import CASE_SIZE, Source, halves, silent
+from dotsim_ros.gap.presses.covariance import save_discrepancy
+from dotsim_ros.gap.presses.search import find_gap
+from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gel.implicit.refinement import cache_directory
 from dotsim_ros.measured.data_set import INDEX, read_data_set
+from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.specification import load_sensor
 
 
 def main() -> None:

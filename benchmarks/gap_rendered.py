@@ -1,9 +1,10 @@
 """How often the gap finder is right about pictures of an independent renderer.
 
-A path tracer (Mitsuba 3, `dotsim_ros.hidden.path_traced`) films the skins of a measured data set:
-a commissioning, from which the finder learns what its pictures show where nothing is missing, and
-later sets of other trajectories, of which some hide an effect in the scene or in the camera. The
-twin has the gel of a sensor's file, the camera and the LEDs as the scene has them, and no network.
+A path tracer (Mitsuba 3, `evaluation.gap.hidden.path_traced`) films the skins of a measured data
+set: a commissioning, from which the finder learns what its pictures show where nothing is
+missing, and later sets of other trajectories, of which some hide an effect in the scene or in the
+camera. The twin has the gel of a sensor's file, the camera and the LEDs as the scene has them, and
+no network.
 Each set's truth is sealed beside it, its hash printed first, and opened after the finder's answer.
 
 example:
@@ -25,25 +26,25 @@ import cv2
 import numpy as np
 import yaml
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.gap.findings import Findings
-from dotsim_ros.gap.optical_find import find_gap_with_pictures, fit_noise_of_pictures
-from dotsim_ros.gap.optical_null import OpticalNull, save_optical_null
-from dotsim_ros.gap.progress import PrintedProgress
-from dotsim_ros.gap.search_state import Request
-from dotsim_ros.geometry.specification import CameraSpecification, SensorSpecification, load_sensor
-from dotsim_ros.hidden.path_traced import (
+from dotsim_ros.evaluation.gap.hidden.path_traced import (
     LED_AZIMUTH_DEG,
     LED_HEIGHT_M,
     LED_RING_M,
     LED_SPREAD_DEG,
     open_mitsuba,
 )
-from dotsim_ros.hidden.reality import Truth, write_truth
-from dotsim_ros.hidden.rendered_laws import LAWS
-from dotsim_ros.hidden.rendered_unit import LEAK, Studio
+from dotsim_ros.evaluation.gap.hidden.reality import Truth, write_truth
+from dotsim_ros.evaluation.gap.hidden.rendered_laws import LAWS
+from dotsim_ros.evaluation.gap.hidden.rendered_unit import LEAK, Studio
+from dotsim_ros.gap.find import find_gap_with_pictures, fit_noise_of_pictures
+from dotsim_ros.gap.findings import Findings
+from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
+from dotsim_ros.gap.presses.search_state import Request
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.optics.idle_check import read_idle_images
+from dotsim_ros.progress import PrintedProgress
+from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.specification import CameraSpecification, SensorSpecification, load_sensor
 
 ALPHA = 0.02
 NULLS = 4

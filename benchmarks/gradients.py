@@ -19,18 +19,18 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.gel.adjoint import trajectory_gradient
+from dotsim_ros.gel.adjoint.backward import trajectory_gradient
+from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
+from dotsim_ros.gel.adjoint.recorder import Recorder
+from dotsim_ros.gel.adjoint.refinement_rate import poisson_rate
 from dotsim_ros.gel.body import Dome
-from dotsim_ros.gel.gradient import Gradient, LossGradient
-from dotsim_ros.gel.implicit import ImplicitGel
-from dotsim_ros.gel.refinement_rate import poisson_rate
+from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.reshape import ReshapedDome
-from dotsim_ros.gel.trajectory import Recorder
 from dotsim_ros.geometry.indenter import Indenter, sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
+from dotsim_ros.provenance import provenance, write_json
 from dotsim_ros.sensor import material_of, skin_of
+from dotsim_ros.specification import SensorSpecification, load_sensor
 
 COARSE_M = 3.6e-3
 COARSE_SKIN_M = 0.8e-3

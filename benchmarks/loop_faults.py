@@ -41,17 +41,17 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool
 
 import msg_adapters
-from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table, write_text
-from dotsim_ros.evaluation.trajectory import trial_start
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.nodes.closed_loop import SENSOR, ClosedLoop, LoopSetup, policy_name
-from dotsim_ros.nodes.loop_observer import LOOP_TOPICS
-from dotsim_ros.nodes.policy_files import policy_folder, read_picture
-from dotsim_ros.nodes.transport import carry_images
+from dotsim_ros.evaluation.trajectory.trials import trial_start
+from dotsim_ros.nodes.common.transport import carry_images
+from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup, policy_name
+from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
+from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_picture
+from dotsim_ros.provenance import provenance, write_json
 from dotsim_ros.sensor import given_path
-from dotsim_ros.tasks.paths import PATHS, reference_path
-from dotsim_ros.tasks.policy_card import read_policy
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.tasks.policy.card import read_policy
+from dotsim_ros.tasks.policy.paths import PATHS, reference_path
 
 BOUND_MS, FRAME_MS = 80.0, 40.0
 WATCH_S = 0.6
@@ -69,9 +69,9 @@ TOPICS = {**LOOP_TOPICS, "indenter/pose": PoseStamped}
 OVERLOADED_POLICY = """
 import os, sys, time
 import numpy as np
-from dotsim_ros.nodes import tactile_policy
-from dotsim_ros.nodes.spin import run_node
-from dotsim_ros.tasks.policy_network import load_policy
+from dotsim_ros.nodes.tactile_policy import node as tactile_policy
+from dotsim_ros.nodes.common.spin import run_node
+from dotsim_ros.tasks.policy.network import load_policy
 
 def load(folder, path):
     policy = load_policy(folder, path)

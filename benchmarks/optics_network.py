@@ -21,18 +21,18 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
-from dotsim_ros.optics.carded_weights import GRAPH
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.network_card import FINENESS
-from dotsim_ros.optics.network_input import NetworkInput
+from dotsim_ros.optics.network.card import FINENESS
+from dotsim_ros.optics.network.carded_weights import GRAPH
+from dotsim_ros.optics.network.completion import ResidualNetwork
+from dotsim_ros.optics.network.input import NetworkInput
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.optics.residual_network import ResidualNetwork
+from dotsim_ros.provenance import provenance, write_json
 from dotsim_ros.sensor import given_path, skin_of
+from dotsim_ros.specification import SensorSpecification, load_sensor
 
 PRESS_AXIS = np.array([0.35, 0.2, 0.9]) / np.linalg.norm([0.35, 0.2, 0.9])
 THREADS = (1, 2)
@@ -144,7 +144,7 @@ def published_network(threads: int, count: int) -> dict[str, float]:
     """Return the times of DeepLabV3-ResNet50 on 640x480 by torch."""
     import torch
 
-    from dotsim_ros.optics.learning.networks import make_network
+    from dotsim_ros.learning.networks import make_network
 
     torch.set_num_threads(threads)
     network = make_network("paper").eval()

@@ -17,10 +17,10 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
-from dotsim_ros.optics.carded_weights import GRAPH
-from dotsim_ros.tasks.policy_images import CHANNEL_COUNT
-from dotsim_ros.tasks.policy_network import load_policy, open_session
+from dotsim_ros.optics.network.carded_weights import GRAPH
+from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.tasks.policy.images import CHANNEL_COUNT
+from dotsim_ros.tasks.policy.network import load_policy, open_session
 
 THREADS = (1, 2)
 
@@ -44,7 +44,7 @@ def by_torch(path_count: int, side_px: int, count: int) -> dict[str, dict[str, f
     """Return the times of the network by torch."""
     import torch
 
-    from dotsim_ros.tasks.policy_resnet import PolicyResNet, without_normalisation
+    from dotsim_ros.tasks.policy.resnet import PolicyResNet, without_normalisation
 
     network = without_normalisation(PolicyResNet(path_count).eval())
     network = network.to(memory_format=torch.channels_last)

@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
+from dotsim_ros.provenance import provenance, write_json
 from dotsim_ros.sensor import TactileSensor
-from dotsim_ros.tasks.demonstration import approach, contact_of, within_bounds
-from dotsim_ros.tasks.paths import reference_path
-from dotsim_ros.tasks.policy_images import ByteImage
-from dotsim_ros.tasks.policy_looks import Look, LookRanges
-from dotsim_ros.tasks.policy_network import Policy, load_policy
-from dotsim_ros.tasks.rollout import RollOut, follow
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.tasks.policy.demonstration import approach, contact_of, within_bounds
+from dotsim_ros.tasks.policy.images import ByteImage
+from dotsim_ros.tasks.policy.looks import Look, LookRanges
+from dotsim_ros.tasks.policy.network import Policy, load_policy
+from dotsim_ros.tasks.policy.paths import reference_path
+from dotsim_ros.tasks.policy.rollout import RollOut, follow
 
 SHIFTED = LookRanges(gain=(0.6, 0.6), gamma=(1.0, 1.0), noise_levels=2.0)
 

@@ -43,11 +43,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.measured.motion import Motion
 from dotsim_ros.measured.scripted import Site, in_sequence, press_hold_release, slide
+from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.specification import load_sensor
 
 POSE_RATE_HZ = 100.0
 START_TIMEOUT_S = 300.0
@@ -212,7 +212,7 @@ def measure_start_up() -> dict[str, float]:
     Raises:
         OSError: the node does not start.
     """
-    from dotsim_ros.nodes.processes import NodeProcess
+    from dotsim_ros.nodes.common.processes import NodeProcess
 
     figures = {}
     with tempfile.TemporaryDirectory(prefix="dotsim_ros_cold_") as folder:
@@ -242,7 +242,7 @@ def measure_node(seconds: float, rate_hz: float, sensor: str) -> dict[str, Any]:
     from sensor_msgs.msg import Image
 
     import msg_adapters
-    from dotsim_ros.nodes.processes import NodeProcess
+    from dotsim_ros.nodes.common.processes import NodeProcess
 
     begun_s = time.monotonic()
     process = NodeProcess("tactile_sim", {"rate_hz": rate_hz, "sensor": sensor})
@@ -363,7 +363,7 @@ def measure_batch(
 
     Every environment makes the same motion, each a part of it ahead of the one before.
     """
-    from dotsim_ros.gel.implicit import ImplicitGel
+    from dotsim_ros.gel.implicit.gel import ImplicitGel
     from dotsim_ros.sensor import body_of, material_of, skin_of
 
     specification = load_sensor(name)
@@ -418,7 +418,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="file to write the figures to")
     arguments = parser.parse_args()
 
-    from dotsim_ros.gel.explicit import explicit_seconds_per_frame
+    from dotsim_ros.gel.explicit.gel import explicit_seconds_per_frame
 
     start_up = {} if arguments.skip_cold_start else measure_start_up()
     node = measure_node(arguments.seconds, arguments.rate_hz, arguments.sensor)

@@ -23,7 +23,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.provenance import provenance, write_json
 from dotsim_ros.geometry.indenter import (
     Indenter,
     IndenterKind,
@@ -32,24 +31,21 @@ from dotsim_ros.geometry.indenter import (
     load_indenter,
     sphere,
 )
-from dotsim_ros.geometry.specification import (
+from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
+from dotsim_ros.reference.comparison import FrameComparison, compare
+from dotsim_ros.reference.data_set import ReferenceDataSet, SolvedPress, read_solved_presses
+from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
+from dotsim_ros.reference.results import solved_press
+from dotsim_ros.reference.run import CalculixError, calculix_version
+from dotsim_ros.reference.surface import indenter_surface
+from dotsim_ros.sensor import skin_of
+from dotsim_ros.specification import (
     ContactSpecification,
     MaterialSpecification,
     SensorSpecification,
     load_sensor,
 )
-from dotsim_ros.measured.reference.axisymmetric import AxisymmetricSettings
-from dotsim_ros.measured.reference.comparison import FrameComparison, compare
-from dotsim_ros.measured.reference.data_set import (
-    ReferenceDataSet,
-    SolvedPress,
-    read_solved_presses,
-)
-from dotsim_ros.measured.reference.press import ReferencePress, ReferenceSettings
-from dotsim_ros.measured.reference.results import solved_press
-from dotsim_ros.measured.reference.run import CalculixError, calculix_version
-from dotsim_ros.measured.reference.surface import indenter_surface
-from dotsim_ros.sensor import skin_of
 
 FloatArray = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gel.body import Body, Dome, Pad
-from dotsim_ros.gel.explicit import DivergenceError, ExplicitGel, ExplicitSettings
-from dotsim_ros.gel.implicit import ImplicitGel
+from dotsim_ros.gel.explicit.gel import DivergenceError, ExplicitGel, ExplicitSettings
+from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.material import (
     ElasticLaw,
     Material,
@@ -26,19 +26,19 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
-from dotsim_ros.geometry.specification import (
-    GelSpecification,
-    MaterialSpecification,
-    SensorSpecification,
-)
 from dotsim_ros.optics.flow import picture_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.resources import parameter_path
+from dotsim_ros.specification import (
+    GelSpecification,
+    MaterialSpecification,
+    SensorSpecification,
+)
 
 if TYPE_CHECKING:
-    from dotsim_ros.optics.residual_network import ResidualNetwork
+    from dotsim_ros.optics.network.completion import ResidualNetwork
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -263,7 +263,7 @@ def residual_network(
     if not specification.camera.residual:
         return None
     # Loaded on use: it takes the time and memory of ONNX Runtime.
-    from dotsim_ros.optics.residual_network import ResidualNetwork
+    from dotsim_ros.optics.network.completion import ResidualNetwork
 
     return ResidualNetwork(
         given_path(specification.camera.residual), sensor=specification.name, camera=camera

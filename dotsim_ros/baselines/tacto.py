@@ -17,9 +17,9 @@ import numpy as np
 from dotsim_ros.baselines.clipping import clip_depths, clipped_skin
 from dotsim_ros.baselines.penalty_force import fit_stiffness, penetration_vectors
 from dotsim_ros.baselines.training import check_training, indenter_of
-from dotsim_ros.evaluation.presses import Prediction, Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.presses import Prediction, Press
 
 
 @dataclass(frozen=True)

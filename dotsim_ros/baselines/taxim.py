@@ -35,9 +35,9 @@ from dotsim_ros.baselines.training import (
     measured_surface,
     surface_rms_m,
 )
-from dotsim_ros.evaluation.presses import Prediction, Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.presses import Prediction, Press
 
 FloatArray = NDArray[np.float64]
 

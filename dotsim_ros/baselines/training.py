@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from dotsim_ros.evaluation.presses import Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
+from dotsim_ros.measured.presses import Press
 
 FloatArray = NDArray[np.float64]
 

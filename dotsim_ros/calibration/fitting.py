@@ -23,16 +23,16 @@ from dotsim_ros.calibration.loss import (
     nearest_partners,
     residuals,
 )
-from dotsim_ros.calibration.observation import Observation
 from dotsim_ros.calibration.parameters import (
     GelValues,
     Parameter,
     coordinates,
     with_coordinates,
 )
-from dotsim_ros.calibration.simulation import GelSimulator, Simulated, SolveError
-from dotsim_ros.evaluation.presses import Press
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.check import Observation
+from dotsim_ros.measured.presses import Press
+from dotsim_ros.twin.simulator import GelSimulator, Simulated, SolveError
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.gel.material import bulk_modulus_pa, shear_modulus_pa, small_strain_moduli_pa
-from dotsim_ros.geometry.specification import MaterialSpecification, SensorSpecification
 from dotsim_ros.sensor import law_of
+from dotsim_ros.specification import MaterialSpecification, SensorSpecification
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
 from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, Noise
-from dotsim_ros.calibration.observation import Observation, Omission, read_observations
 from dotsim_ros.calibration.parameters import (
     GelValues,
     chosen_parameters,
@@ -20,7 +19,6 @@ from dotsim_ros.calibration.parameters import (
     values_of,
     with_coordinates,
 )
-from dotsim_ros.calibration.simulation import GelSimulator
 from dotsim_ros.calibration.stages import Outcome, Task, Workers, open_workers, task_key
 from dotsim_ros.calibration.statistics import (
     Combination,
@@ -31,13 +29,15 @@ from dotsim_ros.calibration.statistics import (
     median_estimate,
     offset_step,
 )
-from dotsim_ros.evaluation.geometry import FrameScore, score_press
-from dotsim_ros.evaluation.presses import Prediction
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.geometry.specification import SensorSpecification
+from dotsim_ros.measured.check import Observation, Omission, read_observations
 from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.presses import Prediction
 from dotsim_ros.measured.trajectory import Topics
+from dotsim_ros.metrics.presses import FrameScore, score_press
 from dotsim_ros.sensor import skin_of
+from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.simulator import GelSimulator
 
 Array = NDArray[np.float64]
 

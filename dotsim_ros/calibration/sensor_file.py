@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
+from dotsim_ros.specification import SensorSpecification, load_sensor
 
 
 def write_sensor(path: Path, specification: SensorSpecification, comment: str) -> None:

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.calibration.camera_model import CameraModel
-    from dotsim_ros.geometry.specification import SensorSpecification
+    from dotsim_ros.calibration.camera.model import CameraModel
     from dotsim_ros.measured.data_set import DataSet
-    from dotsim_ros.optics.frames import FilmedData
+    from dotsim_ros.specification import SensorSpecification
+    from dotsim_ros.twin.footage import FilmedData
 
 HELD_OUT_COUNT = 9
 MARK = "camera: "
@@ -72,22 +72,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Fit, judge, write the files, and print the figures."""
-    from dotsim_ros.calibration.camera_fit import fit_camera
-    from dotsim_ros.calibration.camera_model import LENS, POSITION, CameraModel, read_lights
-    from dotsim_ros.calibration.camera_report import (
+    from dotsim_ros.calibration.camera.fit import fit_camera
+    from dotsim_ros.calibration.camera.model import LENS, POSITION, CameraModel, read_lights
+    from dotsim_ros.calibration.camera.report import (
         draw_sheet,
         fit_figures,
         summary_lines,
     )
-    from dotsim_ros.calibration.camera_score import score_frames
-    from dotsim_ros.evaluation.provenance import provenance, write_json
+    from dotsim_ros.calibration.camera.score import score_frames
+    from dotsim_ros.files import write_image
     from dotsim_ros.geometry.camera import FisheyeCamera
-    from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.trajectory import Topics
-    from dotsim_ros.optics.frames import read_filmed_data, with_measured_skin
+    from dotsim_ros.provenance import provenance, write_json
     from dotsim_ros.sensor import given_path
-    from dotsim_ros.view.files import write_image
+    from dotsim_ros.specification import load_sensor
+    from dotsim_ros.twin.footage import read_filmed_data, with_measured_skin
 
     out: Path = arguments.out
     if out.suffix not in (".yaml", ".yml"):
@@ -148,7 +148,7 @@ def split(data_set: DataSet, arguments: argparse.Namespace) -> tuple[list[str], 
     Raises:
         ValueError: no images, an unknown trajectory or indenter, or nothing left to fit on.
     """
-    from dotsim_ros.evaluation.split import hold_out_of_protocols
+    from dotsim_ros.measured.split import hold_out_of_protocols
 
     indenter_of = {entry.name: entry.indenter for entry in data_set.entries if entry.has_images}
     if not indenter_of:
@@ -198,12 +198,12 @@ def _write_sensor(
 
     import yaml
 
-    from dotsim_ros.calibration.camera_model import camera_section, describe_lights
+    from dotsim_ros.calibration.camera.model import camera_section, describe_lights
     from dotsim_ros.calibration.sensor_file import read_comment, write_sensor
     from dotsim_ros.evaluation.table import write_text
-    from dotsim_ros.geometry.specification import sensor_path
+    from dotsim_ros.files import write_image
     from dotsim_ros.resources import parameter_path
-    from dotsim_ros.view.files import write_image
+    from dotsim_ros.specification import sensor_path
 
     out = arguments.out.resolve()
     parameters = parameter_path("sensors").resolve().parent

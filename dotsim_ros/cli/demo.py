@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
-    from dotsim_ros.nodes.processes import NodeProcess
+    from dotsim_ros.nodes.common.processes import NodeProcess
     from dotsim_ros.view.bag import ViewRequest, view_bag
     from dotsim_ros.view.timeline import ViewTopics
 

@@ -34,17 +34,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
-    from dotsim_ros.evaluation.loop_bag import read_loop_bag
-    from dotsim_ros.evaluation.provenance import provenance, write_json
     from dotsim_ros.evaluation.table import write_text
-    from dotsim_ros.evaluation.trajectory import judge, told, trial_start
-    from dotsim_ros.evaluation.trajectory_page import path_picture, trial_report
-    from dotsim_ros.nodes.closed_loop import ClosedLoop, LoopSetup, policy_name
-    from dotsim_ros.nodes.policy_files import policy_folder
-    from dotsim_ros.tasks.paths import DomeContact, reference_path
-    from dotsim_ros.tasks.policy_card import read_policy
-    from dotsim_ros.view.files import whole_file
-    from dotsim_ros.view.page import as_html, as_markdown
+    from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
+    from dotsim_ros.evaluation.trajectory.page import path_picture, trial_report
+    from dotsim_ros.evaluation.trajectory.trials import judge, told, trial_start
+    from dotsim_ros.files import whole_file
+    from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
+    from dotsim_ros.nodes.tactile_policy.files import policy_folder
+    from dotsim_ros.page import as_html, as_markdown
+    from dotsim_ros.provenance import provenance, write_json
+    from dotsim_ros.tasks.policy.card import read_policy
+    from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)

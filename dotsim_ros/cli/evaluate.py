@@ -198,8 +198,8 @@ def _write(
     origin: dict[str, str],
     page_of: Callable[[dict[str, Any]], str],
 ) -> int:
-    from dotsim_ros.evaluation.provenance import provenance, write_json
     from dotsim_ros.evaluation.table import write_text
+    from dotsim_ros.provenance import provenance, write_json
 
     figures["provenance"] = provenance() | {"data": arguments.data.name} | origin
     page = page_of(figures)
@@ -211,22 +211,22 @@ def _write(
 
 
 def _geometry(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.kept_rows import (
-        check_judged_alike,
-        read_geometry,
-        with_kept_rows,
-        with_origin,
-    )
-    from dotsim_ros.evaluation.provenance import provenance
-    from dotsim_ros.evaluation.registry import factory_of
-    from dotsim_ros.evaluation.report import (
+    from dotsim_ros.evaluation.geometry.registry import factory_of
+    from dotsim_ros.evaluation.geometry.report import (
         definitions,
         evaluate_geometry,
         geometry_page,
         read_measured,
         splits_of,
     )
+    from dotsim_ros.evaluation.kept_rows import (
+        check_judged_alike,
+        read_geometry,
+        with_kept_rows,
+        with_origin,
+    )
     from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.provenance import provenance
 
     before = read_geometry(arguments.out / "geometry.json") if arguments.keep else None
     factories = {
@@ -268,30 +268,30 @@ def _geometry(arguments: argparse.Namespace) -> int:
 
 
 def _optics(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.geometry.registry import sensor_file
     from dotsim_ros.evaluation.kept_rows import (
         check_judged_alike,
         read_optics,
         with_kept_image_rows,
     )
-    from dotsim_ros.evaluation.optical_split import WAYS
-    from dotsim_ros.evaluation.optics import ceilings, splits_of
-    from dotsim_ros.evaluation.optics_models import FitSettings
-    from dotsim_ros.evaluation.optics_report import (
+    from dotsim_ros.evaluation.optics.judge import ceilings, splits_of
+    from dotsim_ros.evaluation.optics.models import FitSettings
+    from dotsim_ros.evaluation.optics.report import (
         definitions,
         evaluate_optics,
         joined,
         optics_page,
     )
-    from dotsim_ros.evaluation.optics_rows import RowMaker
-    from dotsim_ros.evaluation.optics_sheet import known_sheets, write_sheets
-    from dotsim_ros.evaluation.optics_source import clipped_presses, refined_data
-    from dotsim_ros.evaluation.provenance import provenance
-    from dotsim_ros.evaluation.registry import sensor_file
-    from dotsim_ros.gel.refinement import cache_directory
-    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.evaluation.optics.rows import RowMaker
+    from dotsim_ros.evaluation.optics.sheet import known_sheets, write_sheets
+    from dotsim_ros.evaluation.optics.source import clipped_presses, refined_data
+    from dotsim_ros.evaluation.optics.split import WAYS
+    from dotsim_ros.gel.implicit.refinement import cache_directory
     from dotsim_ros.measured.data_set import read_data_set
-    from dotsim_ros.optics.frames import camera_for, lights_of, read_filmed_data, render_filmed
     from dotsim_ros.optics.idle_check import read_idle_images
+    from dotsim_ros.provenance import provenance
+    from dotsim_ros.specification import load_sensor
+    from dotsim_ros.twin.footage import camera_for, lights_of, read_filmed_data, render_filmed
 
     settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
     data_set = read_data_set(arguments.data)
@@ -344,9 +344,9 @@ def _optics(arguments: argparse.Namespace) -> int:
 
 
 def _gelsight(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.gelsight import evaluate_gelsight, gelsight_page
-    from dotsim_ros.evaluation.optics_models import FitSettings
-    from dotsim_ros.gel.refinement import cache_directory
+    from dotsim_ros.evaluation.optics.gelsight import evaluate_gelsight, gelsight_page
+    from dotsim_ros.evaluation.optics.models import FitSettings
+    from dotsim_ros.gel.implicit.refinement import cache_directory
 
     settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
     figures = evaluate_gelsight(
@@ -366,16 +366,16 @@ def _gelsight(arguments: argparse.Namespace) -> int:
 
 
 def _gap(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.gap_calibration import calibrated_discrepancy
-    from dotsim_ros.evaluation.gap_page import gap_page
-    from dotsim_ros.evaluation.gap_presses import Source
-    from dotsim_ros.evaluation.gap_study import run_study
-    from dotsim_ros.gap.covariance import save_discrepancy
-    from dotsim_ros.gap.progress import PrintedProgress
-    from dotsim_ros.gel.refinement import cache_directory
-    from dotsim_ros.geometry.specification import load_sensor
-    from dotsim_ros.hidden.laws import LAWS
+    from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
+    from dotsim_ros.evaluation.gap.hidden.laws import LAWS
+    from dotsim_ros.evaluation.gap.page import gap_page
+    from dotsim_ros.evaluation.gap.presses import Source
+    from dotsim_ros.evaluation.gap.study import run_study
+    from dotsim_ros.gap.presses.covariance import save_discrepancy
+    from dotsim_ros.gel.implicit.refinement import cache_directory
     from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.progress import PrintedProgress
+    from dotsim_ros.specification import load_sensor
 
     sensor = load_sensor(arguments.sensor)
     run = arguments.run or cache_directory() / "gap"
@@ -401,14 +401,14 @@ def _gap(arguments: argparse.Namespace) -> int:
 
 
 def _real_pair(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.real_pair import (
+    from dotsim_ros.evaluation.optics.real_pair import (
         evaluate_real_pair,
         read_real_pair,
         real_pair_page,
     )
-    from dotsim_ros.geometry.specification import load_sensor
     from dotsim_ros.optics.idle import read_description
     from dotsim_ros.resources import parameter_path
+    from dotsim_ros.specification import load_sensor
 
     description = parameter_path("images/densetact_real_idle.yaml")
     disc, lighting, vignetting = read_description(description)
@@ -426,10 +426,10 @@ def _real_pair(arguments: argparse.Namespace) -> int:
 
 
 def _runtime(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.report import read_measured, splits_of
-    from dotsim_ros.evaluation.runtime import runtime_page, runtime_rows
-    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.evaluation.geometry.report import read_measured, splits_of
+    from dotsim_ros.evaluation.geometry.runtime import runtime_page, runtime_rows
     from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.specification import load_sensor
 
     measured = read_measured(read_data_set(arguments.data))
     names = arguments.presses
@@ -454,20 +454,20 @@ def _runtime(arguments: argparse.Namespace) -> int:
 
 
 def _trajectory(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.provenance import provenance, write_json
     from dotsim_ros.evaluation.table import write_text
-    from dotsim_ros.evaluation.trajectory import (
+    from dotsim_ros.evaluation.trajectory.page import trajectory_page, write_grid
+    from dotsim_ros.evaluation.trajectory.trials import (
         TrialPlan,
         limits_shown,
         run_trials,
         setting_of,
         trajectory_figures,
     )
-    from dotsim_ros.evaluation.trajectory_page import trajectory_page, write_grid
-    from dotsim_ros.gel.refinement import cache_directory
-    from dotsim_ros.nodes.policy_files import policy_folder
-    from dotsim_ros.nodes.trials import TrialLoop
-    from dotsim_ros.tasks.policy_card import read_policy
+    from dotsim_ros.gel.implicit.refinement import cache_directory
+    from dotsim_ros.nodes.loop.trials import TrialLoop
+    from dotsim_ros.nodes.tactile_policy.files import policy_folder
+    from dotsim_ros.provenance import provenance, write_json
+    from dotsim_ros.tasks.policy.card import read_policy
 
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dotsim_ros.gap.findings import Findings
-    from dotsim_ros.gap.search_state import Request
+    from dotsim_ros.gap.presses.search_state import Request
 
 CHANNELS = ("skin", "force", "image")
 
@@ -61,14 +61,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the report, print the answer."""
-    from dotsim_ros.evaluation.provenance import write_json
     from dotsim_ros.gap.findings import Findings, Verdict, as_record
-    from dotsim_ros.gap.report import write_findings
+    from dotsim_ros.gap.report.write import write_findings
+    from dotsim_ros.provenance import write_json
 
     if arguments.demo == (arguments.measured is not None):
         raise ValueError("name a data set with --measured, or ask for --demo")
     if arguments.demo:
-        from dotsim_ros.evaluation.gap_demo import run_demo
+        from dotsim_ros.evaluation.gap.demo import run_demo
 
         return run_demo(arguments.out, seed=arguments.seed, workers=arguments.workers)
     if arguments.fit_optical_noise is not None:
@@ -90,9 +90,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def search(arguments: argparse.Namespace) -> Findings:
     """Return the findings of a search, its report written."""
-    from dotsim_ros.gap.optical_find import find_gap_with_pictures
-    from dotsim_ros.gap.progress import PrintedProgress
-    from dotsim_ros.gap.report import write_findings
+    from dotsim_ros.gap.find import find_gap_with_pictures
+    from dotsim_ros.gap.report.write import write_findings
+    from dotsim_ros.progress import PrintedProgress
 
     request = request_of(arguments)
     findings, overlay = find_gap_with_pictures(request, PrintedProgress())
@@ -102,9 +102,9 @@ def search(arguments: argparse.Namespace) -> Findings:
 
 def fit_optical_noise(arguments: argparse.Namespace) -> None:
     """Learn what the images of a data set show in which nothing is wrong; write it."""
-    from dotsim_ros.gap.optical_find import fit_noise_of_pictures
-    from dotsim_ros.gap.optical_null import save_optical_null
-    from dotsim_ros.gap.progress import PrintedProgress
+    from dotsim_ros.gap.find import fit_noise_of_pictures
+    from dotsim_ros.gap.images.null import save_optical_null
+    from dotsim_ros.progress import PrintedProgress
 
     null = fit_noise_of_pictures(request_of(arguments), PrintedProgress())
     save_optical_null(null, arguments.fit_optical_noise)
@@ -113,9 +113,9 @@ def fit_optical_noise(arguments: argparse.Namespace) -> None:
 
 def request_of(arguments: argparse.Namespace) -> Request:
     """Return what is searched, and how."""
-    from dotsim_ros.gap.optical_find import channels_of
-    from dotsim_ros.gap.search_state import Request
-    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.gap.find import channels_of
+    from dotsim_ros.gap.presses.search_state import Request
+    from dotsim_ros.specification import load_sensor
 
     return Request(
         measured=arguments.measured,

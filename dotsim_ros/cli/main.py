@@ -15,13 +15,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 FAILED = 1
+_NOT_VERBS = ("executables", "main")
 
 
 def verbs() -> dict[str, str]:
     """Return the summary of each verb, by name, without importing any."""
     found = {}
     for path in sorted(Path(__file__).parent.glob("[!_]*.py")):
-        if path.stem == "main":
+        if path.stem in _NOT_VERBS:
             continue
         help_text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
         found[path.stem.replace("_", "-")] = help_text.partition("\n")[0]

@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, and print the matrix."""
-    from dotsim_ros.evaluation.provenance import write_json
     from dotsim_ros.gap.plan import plan, plan_lines
-    from dotsim_ros.gap.search_state import Request
-    from dotsim_ros.geometry.specification import load_sensor
+    from dotsim_ros.gap.presses.search_state import Request
+    from dotsim_ros.provenance import write_json
+    from dotsim_ros.specification import load_sensor
 
     request = Request(
         measured=arguments.protocols,

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.optics.learning.training import Progress
+    from dotsim_ros.learning.training import Progress
 
 NETWORKS = ("ours", "paper", "paper_direct", "unet")
 
@@ -69,8 +69,8 @@ def split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ..
     Raises:
         ValueError: an unknown trajectory or indenter, or nothing left to train on.
     """
-    from dotsim_ros.evaluation.split import HELD_OUT_COUNT, hold_out_of_protocols
     from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.measured.split import HELD_OUT_COUNT, hold_out_of_protocols
 
     entries = [entry for entry in read_data_set(arguments.data).entries if entry.has_images]
     indenter_of = {entry.name: entry.indenter for entry in entries}
@@ -102,14 +102,14 @@ def split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ..
 def run(arguments: argparse.Namespace) -> int:
     """Train, write the files, and print the figures."""
     try:
-        from dotsim_ros.optics.learning.run import SENSOR, Request, train_optics
+        from dotsim_ros.learning.run import SENSOR, Request, train_optics
     except ModuleNotFoundError as error:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
     from dotsim_ros.calibration.sensor_file import read_comment
-    from dotsim_ros.evaluation.provenance import write_json
-    from dotsim_ros.geometry.specification import load_sensor, sensor_path
+    from dotsim_ros.provenance import write_json
+    from dotsim_ros.specification import load_sensor, sensor_path
 
     sensor_file = arguments.sensor_out or arguments.out / SENSOR
     if sensor_file.suffix not in (".yaml", ".yml"):

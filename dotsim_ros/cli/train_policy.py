@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.tasks.policy_training import Progress
+    from dotsim_ros.tasks.policy.training import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,12 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train, write the files, and print the figures."""
     try:
-        from dotsim_ros.tasks.policy_training import Recipe, train_policy
+        from dotsim_ros.tasks.policy.training import Recipe, train_policy
     except ModuleNotFoundError as error:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
-    from dotsim_ros.evaluation.provenance import write_json
+    from dotsim_ros.provenance import write_json
 
     report = train_policy(
         arguments.data,

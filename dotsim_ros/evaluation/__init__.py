@@ -1,0 +1,1 @@
+"""The published comparisons, run by command."""

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from dotsim_ros.geometry.pose import Pose
 
 if TYPE_CHECKING:
-    from dotsim_ros.geometry.specification import CameraSpecification
+    from dotsim_ros.specification import CameraSpecification
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

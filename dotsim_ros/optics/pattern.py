@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.optics.idle import ByteImage, read_description
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
+from dotsim_ros.specification import load_sensor
 
 FloatArray = NDArray[np.float64]
 

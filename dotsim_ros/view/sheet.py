@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from dotsim_ros.files import whole_file
 from dotsim_ros.view.figure import FAINT, INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.files import whole_file
 from dotsim_ros.view.pictures import Pictures
 from dotsim_ros.view.timeline import Forces, Moment
 

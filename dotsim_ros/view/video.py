@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from dotsim_ros.files import whole_file
 from dotsim_ros.view.figure import INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.files import whole_file
 from dotsim_ros.view.pictures import Picture, Pictures
 from dotsim_ros.view.timeline import Forces, Moment
 

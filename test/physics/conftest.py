@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from gel_cases import FRICTIONLESS, YOUNGS_PA, pad_gel, pad_skin
 
-from dotsim_ros.gel.implicit import ImplicitGel
+from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.gel.body import Dome, Pad
-from dotsim_ros.gel.implicit import GelState, ImplicitGel
+from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.material import (
     ElasticLaw,
     Material,
@@ -21,7 +21,7 @@ from dotsim_ros.gel.material import (
 from dotsim_ros.geometry.indenter import Indenter, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
-from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecification
+from dotsim_ros.specification import ContactSpecification, SolverSpecification
 
 FloatArray = NDArray[np.float64]
 

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.adjoint import trajectory_gradient
+from dotsim_ros.gel.adjoint.backward import trajectory_gradient
+from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
+from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
+from dotsim_ros.gel.adjoint.recorder import Recorder
+from dotsim_ros.gel.adjoint.refinement_rate import poisson_rate
 from dotsim_ros.gel.body import Body, Dome, Pad
-from dotsim_ros.gel.differentiable_contact import MarkerContact
 from dotsim_ros.gel.discretization import discretize
-from dotsim_ros.gel.gradient import Gradient, LossGradient
-from dotsim_ros.gel.implicit import ImplicitGel
+from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.material import (
     ElasticLaw,
     Material,
@@ -24,13 +26,11 @@ from dotsim_ros.gel.material import (
     PronySeries,
     Yeoh,
 )
-from dotsim_ros.gel.refinement_rate import poisson_rate
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
-from dotsim_ros.gel.trajectory import Recorder
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind, cone, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
-from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecification
+from dotsim_ros.specification import ContactSpecification, SolverSpecification
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,6 @@ from dotsim_ros.calibration.fitting import (
     linearise,
 )
 from dotsim_ros.calibration.loss import CHAMFER, POINTS, SKIN, Noise, force_deviation_n
-from dotsim_ros.calibration.observation import Observation
 from dotsim_ros.calibration.parameters import (
     GelValues,
     chosen_parameters,
@@ -29,22 +28,17 @@ from dotsim_ros.calibration.parameters import (
     values_of,
 )
 from dotsim_ros.calibration.sensor_file import write_sensor
-from dotsim_ros.calibration.simulation import GelSimulator, offset_pose
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.presses import Press
-from dotsim_ros.gel.adjoint import trajectory_gradient
-from dotsim_ros.gel.gradient import LossGradient
-from dotsim_ros.gel.implicit import ImplicitGel
-from dotsim_ros.gel.trajectory import Recorder
+from dotsim_ros.gel.adjoint.backward import trajectory_gradient
+from dotsim_ros.gel.adjoint.gradient import LossGradient
+from dotsim_ros.gel.adjoint.recorder import Recorder
+from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import (
-    SensorSpecification,
-    SolverSpecification,
-    load_sensor,
-)
+from dotsim_ros.measured.check import Observation
+from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.trajectory import (
     PoseChannel,
     SkinChannel,
@@ -53,6 +47,12 @@ from dotsim_ros.measured.trajectory import (
     write_trajectory,
 )
 from dotsim_ros.sensor import body_of, material_of
+from dotsim_ros.specification import (
+    SensorSpecification,
+    SolverSpecification,
+    load_sensor,
+)
+from dotsim_ros.twin.simulator import GelSimulator, offset_pose
 
 Array = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.calibration.camera_fit import fit_camera, rim_circle
-from dotsim_ros.calibration.camera_model import (
+from dotsim_ros.calibration.camera.fit import fit_camera, rim_circle
+from dotsim_ros.calibration.camera.model import (
     LENS,
     LIGHTS,
     CameraModel,
@@ -14,14 +14,14 @@ from dotsim_ros.calibration.camera_model import (
     camera_section,
     moved,
 )
-from dotsim_ros.calibration.camera_score import score_frames, summarize_frames
+from dotsim_ros.calibration.camera.score import score_frames, summarize_frames
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.optics.frames import FilmedData, FilmedPress
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
 RADIUS_M = 0.01575
 STATED_LIGHTS = RingLights(

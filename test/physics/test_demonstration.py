@@ -8,9 +8,9 @@ import pytest
 from dotsim_ros.cli.main import main
 from dotsim_ros.geometry.indenter import box, load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.resources import parameter_path
-from dotsim_ros.tasks.demonstration import (
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.tasks.policy.demonstration import (
     CARD,
     DEPTHS_M,
     Demonstrator,
@@ -21,10 +21,10 @@ from dotsim_ros.tasks.demonstration import (
     motion_of,
     read_episode,
 )
-from dotsim_ros.tasks.paths import PATHS, DomeContact, reference_path
-from dotsim_ros.tasks.policy_examples import moved_picture, moved_position
-from dotsim_ros.tasks.policy_network import load_policy
-from dotsim_ros.tasks.rollout import follow
+from dotsim_ros.tasks.policy.examples import moved_picture, moved_position
+from dotsim_ros.tasks.policy.network import load_policy
+from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
+from dotsim_ros.tasks.policy.rollout import follow
 
 SENSOR = load_sensor("densetact2")
 BALL = load_indenter("sphere_4mm")
@@ -129,7 +129,7 @@ def test_the_shipped_policy_follows_its_path_by_touch(name):
 def test_turning_a_picture_is_turning_the_sensor():
     """What training takes for granted: the turned picture is what the turned place gives."""
     from dotsim_ros.sensor import TactileSensor
-    from dotsim_ros.tasks.policy_images import PolicyView
+    from dotsim_ros.tasks.policy.images import PolicyView
 
     sensor = TactileSensor(SENSOR, indenter=BALL)
     view = PolicyView(side_px=48)

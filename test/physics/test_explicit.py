@@ -14,7 +14,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from dotsim_ros.gel.body import Dome
-from dotsim_ros.gel.explicit import (
+from dotsim_ros.gel.explicit.gel import (
     DivergenceError,
     ExplicitGel,
     ExplicitSettings,

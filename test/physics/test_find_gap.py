@@ -13,15 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dotsim_ros.effects.overlay import Overlay
+from dotsim_ros.evaluation.gap.hidden.laws import LAWS
+from dotsim_ros.evaluation.gap.hidden.reality import Truth
+from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
 from dotsim_ros.gap.findings import Findings, Verdict
-from dotsim_ros.gap.overlay import Overlay
-from dotsim_ros.gap.search import find_gap
-from dotsim_ros.gap.search_state import Request
+from dotsim_ros.gap.presses.search import find_gap
+from dotsim_ros.gap.presses.search_state import Request
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.hidden.laws import LAWS
-from dotsim_ros.hidden.reality import Truth
-from dotsim_ros.hidden.unit import measure_unit
+from dotsim_ros.specification import load_sensor
 
 PROTOCOLS = ("hold_0", "slide_0")
 CANDIDATES = ("force_drift", "mullins_softening", "permanent_set")

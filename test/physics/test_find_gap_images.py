@@ -19,21 +19,21 @@ import pytest
 import yaml
 
 from dotsim_ros.calibration.parameters import values_of
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.overlay import Overlay, active_effects
+from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, Takes
+from dotsim_ros.evaluation.gap.hidden.reality import Truth
+from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
+from dotsim_ros.gap.find import find_gap_with_pictures
 from dotsim_ros.gap.findings import Findings, Verdict
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.optical_find import find_gap_with_pictures
-from dotsim_ros.gap.optical_model import Film, PictureModel
-from dotsim_ros.gap.optical_pictures import Pictures, read_pictures
-from dotsim_ros.gap.overlay import Overlay, active_effects
-from dotsim_ros.gap.search_state import Request
-from dotsim_ros.gap.simulate import open_solver, request_of
+from dotsim_ros.gap.images.model import Film, PictureModel
+from dotsim_ros.gap.images.reading import Pictures, read_pictures
+from dotsim_ros.gap.presses.search_state import Request
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
-from dotsim_ros.hidden.pictures import LAWS, Takes
-from dotsim_ros.hidden.reality import Truth
-from dotsim_ros.hidden.unit import measure_unit
 from dotsim_ros.measured.trajectory import ImageChannel, read_trajectory, write_trajectory
 from dotsim_ros.sensor import skin_of
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.twin.solver import open_solver, request_of
 
 PROTOCOLS = ("hold_0", "slide_0")
 SKIN_SPACING_M = 2.0e-3

@@ -20,11 +20,11 @@ from gel_cases import (
 )
 
 from dotsim_ros.gel.body import Pad
-from dotsim_ros.gel.implicit import GelState, ImplicitGel
+from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.material import Material
 from dotsim_ros.geometry.indenter import Indenter, box_edge, flat_punch, sphere
 from dotsim_ros.geometry.skin_mesh import flat_pad_skin
-from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecification
+from dotsim_ros.specification import ContactSpecification, SolverSpecification
 
 HERTZ_RADIUS_M = 20.0e-3
 

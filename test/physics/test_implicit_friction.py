@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from gel_cases import YOUNGS_PA, FloatArray, at, dome_gel, one, pad_gel, pressed
 
-from dotsim_ros.gel.implicit import GelState, ImplicitGel
+from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.geometry.indenter import Indenter, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import ContactSpecification
+from dotsim_ros.specification import ContactSpecification
 
 DEPTH_M = 0.5e-3
 SHEAR_MODULUS_PA = YOUNGS_PA / 2.0 / 1.45

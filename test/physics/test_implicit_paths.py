@@ -18,7 +18,7 @@ from gel_cases import (
     towards_centre,
 )
 
-from dotsim_ros.gel.implicit import FORGOTTEN_N, GelState, ImplicitGel, PressTooDeepError
+from dotsim_ros.gel.implicit.gel import FORGOTTEN_N, GelState, ImplicitGel, PressTooDeepError
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.geometry.indenter import (
     Indenter,
@@ -29,7 +29,7 @@ from dotsim_ros.geometry.indenter import (
     torus,
 )
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import ContactSpecification
+from dotsim_ros.specification import ContactSpecification
 
 BALL = sphere(4.0e-3)
 FRICTION = ContactSpecification(friction_coefficient=0.5)

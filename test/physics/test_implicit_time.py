@@ -20,12 +20,12 @@ from gel_cases import (
 from dotsim_ros.gel.body import Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
-from dotsim_ros.gel.implicit import ImplicitGel
+from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.implicit.relaxation import Relaxation
 from dotsim_ros.gel.material import Material, NeoHookean, PronySeries
-from dotsim_ros.gel.relaxation import Relaxation
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.skin_mesh import flat_pad_skin
-from dotsim_ros.geometry.specification import ContactSpecification, SolverSpecification
+from dotsim_ros.specification import ContactSpecification, SolverSpecification
 
 DENSITY_KG_M3 = 1070.0
 PRONY = PronySeries((0.2, 0.3), (0.05, 1.0))

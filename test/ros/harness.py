@@ -144,7 +144,7 @@ def spin_in_background(node: Node, executor: Executor | None = None) -> threadin
 
 @contextmanager
 def running(
-    module: str = "dotsim_ros.nodes.tactile_sim",
+    module: str = "dotsim_ros.nodes.tactile_sim.node",
     *,
     ready: str = "ready:",
     parameters: Mapping[str, Any] | None = None,

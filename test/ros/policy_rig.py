@@ -25,7 +25,7 @@ import msg_adapters
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 
-MODULE = "dotsim_ros.nodes.tactile_policy"
+MODULE = "dotsim_ros.nodes.tactile_policy.node"
 HEIGHT, WIDTH = 120, 160
 FOLLOWED = (0.004, 0.0, 0.001, 0.0, 0.0, 0.02)
 """What the network commands, but for 1e-5 of it."""
@@ -54,9 +54,9 @@ def write_network(folder: Path) -> Path:
     import torch
     from torch import Tensor, nn
 
-    from dotsim_ros.tasks.policy_card import FORMAT, PolicyCard
-    from dotsim_ros.tasks.policy_images import CHANNEL_COUNT, fingerprint
-    from dotsim_ros.tasks.policy_network import save_policy
+    from dotsim_ros.tasks.policy.card import FORMAT, PolicyCard
+    from dotsim_ros.tasks.policy.images import CHANNEL_COUNT, fingerprint
+    from dotsim_ros.tasks.policy.network import save_policy
 
     class Steady(nn.Module):
         def __init__(self) -> None:

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 import msg_adapters
-from dotsim_ros.evaluation.loop_bag import read_loop_bag
-from dotsim_ros.evaluation.trajectory import judge, trial_start
-from dotsim_ros.nodes.closed_loop import SENSOR, ClosedLoop, LoopSetup
-from dotsim_ros.tasks.loop_recording import LoopRecording
-from dotsim_ros.tasks.paths import reference_path
+from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
+from dotsim_ros.evaluation.trajectory.trials import judge, trial_start
+from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup
+from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.policy.paths import reference_path
 
 PATH = "figure_eight"
 SECONDS = 6.0
@@ -111,7 +111,7 @@ def test_feedback_that_is_dropped_stops_the_arm(
 def test_a_trial_that_the_policy_refuses_is_recorded_as_such(
     loop: ClosedLoop, led: tuple[LoopRecording, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("dotsim_ros.nodes.closed_loop.ENABLE_TIMEOUT_S", 1.0)
+    monkeypatch.setattr("dotsim_ros.nodes.loop.closed_loop.ENABLE_TIMEOUT_S", 1.0)
     path = reference_path(PATH, loop.contact)
     loop.set_arm(fail_drop_feedback=True)
     try:

@@ -10,8 +10,8 @@ import pytest
 from harness import APEX_M, LockstepPress, TactileFrame, running, sensor
 
 import msg_adapters
+from dotsim_ros.effects.overlay import FoundEffect, Overlay, write_overlay
 from dotsim_ros.gap.findings import Estimate
-from dotsim_ros.gap.overlay import FoundEffect, Overlay, write_overlay
 
 PARAMETERS = {"clock": "lockstep", "diagnostics_period_s": 0.1}
 SLIDE = ((0.0, 1.2), (0.3, 1.2), (0.6, 1.2), (0.9, 1.2), (1.2, 1.2))
@@ -132,7 +132,7 @@ def test_an_effect_of_ones_own_is_found_in_its_folder(tmp_path: Path) -> None:
     folder.mkdir()
     (folder / "pull.py").write_text(
         "from dataclasses import replace\n"
-        "from dotsim_ros.gap.effect import FORCE, Effect, EffectParameter\n"
+        "from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter\n"
         "EFFECT = Effect(\n"
         "    name='pull', title='A constant pull', channels=(FORCE,), protocol='any',\n"
         "    parameters=(EffectParameter('force_n', 'N', 0.0, 0.0, 9.0, (1.0,)),),\n"

@@ -191,8 +191,8 @@ def test_a_signal_in_the_middle_of_a_slide_ends_it_with_status_0(count: int) -> 
 BREAKS = """
 import sys
 from threading import current_thread
-from dotsim_ros.nodes import tactile_sim
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.tactile_sim import node as tactile_sim
+from dotsim_ros.nodes.common.spin import run_node
 
 class BreakingSensor(tactile_sim.TactileSensor):
     def {method}(self, *arguments):

@@ -11,10 +11,10 @@ from harness import LockstepPress, TactileFrame, running, sensor
 
 from dotsim_ros.calibration.sensor_file import write_sensor
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
-from dotsim_ros.optics.network_card import FORMAT, NetworkCard, camera_hash
+from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.resources import parameter_path
+from dotsim_ros.specification import load_sensor
 
 PLAIN = load_sensor("densetact2")
 
@@ -23,8 +23,8 @@ PLAIN = load_sensor("densetact2")
 def sensor_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the file of a sensor with a network of random weights."""
     torch = pytest.importorskip("torch", reason="making a network needs the extra 'learning'")
-    from dotsim_ros.optics.learning.export import write_network
-    from dotsim_ros.optics.learning.networks import make_network
+    from dotsim_ros.learning.export import write_network
+    from dotsim_ros.learning.networks import make_network
 
     directory = tmp_path_factory.mktemp("network")
     torch.manual_seed(2)

@@ -10,7 +10,7 @@ import pytest
 SLOW_TO_START = """
 import sys, time
 from rclpy.node import Node
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.common.spin import run_node
 
 class Slow(Node):
     def __init__(self):
@@ -24,7 +24,7 @@ sys.exit(run_node(Slow))
 SLOW_TO_STOP = """
 import sys, time
 from rclpy.node import Node
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.common.spin import run_node
 
 class Slow(Node):
     def __init__(self):
@@ -45,7 +45,7 @@ sys.exit(run_node(Slow))
 
 SLOW_TO_BEGIN = """
 import sys, threading, time
-from dotsim_ros.nodes.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 
 class Slow(WorkingNode):
     def __init__(self):
@@ -72,7 +72,7 @@ ENDS_ITSELF = """
 import sys
 from rclpy.node import Node
 from rclpy.utilities import try_shutdown
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.common.spin import run_node
 
 class Short(Node):
     def __init__(self):
@@ -86,7 +86,7 @@ sys.exit(run_node(Short))
 BREAKS = """
 import sys
 from rclpy.node import Node
-from dotsim_ros.nodes.spin import run_node
+from dotsim_ros.nodes.common.spin import run_node
 
 class Wrong(Node):
     def __init__(self):

@@ -8,7 +8,7 @@ from harness import APEX_M, Executable, running, sensor
 
 import msg_adapters
 
-MODULE = "dotsim_ros.nodes.tactile_sim"
+MODULE = "dotsim_ros.nodes.tactile_sim.node"
 
 
 @pytest.mark.parametrize("count", [1, 2])

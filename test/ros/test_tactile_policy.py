@@ -246,9 +246,9 @@ def test_without_resuming_a_cut_stream_needs_somebody(network: Path) -> None:
 
 SLOW_POLICY = """
 import time
-from dotsim_ros.nodes import tactile_policy
-from dotsim_ros.nodes.spin import run_node
-from dotsim_ros.tasks.policy_network import load_policy
+from dotsim_ros.nodes.tactile_policy import node as tactile_policy
+from dotsim_ros.nodes.common.spin import run_node
+from dotsim_ros.tasks.policy.network import load_policy
 
 def load_slow(folder, path):
     policy = load_policy(folder, path)

@@ -41,7 +41,7 @@ def loop(
     remap = ("-r", "~/cmd_vel:=cmd_vel")
     with (
         running() as sensor,
-        running("dotsim_ros.nodes.xarm_sim"),
+        running("dotsim_ros.nodes.xarm_sim.node"),
         running(MODULE, parameters=parameters, arguments=remap) as policy,
         observer() as seen,
     ):

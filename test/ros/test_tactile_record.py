@@ -15,7 +15,7 @@ import msg_adapters
 from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
 
-MODULE = "dotsim_ros.nodes.tactile_record"
+MODULE = "dotsim_ros.nodes.tactile_record.node"
 KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 TOPICS = {
     "image_raw": Image,

@@ -31,7 +31,7 @@ from scipy.spatial.transform import Rotation
 
 import msg_adapters
 
-MODULE = "dotsim_ros.nodes.xarm_adapter"
+MODULE = "dotsim_ros.nodes.xarm_adapter.node"
 TYPE_HASHES = {
     "msg/RobotMsg": "RIHS01_fdb17c24941fbbe2773b899604de978780d6c9f72bda695f87bb1dce26b9cd49",
     "srv/MoveVelocity": "RIHS01_ffce29aa93365d67add3e542c1ac7c2e9967b98d3242bed14c430861519ec499",

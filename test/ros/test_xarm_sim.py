@@ -17,9 +17,9 @@ import msg_adapters
 pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
 
 from dotsim_ros.geometry.pose import Pose, compose, inverse
-from dotsim_ros.tasks.arm_kinematics import JOINT_NAMES, ArmKinematics
+from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
 
-MODULE = "dotsim_ros.nodes.xarm_sim"
+MODULE = "dotsim_ros.nodes.xarm_sim.node"
 START_M = np.array([0.35, 0.0, 0.3])
 INDENTER = Pose(np.array([0.35, 0.0, 0.28]), np.array([1.0, 0.0, 0.0, 0.0]))
 PERIOD_S = 0.01

@@ -8,11 +8,11 @@ import numpy as np
 
 from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
 from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, Noise
-from dotsim_ros.calibration.observation import Omission
 from dotsim_ros.calibration.parameters import chosen_parameters, values_of, with_coordinates
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate, median_estimate
-from dotsim_ros.geometry.specification import SensorSpecification
+from dotsim_ros.measured.check import Omission
+from dotsim_ros.specification import SensorSpecification
 
 NAMES = ("E", "nu", "friction")
 SENSITIVITY = {SKIN: np.array([0.0, 3.0, 2.0]), FORCE: np.array([20.0, 2.0, 5.0])}

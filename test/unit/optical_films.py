@@ -5,9 +5,9 @@ from functools import cache
 import cv2
 import numpy as np
 
-from dotsim_ros.gap.optical_model import Film
-from dotsim_ros.gap.tile_noise import Correlation, TileNoise, contact_change
-from dotsim_ros.gap.tiles import NAMES, TileMeter, tile_grid
+from dotsim_ros.gap.images.model import Film
+from dotsim_ros.gap.images.tile_noise import Correlation, TileNoise, contact_change
+from dotsim_ros.gap.images.tiles import NAMES, TileMeter, tile_grid
 
 HEIGHT, WIDTH = 60, 80
 FRAMES = 4

@@ -6,13 +6,13 @@ import numpy as np
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.optics.frames import OpticalData, OpticalPress, Rest
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.resources import parameter_path
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
 
 RADIUS_M = 0.01575
 HIDDEN = Lighting(ambient_fraction=0.4, exponent=1.5)

@@ -6,14 +6,14 @@ import pytest
 pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
 
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.tasks.arm import (
+from dotsim_ros.tasks.arm.kinematics import ArmKinematics
+from dotsim_ros.tasks.arm.simulated import (
     STEP_S,
     ArmFaults,
     ArmLimits,
     ArmResponse,
     SimulatedArm,
 )
-from dotsim_ros.tasks.arm_kinematics import ArmKinematics
 
 START_S = 1000.0
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])

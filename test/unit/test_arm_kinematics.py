@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
 
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.tasks.arm_kinematics import (
+from dotsim_ros.tasks.arm.kinematics import (
     COMFORTABLE_JOINTS_RAD,
     JOINT_NAMES,
     XARM7,

@@ -19,10 +19,10 @@ from dotsim_ros.baselines.difftactile import (
     stiffness_at_rest,
 )
 from dotsim_ros.baselines.tetrahedra import TetrahedralMesh, attach_skin, dome_shell, edge_matrices
-from dotsim_ros.evaluation.presses import Press
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.measured.presses import Press
 
 RADIUS_M = 0.01575
 SHELL = Shell(0.006, 5.0e-3, 2)

@@ -8,10 +8,10 @@ import pytest
 from dotsim_ros.baselines import tacto
 from dotsim_ros.baselines.clipping import clip_depths, clipped_skin
 from dotsim_ros.baselines.penalty_force import penetration_vectors
-from dotsim_ros.evaluation.presses import Press
 from dotsim_ros.geometry.indenter import Indenter, box, cone, flat_punch, sphere, torus
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.measured.presses import Press
 
 RADIUS_M = 0.01575
 TURNED = np.array([np.sin(0.2), 0.0, 0.0, np.cos(0.2)])

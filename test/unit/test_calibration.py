@@ -21,7 +21,6 @@ from dotsim_ros.calibration.parameters import (
     with_coordinates,
 )
 from dotsim_ros.calibration.sensor_file import write_sensor
-from dotsim_ros.calibration.simulation import Simulated, offset_pose
 from dotsim_ros.calibration.statistics import (
     identifiability,
     joint_estimate,
@@ -29,10 +28,11 @@ from dotsim_ros.calibration.statistics import (
     median_estimate,
     offset_step,
 )
-from dotsim_ros.evaluation.presses import Press
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import SensorSpecification, load_sensor
+from dotsim_ros.measured.presses import Press
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.twin.simulator import Simulated, offset_pose
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from calibration_result import calibration
 
 from dotsim_ros.calibration.report import figures, page_of, write_report
-from dotsim_ros.view.page import as_markdown, pictures_of
+from dotsim_ros.page import as_markdown, pictures_of
 
 
 def test_the_page_needs_nothing_beside_it(tmp_path: Path) -> None:

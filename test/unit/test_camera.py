@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.specification import load_sensor
 
 HALF = np.sqrt(0.5)
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
-from dotsim_ros.tasks.command import (
+from dotsim_ros.tasks.arm.command import (
     ANGULAR,
     LINEAR,
     CommandInterpolator,

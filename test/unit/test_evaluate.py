@@ -14,9 +14,30 @@ from numpy.typing import NDArray
 
 from dotsim_ros.baselines import taxim
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation import geometry
-from dotsim_ros.evaluation.explicit import ExplicitModel
-from dotsim_ros.evaluation.geometry import (
+from dotsim_ros.evaluation.geometry.explicit import ExplicitModel
+from dotsim_ros.evaluation.geometry.registry import factory_of, sensor_for
+from dotsim_ros.evaluation.geometry.report import read_measured
+from dotsim_ros.evaluation.geometry.runtime import Effort, model_of
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
+from dotsim_ros.measured.presses import Prediction, Press, press_of, read_press
+from dotsim_ros.measured.split import (
+    Split,
+    hold_out,
+    hold_out_of_protocols,
+    leave_one_indenter_out,
+)
+from dotsim_ros.measured.trajectory import (
+    PoseChannel,
+    SkinChannel,
+    Trajectory,
+    WrenchChannel,
+    write_trajectory,
+)
+from dotsim_ros.metrics import presses as geometry
+from dotsim_ros.metrics.presses import (
     FrameScore,
     by_indenter,
     contact_region,
@@ -27,29 +48,8 @@ from dotsim_ros.evaluation.geometry import (
     summarize,
     tip_depth_m,
 )
-from dotsim_ros.evaluation.ours import steps
-from dotsim_ros.evaluation.presses import Prediction, Press, press_of, read_press
-from dotsim_ros.evaluation.registry import factory_of, sensor_for
-from dotsim_ros.evaluation.report import read_measured
-from dotsim_ros.evaluation.runtime import Effort, model_of
-from dotsim_ros.evaluation.split import (
-    Split,
-    hold_out,
-    hold_out_of_protocols,
-    leave_one_indenter_out,
-)
-from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.geometry.specification import MaterialSpecification, SensorSpecification
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
-from dotsim_ros.measured.trajectory import (
-    PoseChannel,
-    SkinChannel,
-    Trajectory,
-    WrenchChannel,
-    write_trajectory,
-)
+from dotsim_ros.specification import MaterialSpecification, SensorSpecification
+from dotsim_ros.twin.model import steps
 
 FloatArray = NDArray[np.float64]
 

@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from dotsim_ros.cli.evaluate import IMAGE_MODELS
 from dotsim_ros.cli.evaluate import LEVELS as COMMAND_LEVELS
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation import optics_rows
-from dotsim_ros.evaluation.image_metrics import LARGEST_PSNR_DB
-from dotsim_ros.evaluation.optical_split import LEVELS, OpticalSplit
-from dotsim_ros.evaluation.optics import (
+from dotsim_ros.evaluation.optics import rows as optics_rows
+from dotsim_ros.evaluation.optics.judge import (
     Carried,
     Idle,
     ceilings,
@@ -30,12 +28,14 @@ from dotsim_ros.evaluation.optics import (
     summarize,
     with_frames,
 )
-from dotsim_ros.evaluation.optics_models import NAMES, FitSettings, code_digest, factory_of
-from dotsim_ros.evaluation.optics_report import evaluate_optics, optics_page, shown_frames
-from dotsim_ros.evaluation.optics_rows import RowMaker
-from dotsim_ros.evaluation.optics_sheet import write_sheets
+from dotsim_ros.evaluation.optics.models import NAMES, FitSettings, code_digest, factory_of
+from dotsim_ros.evaluation.optics.report import evaluate_optics, optics_page, shown_frames
+from dotsim_ros.evaluation.optics.rows import RowMaker
+from dotsim_ros.evaluation.optics.sheet import write_sheets
+from dotsim_ros.evaluation.optics.split import LEVELS, OpticalSplit
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.frames import OpticalData, OpticalPress, Rest
+from dotsim_ros.metrics.images import LARGEST_PSNR_DB
+from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
 
 SIZE = (24, 32)
 DEPTHS_M = np.array([-0.0001, 0.001, 0.0021, 0.0032])

@@ -12,9 +12,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import msg_adapters
-from dotsim_ros.evaluation.loop_bag import read_loop_bag
-from dotsim_ros.evaluation.provenance import provenance
-from dotsim_ros.evaluation.trajectory import (
+from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
+from dotsim_ros.evaluation.trajectory.page import (
+    drawn_places,
+    path_picture,
+    trajectory_page,
+    trial_report,
+    write_grid,
+)
+from dotsim_ros.evaluation.trajectory.trials import (
     SETTINGS,
     Setting,
     TrialPlan,
@@ -27,21 +33,15 @@ from dotsim_ros.evaluation.trajectory import (
     trajectory_figures,
     trial_start,
 )
-from dotsim_ros.evaluation.trajectory_page import (
-    drawn_places,
-    path_picture,
-    trajectory_page,
-    trial_report,
-    write_grid,
-)
 from dotsim_ros.geometry.pose import Pose, compose, inverse
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.measured.bag import BAG_TYPES, BagFile
+from dotsim_ros.page import as_markdown
+from dotsim_ros.provenance import provenance
 from dotsim_ros.resources import parameter_path
-from dotsim_ros.tasks.loop_recording import LoopPlaces, LoopRecording
-from dotsim_ros.tasks.paths import PATHS, DomeContact, reference_path
-from dotsim_ros.tasks.safety import SafetyLimits
-from dotsim_ros.view.page import as_markdown
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.tasks.policy.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
+from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 PLACES = LoopPlaces(Pose(np.array([0.35, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0])))
 START_S = 1000.0

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.nodes.framing import Framing, encoded_pixels
+from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
 
 CAMERA = FisheyeCamera(640, 480, 160.0, np.array([310.0, 250.0]))
 WHOLE = {"crop_px": (0, 0, 0, 0), "image_size_px": (0, 0)}

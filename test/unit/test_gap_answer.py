@@ -8,15 +8,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from dotsim_ros.gap.answer import Answer, answer_of, null_gains, screen, sizes_by_channel
-from dotsim_ros.gap.assumptions import SHARED, Nuisance
-from dotsim_ros.gap.covariance import Discrepancy, Noise, Whitening
-from dotsim_ros.gap.effect import FORCE, SKIN, Effect, EffectParameter
-from dotsim_ros.gap.evidence import Case, Trajectory, Variant
+from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.observables import PATCH_COUNT, SIZE
-from dotsim_ros.gap.search_state import Request, Search
-from dotsim_ros.gap.wording import sentence
+from dotsim_ros.gap.presses.answer import Answer, answer_of, null_gains, screen, sizes_by_channel
+from dotsim_ros.gap.presses.assumptions import SHARED, Nuisance
+from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, Whitening
+from dotsim_ros.gap.presses.evidence import Case, Trajectory, Variant
+from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
+from dotsim_ros.gap.presses.search_state import Request, Search
+from dotsim_ros.gap.report.wording import sentence
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dotsim_ros.gap.assumptions import SHARED, Nuisance, centred
-from dotsim_ros.gap.certainty import CHI_SQUARE, profile_ends
-from dotsim_ros.gap.covariance import Whitening
+from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter
 from dotsim_ros.gap.decision import HEAVIER, limit_factor, threshold_of
-from dotsim_ros.gap.effect import FORCE, Effect, EffectParameter
-from dotsim_ros.gap.evidence import Case, Segment, Trajectory, Variant
-from dotsim_ros.gap.inference import (
+from dotsim_ros.gap.presses.assumptions import SHARED, Nuisance, centred
+from dotsim_ros.gap.presses.certainty import CHI_SQUARE, profile_ends
+from dotsim_ros.gap.presses.covariance import Whitening
+from dotsim_ros.gap.presses.evidence import Case, Segment, Trajectory, Variant
+from dotsim_ros.gap.presses.inference import (
     Evidence,
     cosines,
     draw_null,
@@ -20,7 +20,7 @@ from dotsim_ros.gap.inference import (
     lengths,
     log_evidence,
 )
-from dotsim_ros.gap.screening import Screen, best_trial
+from dotsim_ros.gap.presses.screening import Screen, best_trial
 
 TRAJECTORIES, EACH = 6, 80
 

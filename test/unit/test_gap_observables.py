@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dotsim_ros.evaluation.presses import Press
-from dotsim_ros.gap.observables import (
+from dotsim_ros.gap.presses.observables import (
     PATCH_COUNT,
     SIZE,
     observe,
     places_of,
     regions_of_observables,
 )
-from dotsim_ros.gap.patterns import LEANING, patterns
-from dotsim_ros.gap.recording import Phase, Recording, phases_of
+from dotsim_ros.gap.presses.patterns import LEANING, patterns
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.recording import Phase, Recording, phases_of
 
 APEX_M = 0.01575
 

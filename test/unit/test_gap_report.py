@@ -15,16 +15,16 @@ import pytest
 from gap_findings import EXAMPLES, named, no_gap, of_set, places, unknown
 from PIL import Image
 
-from dotsim_ros.gap.effect import Active, Response, response_filters
+from dotsim_ros.effects.effect import Active, Response, response_filters
+from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.findings import Findings, Place, Verdict, as_record, findings_of
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.report import write_report
-from dotsim_ros.gap.report_effects import effects_table
-from dotsim_ros.gap.report_figures import heatmap
-from dotsim_ros.gap.report_places import by_phase, by_trajectory
-from dotsim_ros.gap.report_sections import page_of
+from dotsim_ros.gap.report.effects import effects_table
+from dotsim_ros.gap.report.figures import heatmap
+from dotsim_ros.gap.report.places import by_phase, by_trajectory
+from dotsim_ros.gap.report.sections import page_of
+from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.view.page import (
+from dotsim_ros.page import (
     Bullets,
     Page,
     Section,

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dotsim_ros.evaluation.gap_baselines import Left
-from dotsim_ros.evaluation.gap_page import gap_page
-from dotsim_ros.evaluation.gap_presses import CLOSE, further_sizes, halves
-from dotsim_ros.evaluation.gap_same_law import SameLaw, same_law_figures
-from dotsim_ros.evaluation.gap_study import StudyCase, figures
-from dotsim_ros.gap.evidence import Variant
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.evaluation.gap.baselines import Left
+from dotsim_ros.evaluation.gap.page import gap_page
+from dotsim_ros.evaluation.gap.presses import CLOSE, further_sizes, halves
+from dotsim_ros.evaluation.gap.same_law import SameLaw, same_law_figures
+from dotsim_ros.evaluation.gap.study import StudyCase, figures
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.library import load_effects
+from dotsim_ros.gap.presses.evidence import Variant
 
 NAMES = [f"{kind}_{k}" for kind in ("1_sphere", "2_cone") for k in range(4)]
 

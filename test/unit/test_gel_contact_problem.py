@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.contact import Contact, ContactHistory, Lag, fresh_history
-from dotsim_ros.gel.contact_problem import (
+from dotsim_ros.gel.implicit.contact import Contact, ContactHistory, Lag, fresh_history
+from dotsim_ros.gel.implicit.contact_problem import (
     Answers,
     ContactSolution,
     by_component,
@@ -17,7 +17,7 @@ from dotsim_ros.gel.contact_problem import (
 )
 from dotsim_ros.geometry.indenter import Indenter, box_edge, sphere, torus
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import ContactSpecification
+from dotsim_ros.specification import ContactSpecification
 
 Array = NDArray[np.float64]
 RADIUS_M = 4.0e-3

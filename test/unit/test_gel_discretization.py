@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from dotsim_ros.gel.body import QUARTER_TURNS_AND_MIRRORS, Body, Dome, Pad, fibonacci_hemisphere
 from dotsim_ros.gel.discretization import Discretization, discretize, spline_weights
 from dotsim_ros.gel.elasticity import ElasticBody
+from dotsim_ros.gel.implicit.refinement import Refinement, knot_insertion, refine
+from dotsim_ros.gel.implicit.tangent import LocalTangent
 from dotsim_ros.gel.material import NeoHookean
-from dotsim_ros.gel.refinement import Refinement, knot_insertion, refine
-from dotsim_ros.gel.tangent import LocalTangent
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 
 FloatArray = NDArray[np.float64]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dotsim_ros.gel.implicit.relaxation import Relaxation
 from dotsim_ros.gel.material import (
     MooneyRivlin,
     NeoHookean,
@@ -16,8 +17,7 @@ from dotsim_ros.gel.material import (
     shear_modulus_pa,
     small_strain_moduli_pa,
 )
-from dotsim_ros.gel.relaxation import Relaxation
-from dotsim_ros.geometry.specification import (
+from dotsim_ros.specification import (
     ContactSpecification,
     SensorSpecification,
     load_sensor,

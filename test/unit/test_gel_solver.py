@@ -7,17 +7,17 @@ import pytest
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
-from dotsim_ros.gel.block_solver import BlockCholesky
 from dotsim_ros.gel.body import Dome, Pad
 from dotsim_ros.gel.discretization import Discretization, discretize
 from dotsim_ros.gel.elasticity import ElasticBody
-from dotsim_ros.gel.material import NeoHookean
-from dotsim_ros.gel.tangent import (
+from dotsim_ros.gel.implicit.block_solver import BlockCholesky
+from dotsim_ros.gel.implicit.tangent import (
     ExactTangent,
     LocalTangent,
     factor_shifted,
     inverse_of_positive,
 )
+from dotsim_ros.gel.material import NeoHookean
 
 LAW = NeoHookean(1.0e5, 0.45)
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from dotsim_ros.cli.evaluate import BALL_MODELS
-from dotsim_ros.evaluation.gelsight import (
+from dotsim_ros.evaluation.optics.gelsight import (
     BALL_RADIUS_M,
     MODELS,
     PIXELS_PER_METRE,
@@ -27,8 +27,8 @@ from dotsim_ros.evaluation.gelsight import (
     press_profiles,
     read_ball_presses,
 )
-from dotsim_ros.geometry.specification import GelSpecification, SolverSpecification
 from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.specification import GelSpecification, SolverSpecification
 
 SIZE = (80, 60)
 COARSE = replace(

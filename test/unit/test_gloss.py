@@ -6,10 +6,10 @@ import warp as wp
 import yaml
 
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.optics.idle import read_description
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, PointLight
+from dotsim_ros.specification import load_sensor
 
 LED = PointLight((0.009, 0.0, 0.0005), (1.0, 0.5, 0.0))
 

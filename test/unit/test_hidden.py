@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import dotsim_ros.hidden
+import dotsim_ros.evaluation.gap.hidden
 from dotsim_ros.calibration.parameters import values_of
-from dotsim_ros.gap.library import load_effects
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Answer, Motion
+from dotsim_ros.evaluation.gap.hidden.reality import Truth, draw_truth, library_names
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.hidden.laws import LAWS, Answer, Motion
-from dotsim_ros.hidden.reality import Truth, draw_truth, library_names
+from dotsim_ros.specification import load_sensor
 
-FILES = sorted(Path(dotsim_ros.hidden.__path__[0]).glob("*.py"))
+FILES = sorted(Path(dotsim_ros.evaluation.gap.hidden.__path__[0]).glob("*.py"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

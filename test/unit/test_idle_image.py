@@ -9,9 +9,9 @@ import pytest
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Wrench
 from dotsim_ros.geometry.skin_mesh import vertex_normals
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.optics.idle import LitDisc
 from dotsim_ros.sensor import GelFrame, TactileSensor
+from dotsim_ros.specification import load_sensor
 
 
 @pytest.fixture(scope="module")

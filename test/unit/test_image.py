@@ -8,7 +8,6 @@ import pytest
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.optics import kernels
 from dotsim_ros.optics.idle import LitDisc, fit_idle_image, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
@@ -16,6 +15,7 @@ from dotsim_ros.optics.lighting import Lighting, PointLight, Vignetting
 from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.resources import parameter_path
+from dotsim_ros.specification import load_sensor
 
 RADIUS_M = 0.01575
 UNCHANGING = Lighting(ambient_fraction=1e9)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.image_metrics import (
+from dotsim_ros.metrics.images import (
     LARGEST_PSNR_DB,
     psnr_db,
     score_image,

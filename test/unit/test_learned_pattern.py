@@ -6,16 +6,16 @@ import cv2
 import numpy as np
 import pytest
 
+from dotsim_ros.files import write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.optics.frames import FilmedData, FilmedPress, render_filmed
+from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.optics.idle import check_fine, fine_path, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer, double_resolution
-from dotsim_ros.optics.learned_pattern import with_learned_pattern
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.view.files import write_image
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.twin.footage import FilmedData, FilmedPress, render_filmed
 
 RADIUS_M = 0.01575
 NOISE_LEVELS = 3.0

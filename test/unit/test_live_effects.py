@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.gap.effect import Active
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.live import specification_with_effects, wrench_with_force
+from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.live import specification_with_effects, wrench_with_force
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.geometry.specification import MaterialSpecification, load_sensor
-from dotsim_ros.nodes.ingest import Fault
-from dotsim_ros.nodes.motion import Motion
-from dotsim_ros.nodes.session import SensorSession
+from dotsim_ros.nodes.common.ingest import Fault
+from dotsim_ros.nodes.tactile_sim.motion import Motion
+from dotsim_ros.nodes.tactile_sim.session import SensorSession
 from dotsim_ros.sensor import TactileSensor
+from dotsim_ros.specification import MaterialSpecification, load_sensor
 
 APEX_M = 0.01575
 STEP_NS = 40_000_000

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from dotsim_ros.calibration.parameters import GelValues
-from dotsim_ros.evaluation.presses import Press
-from dotsim_ros.gap.effect import Active, Effect, GelTerm, Response, gel_with
-from dotsim_ros.gap.effects.adhesion import ClingingContact
-from dotsim_ros.gap.effects.poroelastic_relaxation import contact_radius_m
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.recording import Recording, phases_of
+from dotsim_ros.effects.builtin.adhesion import ClingingContact
+from dotsim_ros.effects.builtin.poroelastic_relaxation import contact_radius_m
+from dotsim_ros.effects.effect import Active, Effect, GelTerm, Response, gel_with
+from dotsim_ros.effects.library import load_effects
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.recording import Recording, phases_of
 
 APEX_M = 15.75e-3
 LIBRARY = load_effects()

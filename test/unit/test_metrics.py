@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.metrics import (
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
+from dotsim_ros.metrics.surfaces import (
     SAMPLE_COUNT,
     along_surface,
     cloud_distances,
@@ -18,7 +19,6 @@ from dotsim_ros.evaluation.metrics import (
     surface_distance,
     weighted_rms,
 )
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 
 FloatArray = NDArray[np.float64]
 

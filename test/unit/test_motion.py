@@ -17,7 +17,6 @@ from dotsim_ros.measured.motion import (
     reversed_motion,
     rotation_angle,
 )
-from dotsim_ros.measured.presses import DOME_CENTRE_MM, read_presses
 from dotsim_ros.measured.scripted import (
     Site,
     in_sequence,
@@ -27,6 +26,7 @@ from dotsim_ros.measured.scripted import (
     turned,
     twist,
 )
+from dotsim_ros.measured.shipped_presses import DOME_CENTRE_MM, read_presses
 from dotsim_ros.resources import parameter_path
 
 RADIUS_M = 0.01575

@@ -5,8 +5,14 @@ import pytest
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
-from dotsim_ros.nodes.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
-from dotsim_ros.nodes.motion import Motion, MotionGate, NewestMotion, Velocity, velocity_axes
+from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.motion import (
+    Motion,
+    MotionGate,
+    NewestMotion,
+    Velocity,
+    velocity_axes,
+)
 
 SECOND = 1_000_000_000
 

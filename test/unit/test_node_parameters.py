@@ -5,8 +5,8 @@ import dataclasses
 import pytest
 import yaml
 
-from dotsim_ros.nodes.options import option_of
-from dotsim_ros.nodes.tactile_parameters import TactileSimParameters
+from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.resources import parameter_path
 
 

@@ -17,8 +17,8 @@ from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.motion import pose_along
-from dotsim_ros.optics.frames import OpticalPress, Rest
 from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.twin.footage import OpticalPress, Rest
 
 FloatArray = NDArray[np.float64]
 

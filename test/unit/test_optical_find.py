@@ -24,6 +24,8 @@ from optical_films import (
     vignetted,
 )
 
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.gap.find import channels_of, combined
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
@@ -34,16 +36,14 @@ from dotsim_ros.gap.findings import (
     as_record,
     findings_of,
 )
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.optical_case import OpticalCase, Shot
-from dotsim_ros.gap.optical_find import channels_of, combined
-from dotsim_ros.gap.optical_fit import PictureSearch, mean_squares, without_effects
-from dotsim_ros.gap.optical_null import fit_optical_null, load_optical_null, save_optical_null
-from dotsim_ros.gap.optical_pictures import check_same_unit, pattern_likeness
-from dotsim_ros.gap.optical_search import signatures_of
-from dotsim_ros.gap.report_sections import page_of
-from dotsim_ros.gap.wording import optical_sentence
-from dotsim_ros.view.page import as_markdown
+from dotsim_ros.gap.images.case import OpticalCase, Shot
+from dotsim_ros.gap.images.fit import PictureSearch, mean_squares, without_effects
+from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
+from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
+from dotsim_ros.gap.images.search import signatures_of
+from dotsim_ros.gap.report.sections import page_of
+from dotsim_ros.gap.report.wording import optical_sentence
+from dotsim_ros.page import as_markdown
 
 LIBRARY = load_effects()
 EFFECTS = [LIBRARY[name] for name in CHOSEN]

@@ -9,15 +9,15 @@ import pytest
 import trimesh
 import yaml
 
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.measured.trajectory import ImageChannel, PoseChannel, Trajectory, write_trajectory
-from dotsim_ros.optics.frames import read_filmed_data, read_optical_data, with_measured_skin
 from dotsim_ros.optics.idle_check import (
     check_untouched,
     difference,
     mean_idle_image,
     read_idle_images,
 )
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.twin.footage import read_filmed_data, read_optical_data, with_measured_skin
 
 HEIGHT, WIDTH = 60, 80
 RADIUS_M = 0.01575

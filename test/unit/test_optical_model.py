@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from optical_presses import dented
 
-from dotsim_ros.gap.effect import Active
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.optical_model import PictureModel, resized
-from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.gap.images.model import PictureModel, resized
 from dotsim_ros.sensor import skin_of
+from dotsim_ros.specification import load_sensor
 
 WIDTH, HEIGHT = 80, 60
 STAMP_S = np.array([1.0, 1.1, 1.3])

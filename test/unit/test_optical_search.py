@@ -26,9 +26,9 @@ from optical_films import (
     vignetted,
 )
 
-from dotsim_ros.gap.effect import IMAGE, Effect, EffectParameter
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.optical_search import (
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.gap.images.search import (
     OpticalSearch,
     alike,
     camera_nuisances,
@@ -36,7 +36,7 @@ from dotsim_ros.gap.optical_search import (
     score_optical,
     signatures_of,
 )
-from dotsim_ros.gap.tile_noise import estimate_noise
+from dotsim_ros.gap.images.tile_noise import estimate_noise
 
 
 @pytest.fixture(scope="module")

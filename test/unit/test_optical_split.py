@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from dotsim_ros.evaluation.optical_split import LEVELS, WAYS, OpticalSplit, optical_splits
+from dotsim_ros.evaluation.optics.split import LEVELS, WAYS, OpticalSplit, optical_splits
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,15 @@ from optical_presses import film
 torch = pytest.importorskip("torch", reason="training needs the extra 'learning'")
 pytest.importorskip("torchvision", reason="training needs the extra 'learning'")
 
-from dotsim_ros.optics.learning import KINDS, fit_network  # noqa: E402
-from dotsim_ros.optics.learning.examples import make_examples  # noqa: E402
-from dotsim_ros.optics.learning.networks import LocalModel, make_network  # noqa: E402
-from dotsim_ros.optics.learning.preview import write_preview  # noqa: E402
-from dotsim_ros.optics.learning.training import (  # noqa: E402
+from dotsim_ros.learning.examples import make_examples  # noqa: E402
+from dotsim_ros.learning.fitting import fit_network  # noqa: E402
+from dotsim_ros.learning.networks import (  # noqa: E402
+    KINDS,
+    LocalModel,
+    make_network,
+)
+from dotsim_ros.learning.preview import write_preview  # noqa: E402
+from dotsim_ros.learning.training import (  # noqa: E402
     CHECKPOINT,
     RECIPES,
     Progress,

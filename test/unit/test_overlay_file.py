@@ -8,9 +8,8 @@ import pytest
 import yaml
 
 from dotsim_ros import __version__
-from dotsim_ros.gap.findings import Estimate
-from dotsim_ros.gap.library import load_effects
-from dotsim_ros.gap.overlay import (
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.overlay import (
     FoundEffect,
     Overlay,
     active_effects,
@@ -19,6 +18,7 @@ from dotsim_ros.gap.overlay import (
     read_overlay,
     write_overlay,
 )
+from dotsim_ros.gap.findings import Estimate
 
 LIBRARY = load_effects()
 FOUND = Overlay(

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dotsim_ros.nodes.pace import FramePace
+from dotsim_ros.nodes.common.pace import FramePace
 
 
 def run(pace, costs_s):

@@ -18,9 +18,9 @@ import pytest
 import yaml
 
 import dotsim_ros
-from dotsim_ros.nodes.player_parameters import PlayerParameters
-from dotsim_ros.nodes.tactile_parameters import TactileSimParameters
-from dotsim_ros.nodes.tactile_policy_parameters import TactilePolicyParameters
+from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
+from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dotsim_ros", "msg_adapters")

@@ -11,9 +11,7 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
-from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.hidden.path_traced import (
+from dotsim_ros.evaluation.gap.hidden.path_traced import (
     MAP_SIZE,
     Eye,
     Inside,
@@ -24,12 +22,14 @@ from dotsim_ros.hidden.path_traced import (
     map_places,
     open_mitsuba,
 )
-from dotsim_ros.hidden.rendered_laws import LAWS
-from dotsim_ros.hidden.rendered_unit import IDLE_COUNT, Studio, coat_pattern
+from dotsim_ros.evaluation.gap.hidden.rendered_laws import LAWS
+from dotsim_ros.evaluation.gap.hidden.rendered_unit import IDLE_COUNT, Studio, coat_pattern
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.reference.data_set import ReferenceDataSet
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.reference.data_set import ReferenceDataSet
 from dotsim_ros.sensor import skin_of
+from dotsim_ros.specification import load_sensor
 
 SKIN = skin_of(load_sensor("sensor_a").gel)
 REST_M, TRIANGLES = SKIN.rest_position_m, SKIN.triangles
@@ -337,4 +337,4 @@ def test_both_ways_to_render_give_the_same_light(renderer_of):
 def test_hidden_units_are_no_part_of_the_finder():
     folder = Path(__file__).parents[2] / "dotsim_ros" / "gap"
     for path in folder.rglob("*.py"):
-        assert "dotsim_ros.hidden" not in path.read_text(encoding="utf-8"), path
+        assert "dotsim_ros.evaluation.gap.hidden" not in path.read_text(encoding="utf-8"), path

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.tasks.policy_examples import moved_picture, moved_position
-from dotsim_ros.tasks.policy_images import (
+from dotsim_ros.tasks.policy.examples import moved_picture, moved_position
+from dotsim_ros.tasks.policy.images import (
     CHANNEL_COUNT,
     NetworkInput,
     PolicyView,

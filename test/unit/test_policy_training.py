@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.evaluation.provenance import write_json
-from dotsim_ros.tasks.demonstration import (
+from dotsim_ros.provenance import write_json
+from dotsim_ros.tasks.policy.demonstration import (
     CARD,
     Episode,
     episode_file,
@@ -17,9 +17,7 @@ from dotsim_ros.tasks.demonstration import (
     read_episode,
     write_episode,
 )
-from dotsim_ros.tasks.expert import Expert
-from dotsim_ros.tasks.paths import DomeContact, reference_path
-from dotsim_ros.tasks.policy_examples import (
+from dotsim_ros.tasks.policy.examples import (
     LEAST_WEIGHT,
     Examples,
     data_hash,
@@ -27,7 +25,9 @@ from dotsim_ros.tasks.policy_examples import (
     frames_of,
     read_split,
 )
-from dotsim_ros.tasks.policy_network import load_policy
+from dotsim_ros.tasks.policy.expert import Expert
+from dotsim_ros.tasks.policy.network import load_policy
+from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
 torch = pytest.importorskip("torch", reason="training needs the extra learning")
 
@@ -146,7 +146,7 @@ def test_a_new_exposure_changes_both_pictures_alike():
 
 
 def recipe(count: int):
-    from dotsim_ros.tasks.policy_training import Recipe
+    from dotsim_ros.tasks.policy.training import Recipe
 
     return Recipe(example_count=count, batch=8, side_px=SIDE)
 
@@ -158,7 +158,7 @@ def weights_of(training):
 def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
     demonstrations, tmp_path, monkeypatch
 ):
-    from dotsim_ros.tasks import policy_training
+    from dotsim_ros.tasks.policy import training as policy_training
 
     monkeypatch.setattr(policy_training, "ROUND", 16)
     frames = read_split([demonstrations])[0]
@@ -196,7 +196,7 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
 
 
 def test_training_learns_and_writes_a_policy(demonstrations, tmp_path):
-    from dotsim_ros.tasks.policy_training import train_policy
+    from dotsim_ros.tasks.policy.training import train_policy
 
     reported = []
     out = tmp_path / "policy"

@@ -8,7 +8,7 @@ import pytest
 import msg_adapters
 from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE, BagReader, serialized_stamp_ns
 from dotsim_ros.measured.trajectory import Topics, read_trajectory
-from dotsim_ros.nodes.recording import Recording
+from dotsim_ros.nodes.tactile_record.recording import Recording
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 TOPIC = Topics().wrench

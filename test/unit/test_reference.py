@@ -11,41 +11,32 @@ from dotsim_ros.cli.main import main
 from dotsim_ros.gel.material import MooneyRivlin, NeoHookean, Yeoh
 from dotsim_ros.geometry.indenter import load_indenter, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import (
-    ContactSpecification,
-    GelSpecification,
-    load_sensor,
-)
 from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.reference.axisymmetric import (
-    AxisymmetricDeck,
-    AxisymmetricSettings,
-    dome_section,
-)
-from dotsim_ros.measured.reference.data_set import ReferenceDataSet, read_solved_presses
-from dotsim_ros.measured.reference.deck import EARLY_M, Deck, StepControl
-from dotsim_ros.measured.reference.mesh import (
+from dotsim_ros.measured.scripted import Site
+from dotsim_ros.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
+from dotsim_ros.reference.data_set import ReferenceDataSet, read_solved_presses
+from dotsim_ros.reference.deck import EARLY_M, Deck, StepControl
+from dotsim_ros.reference.mesh import (
     Press,
     corner_volumes,
     dome_mesh,
     interpolate_skin,
     pressed_place,
 )
-from dotsim_ros.measured.reference.press import (
+from dotsim_ros.reference.press import (
     ReferencePress,
     ReferenceSettings,
     press_poses,
     reference_deck,
 )
-from dotsim_ros.measured.reference.results import solved_press, stamps_ns
-from dotsim_ros.measured.reference.run import (
-    CalculixError,
-    CalculixMissingError,
-    calculix_path,
-    solve,
+from dotsim_ros.reference.results import solved_press, stamps_ns
+from dotsim_ros.reference.run import CalculixError, CalculixMissingError, calculix_path, solve
+from dotsim_ros.reference.surface import indenter_surface
+from dotsim_ros.specification import (
+    ContactSpecification,
+    GelSpecification,
+    load_sensor,
 )
-from dotsim_ros.measured.reference.surface import indenter_surface
-from dotsim_ros.measured.scripted import Site
 
 OUTER_M, CORE_M = 0.01575, 0.006
 INDENTERS = ("sphere_4mm", "cone", "flat_punch", "lying_cylinder", "torus", "box_edge")

@@ -6,10 +6,10 @@ import pytest
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin, flat_pad_skin
-from dotsim_ros.geometry.specification import load_sensor
 from dotsim_ros.optics import kernels
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.visibility import Visibility
+from dotsim_ros.specification import load_sensor
 
 RADIUS_M = 0.01575
 SPACING_M = 0.5e-3

@@ -14,27 +14,27 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.optics.carded_weights import (
-    CARD_KEY,
-    GRAPH,
-    WEIGHTS,
-    weights_hash,
-    write_weights,
-)
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.network_card import (
+from dotsim_ros.optics.network.card import (
     FINENESS,
     FORMAT,
     NetworkCard,
     camera_hash,
     read_network,
 )
+from dotsim_ros.optics.network.carded_weights import (
+    CARD_KEY,
+    GRAPH,
+    WEIGHTS,
+    weights_hash,
+    write_weights,
+)
+from dotsim_ros.optics.network.completion import ResidualNetwork
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.optics.residual_network import ResidualNetwork
 from dotsim_ros.resources import PACKAGE_ROOT, parameter_path
 from dotsim_ros.sensor import TactileSensor, given_path
+from dotsim_ros.specification import load_sensor
 
 SENSOR = load_sensor("densetact2")
 SIZE = (320, 240)
@@ -71,7 +71,7 @@ def pressed(renderer, dome):
 def random_network(kind):
     torch = pytest.importorskip("torch", reason="making a network needs the extra 'learning'")
     pytest.importorskip("torchvision", reason="making a network needs the extra 'learning'")
-    from dotsim_ros.optics.learning.networks import make_network
+    from dotsim_ros.learning.networks import make_network
 
     torch.manual_seed(1)
     network = make_network(kind).eval()
@@ -82,7 +82,7 @@ def random_network(kind):
 
 
 def write(directory, network, kind, camera, *, size=SIZE, sensor=SENSOR.name):
-    from dotsim_ros.optics.learning.export import write_network
+    from dotsim_ros.learning.export import write_network
 
     card = NetworkCard(FORMAT, kind, sensor, camera_hash(camera), *size, "", "")
     write_network(directory, network, card)
@@ -316,8 +316,8 @@ def test_running_a_network_loads_no_torch(made):
     program = (
         "import sys; from pathlib import Path; import dotsim_ros.sensor; "
         "assert 'onnxruntime' not in sys.modules; "
-        "from dotsim_ros.optics.residual_network import ResidualNetwork; "
-        "from dotsim_ros.geometry.specification import load_sensor; "
+        "from dotsim_ros.optics.network.completion import ResidualNetwork; "
+        "from dotsim_ros.specification import load_sensor; "
         "from dotsim_ros.geometry.camera import FisheyeCamera; "
         "camera = FisheyeCamera.from_specification(load_sensor('densetact2').camera); "
         f"ResidualNetwork(Path({str(made[0])!r}), sensor='densetact2', camera=camera); "

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.gel.explicit import DivergenceError
+from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.specification import load_sensor
-from dotsim_ros.nodes.health import FAULT_MEMORY_S, Condition, FrameCounter, statuses
-from dotsim_ros.nodes.ingest import Fault, FaultLog, RefusedInputError
-from dotsim_ros.nodes.motion import Motion
-from dotsim_ros.nodes.session import SensorSession
+from dotsim_ros.nodes.common.ingest import Fault, FaultLog, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.health import FAULT_MEMORY_S, Condition, FrameCounter, statuses
+from dotsim_ros.nodes.tactile_sim.motion import Motion
+from dotsim_ros.nodes.tactile_sim.session import SensorSession
 from dotsim_ros.sensor import GelFailureError, TactileSensor
+from dotsim_ros.specification import load_sensor
 from msg_adapters import Level
 
 APEX_M = 0.01575

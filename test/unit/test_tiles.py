@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from dotsim_ros.gap.tiles import NAMES, SHARPNESS, SHIFTS, TileMeter, tile_grid
+from dotsim_ros.gap.images.tiles import NAMES, SHARPNESS, SHIFTS, TileMeter, tile_grid
 
 HEIGHT, WIDTH = 120, 160
 LIT = np.hypot(*np.meshgrid(np.arange(WIDTH) - 80.0, np.arange(HEIGHT) - 60.0)) < 58.0

@@ -11,15 +11,15 @@ import pytest
 
 from dotsim_ros.cli import calibrate_camera, train_optics
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.split import hold_out_of_protocols
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.geometry.specification import load_sensor
+from dotsim_ros.learning.untouched import refined_idle, untouched_frames, with_refined_idle
 from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.optics.frames import FilmedData, FilmedPress
-from dotsim_ros.optics.network_card import read_network
-from dotsim_ros.optics.residual_network import ResidualNetwork
-from dotsim_ros.optics.untouched import refined_idle, untouched_frames, with_refined_idle
+from dotsim_ros.measured.split import hold_out_of_protocols
+from dotsim_ros.optics.network.card import read_network
+from dotsim_ros.optics.network.completion import ResidualNetwork
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
 SENSOR_A = Path(__file__).parents[3] / "shared" / "measured" / "sensor_a"
 needs_data = pytest.mark.skipif(not SENSOR_A.is_dir(), reason="the stand-in data set is not here")
@@ -67,7 +67,7 @@ def test_untouched_frames_take_noise_off_the_idle_image():
 
 
 def test_the_command_line_knows_every_network():
-    learning = pytest.importorskip("dotsim_ros.optics.learning", exc_type=ImportError)
+    learning = pytest.importorskip("dotsim_ros.learning.networks", exc_type=ImportError)
     assert sorted(train_optics.NETWORKS) == sorted(learning.KINDS)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 from dotsim_ros.baselines.clipping import clip_depths, clipped_skin
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.optics.frames import OpticalPress
 from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.twin.footage import OpticalPress
 
 
 def clipped_press(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.optics.frames import OpticalPress, Rest
+from dotsim_ros.twin.footage import OpticalPress, Rest
 
 BoolArray = NDArray[np.bool_]
 ByteImage = NDArray[np.uint8]

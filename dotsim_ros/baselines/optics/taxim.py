@@ -29,7 +29,7 @@ from dotsim_ros.baselines.optics.pixels import (
     pixel_grid,
 )
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.frames import OpticalPress, Rest
+from dotsim_ros.twin.footage import OpticalPress, Rest
 
 ByteImage = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]

@@ -1,0 +1,1 @@
+"""Fit of the camera and its lights to measured images."""

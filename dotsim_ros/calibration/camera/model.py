@@ -1,0 +1,335 @@
+"""The camera and its lights as numbers that a fit can change.
+
+A parameter is a step away from a model that is given, in a unit of its own and with a prior
+deviation that says how far a unit is from what its maker states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.optics.idle import read_description
+from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
+from dotsim_ros.specification import CameraSpecification
+
+FloatArray = NDArray[np.float64]
+
+REFERENCE_HEIGHT_PX = 240.0
+"""Image height that parameters in pixels are stated for."""
+
+CENTRE_NAMES = ("centre_x_px", "centre_y_px")
+
+FIRST_GLOSS = 1.0
+"""Where a fit starts that is given a dull coat: without a gloss its exponent has no effect."""
+
+
+@dataclass(frozen=True)
+class RingLights:
+    """LEDs on a ring, the light between the parts of the gel, and the coat's gloss; see `led_ring`
+    and `Lighting` for the fields."""
+
+    radius_m: float = 0.010
+    height_m: float = 0.0005
+    azimuth_deg: tuple[float, float, float] = (60.0, 180.0, -60.0)
+    spread_deg: float = 12.0
+    crosstalk: float = 0.1
+    ambient_fraction: float = 1.0
+    exponent: float = 1.0
+    gloss: float = 0.0
+    gloss_exponent: float = 80.0
+
+    def lighting(self) -> Lighting:
+        """Return the lights of the ring."""
+        return Lighting(
+            led_ring(
+                radius_m=self.radius_m,
+                height_m=self.height_m,
+                azimuth_deg=self.azimuth_deg,
+                spread_deg=self.spread_deg,
+                crosstalk=self.crosstalk,
+            ),
+            ambient_fraction=self.ambient_fraction,
+            exponent=self.exponent,
+            gloss=self.gloss,
+            gloss_exponent=self.gloss_exponent,
+        )
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A camera, at the resolution of the images, with its lights.
+
+    Attributes:
+        camera: place, direction and lens.
+        lights: of the ring.
+        falloff: of the vignetting.
+    """
+
+    camera: FisheyeCamera
+    lights: RingLights
+    falloff: tuple[float, ...] = ()
+
+    @property
+    def vignetting(self) -> Vignetting:
+        """The loss of brightness towards the edge."""
+        return Vignetting(self.falloff)
+
+
+def read_lights(description: Path) -> tuple[RingLights, tuple[float, ...]]:
+    """Return ring and falloff that the file beside an idle image states; defaults without a file.
+
+    Raises:
+        ValueError: it describes no idle image.
+    """
+    if not description.exists():
+        return RingLights(), ()
+    _, _, vignetting = read_description(description)
+    stated: dict[str, Any] = (yaml.safe_load(description.read_text()) or {}).get("lighting", {})
+    values: dict[str, Any] = {
+        name: tuple(map(float, value)) if isinstance(value, list) else float(value)
+        for name, value in stated.items()
+    }
+    return RingLights(**values), vignetting.falloff
+
+
+def describe_lights(model: CameraModel) -> dict[str, dict[str, Any]]:
+    """Return the sections of the file beside an idle image."""
+    lighting = {
+        entry.name: _plain(getattr(model.lights, entry.name)) for entry in fields(RingLights)
+    }
+    sections: dict[str, dict[str, Any]] = {"lighting": lighting}
+    if model.falloff:
+        sections["vignetting"] = {"falloff": _plain(model.falloff)}
+    return sections
+
+
+def _plain(value: float | tuple[float, ...]) -> float | list[float]:
+    return [round(v, 6) for v in value] if isinstance(value, tuple) else round(value, 6)
+
+
+def camera_section(
+    model: CameraModel, stated: CameraSpecification, idle_image: str
+) -> CameraSpecification:
+    """Return the section of a sensor's file, at the size that it states.
+
+    Args:
+        model: the camera at the images' resolution.
+        stated: the section before.
+        idle_image: file of the idle image, as the section names it.
+    """
+    camera = model.camera.scaled(stated.width, stated.height)
+    x, y = (round(float(v), 3) for v in camera.principal_point_px)
+    k1, k2, k3, k4 = (round(float(v), 6) for v in camera.distortion)
+    px, py, pz = (round(float(v), 7) for v in camera.pose.position_m)
+    qx, qy, qz, qw = (round(float(v), 8) for v in camera.pose.quaternion_xyzw)
+    return replace(
+        stated,
+        position_m=(px, py, pz),
+        quaternion_xyzw=(qx, qy, qz, qw),
+        half_height_angle_deg=round(float(np.degrees(0.5 * camera.height / camera.focal_px)), 5),
+        principal_point_px=(x, y),
+        distortion=(k1, k2, k3, k4),
+        idle_image=idle_image,
+        # A network that was trained with the camera before would be refused.
+        residual="",
+    )
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One number of the model.
+
+    Attributes:
+        name: how reports call it.
+        step: change that differences are taken with, and the unit of the fit.
+        prior: standard deviation around the model that is given.
+        moved: returns a model with the number moved by an amount.
+        value: returns the number, as reports show it.
+    """
+
+    name: str
+    step: float
+    prior: float
+    moved: Callable[[CameraModel, float], CameraModel]
+    value: Callable[[CameraModel], float]
+
+
+def moved(model: CameraModel, parameters: Sequence[Parameter], steps: FloatArray) -> CameraModel:
+    """Return a model with parameters (P,) moved by so many of their steps."""
+    for parameter, count in zip(parameters, steps.tolist(), strict=True):
+        model = parameter.moved(model, count * parameter.step)
+    return model
+
+
+def _with_camera(model: CameraModel, **changes: Any) -> CameraModel:
+    return replace(model, camera=replace(model.camera, **changes))
+
+
+def _centre(axis: int) -> Parameter:
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        centre = np.array(model.camera.principal_point_px)
+        centre[axis] += amount * model.camera.height / REFERENCE_HEIGHT_PX
+        return _with_camera(model, principal_point_px=centre)
+
+    # A few pixels, as makers state.
+    return Parameter(
+        CENTRE_NAMES[axis],
+        0.25,
+        3.0,
+        move,
+        lambda model: float(model.camera.principal_point_px[axis]),
+    )
+
+
+def _turned(model: CameraModel, axis: int, angle_rad: float) -> CameraModel:
+    """Return the model turned about an axis of its own optical frame."""
+    half = np.zeros(3)
+    half[axis] = np.sin(0.5 * angle_rad)
+    x, y, z = half
+    w = np.cos(0.5 * angle_rad)
+    ax, ay, az, aw = model.camera.pose.quaternion_xyzw
+    product = np.array(
+        [
+            aw * x + ax * w + ay * z - az * y,
+            aw * y - ax * z + ay * w + az * x,
+            aw * z + ax * y - ay * x + az * w,
+            aw * w - ax * x - ay * y - az * z,
+        ]
+    )
+    pose = Pose(model.camera.pose.position_m, product / np.linalg.norm(product))
+    return _with_camera(model, pose=pose)
+
+
+def _turn(name: str, axis: int, prior_rad: float) -> Parameter:
+    return Parameter(
+        name,
+        0.004,
+        prior_rad,
+        lambda model, amount: _turned(model, axis, amount),
+        lambda model: 2.0 * float(model.camera.pose.quaternion_xyzw[axis]),
+    )
+
+
+def _place(axis: int) -> Parameter:
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        place = np.array(model.camera.pose.position_m)
+        place[axis] += amount
+        return _with_camera(model, pose=Pose(place, model.camera.pose.quaternion_xyzw))
+
+    return Parameter(
+        f"position_{'xyz'[axis]}_m",
+        0.1e-3,
+        0.2e-3,
+        move,
+        lambda model: float(model.camera.pose.position_m[axis]),
+    )
+
+
+def _radial(order: int, prior: float) -> Parameter:
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        distortion = np.array(model.camera.distortion)
+        distortion[order] += amount
+        return _with_camera(model, distortion=distortion)
+
+    return Parameter(
+        f"k{order + 1}", 0.004, prior, move, lambda model: float(model.camera.distortion[order])
+    )
+
+
+LENS = (
+    _centre(0),
+    _centre(1),
+    Parameter(
+        "focal_px",
+        0.003,
+        0.01,
+        lambda model, amount: _with_camera(
+            model, focal_px=model.camera.focal_px * float(np.exp(amount))
+        ),
+        lambda model: model.camera.focal_px,
+    ),
+    _radial(0, 0.03),
+    _turn("tilt_x_rad", 0, 0.02),
+    _turn("tilt_y_rad", 1, 0.02),
+    _turn("roll_rad", 2, 0.005),
+)
+"""Where the camera looks, and how; the focal length moves by its logarithm."""
+
+POSITION = (_place(0), _place(1), _place(2))
+"""Where the camera stands, which a few presses hardly tell."""
+
+
+def _light(name: str, step: float, prior: float, *, least: float = -np.inf) -> Parameter:
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        value = max(getattr(model.lights, name) + amount, least)
+        return replace(model, lights=replace(model.lights, **{name: value}))
+
+    return Parameter(name, step, prior, move, lambda model: float(getattr(model.lights, name)))
+
+
+def _light_factor(name: str, prior: float) -> Parameter:
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        value = getattr(model.lights, name) * float(np.exp(amount))
+        return replace(model, lights=replace(model.lights, **{name: value}))
+
+    return Parameter(name, 0.1, prior, move, lambda model: float(getattr(model.lights, name)))
+
+
+def _azimuth(colour: int) -> Parameter:
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        azimuth = list(model.lights.azimuth_deg)
+        azimuth[colour] += amount
+        red, green, blue = azimuth
+        return replace(model, lights=replace(model.lights, azimuth_deg=(red, green, blue)))
+
+    return Parameter(
+        f"azimuth_{('red', 'green', 'blue')[colour]}_deg",
+        2.0,
+        10.0,
+        move,
+        lambda model: model.lights.azimuth_deg[colour],
+    )
+
+
+def _falloff() -> Parameter:
+    def move(model: CameraModel, amount: float) -> CameraModel:
+        first, *others = model.falloff or (0.0,)
+        # A lens loses light towards the edge, and not all of it within the image.
+        return replace(model, falloff=(float(np.clip(first + amount, -0.6, 0.0)), *others))
+
+    return Parameter(
+        "falloff", 0.05, 0.2, move, lambda model: model.falloff[0] if model.falloff else 0.0
+    )
+
+
+LIGHTS = (
+    _light_factor("ambient_fraction", 1.5),
+    _light_factor("exponent", 0.7),
+    _light("gloss", 0.3, 3.0, least=0.0),
+    _light_factor("gloss_exponent", 1.0),
+    _light("radius_m", 0.2e-3, 2.0e-3),
+    _light("height_m", 0.2e-3, 1.0e-3),
+    _light("spread_deg", 2.0, 20.0, least=0.0),
+    _light("crosstalk", 0.02, 0.1, least=0.0),
+    _azimuth(0),
+    _azimuth(1),
+    _azimuth(2),
+    _falloff(),
+)
+"""What the coat is lit by, and how the camera answers."""
+
+
+def with_gloss(model: CameraModel) -> CameraModel:
+    """Return the model with a gloss to start a fit from."""
+    if model.lights.gloss > 0.0:
+        return model
+    return replace(model, lights=replace(model.lights, gloss=FIRST_GLOSS))

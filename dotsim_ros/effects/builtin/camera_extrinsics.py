@@ -1,0 +1,56 @@
+"""Camera extrinsics: the camera is turned about its own place.
+
+A camera that turns without moving sees the same rays elsewhere, whatever their depth, so the
+picture is resampled exactly but for the lens's radial distortion, which a picture does not tell. A
+camera that has moved sees a parallax that depends on depth: that is left out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from dotsim_ros.effects.effect import (
+    IMAGE,
+    Array,
+    Effect,
+    EffectParameter,
+    ImageFilter,
+    SeenImage,
+    Values,
+)
+from dotsim_ros.effects.optical_terms import FixedResampling, any_frame
+from dotsim_ros.geometry.camera import FisheyeCamera
+
+
+def _image(values: Values) -> ImageFilter:
+    turn = Rotation.from_rotvec(
+        [values["tilt_x_rad"], values["tilt_y_rad"], values["roll_rad"]]
+    ).as_matrix()
+
+    def source(image: SeenImage) -> tuple[Array, Array]:
+        height, width = image.pixels.shape[:2]
+        camera = FisheyeCamera(width, height, image.focal_px, image.centre_px)
+        directions, _ = camera.rays()
+        places = camera.project_optical(directions @ turn.T)
+        # Beyond 180 degrees from the axis there is no direction; such a pixel shows the border.
+        places = np.where(np.isfinite(places), places, -1.0)
+        return places[..., 0], places[..., 1]
+
+    return FixedResampling(source)
+
+
+EFFECT = Effect(
+    name="camera_extrinsics",
+    title="Tilted camera",
+    parameters=(
+        EffectParameter("tilt_x_rad", "rad", 0.0, -0.07, 0.07, (0.01, -0.01)),
+        EffectParameter("tilt_y_rad", "rad", 0.0, -0.07, 0.07, (0.0, 0.01)),
+        EffectParameter("roll_rad", "rad", 0.0, -0.07, 0.07, (0.0, 0.01)),
+    ),
+    channels=(IMAGE,),
+    protocol="pictures of the idle pattern",
+    excited_by=any_frame,
+    taken_for=("camera_intrinsics", "pose_offset"),
+    image=_image,
+)

@@ -1,0 +1,7 @@
+"""LED imbalance: the blue LEDs shine weaker or brighter than those of the other colours."""
+
+from __future__ import annotations
+
+from dotsim_ros.effects.optical_terms import led_imbalance
+
+EFFECT = led_imbalance("blue", channel=2)

@@ -1,0 +1,12 @@
+"""Pose offset along y: every pose lies beside where it is told, base frame."""
+
+from __future__ import annotations
+
+from dotsim_ros.effects.pose_terms import offset_effect
+
+EFFECT = offset_effect(
+    "y",
+    name="pose_offset_y",
+    protocol="presses on both sides of the apex along y, with the skin or the image measured",
+    taken_for=("camera extrinsics", "latency"),
+)

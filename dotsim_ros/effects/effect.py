@@ -1,0 +1,217 @@
+"""What an effect is: a named term of the model with a few parameters, and what excites it.
+
+A term acts in one or several places, each with a hook of its own: on the gel's material before
+anything is solved, on the indenter's pose before the gel is pressed, on skin and force after, on
+the image at the end. Hooks are filters that are called frame by frame in the order of time, so that
+one implementation serves a recorded trajectory and the live sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.parameters import GelValues
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.measured.recording import Recording
+
+Array = NDArray[np.float64]
+Values = Mapping[str, float]
+
+SKIN, FORCE, IMAGE = "skin", "force", "image"
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """One number of an effect.
+
+    Attributes:
+        name: of the parameter.
+        unit: of its value; SI.
+        none: value at which the effect is absent; None for one that shapes the effect but cannot
+            make it absent, such as a relaxation time.
+        low, high: plausible range.
+        probes: values at which the effect is tried first, at least one.
+    """
+
+    name: str
+    unit: str
+    none: float | None
+    low: float
+    high: float
+    probes: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class GelTerm:
+    """What the gel is made of.
+
+    Attributes:
+        values: the elastic gel and its friction.
+        prony_shares, prony_times_s: its relaxation.
+    """
+
+    values: GelValues
+    prony_shares: tuple[float, ...] = ()
+    prony_times_s: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the gel answers in one frame.
+
+    Attributes:
+        stamp_s: time of the frame, within its trajectory.
+        session_s: time since the session's start.
+        pose: where the indenter truly is, base frame.
+        depth_m: of the tip below the skin at rest.
+        rest_position_m: (V, 3) the skin at rest.
+        skin_position_m: (V, 3).
+        force_n: (3,) of the gel on the indenter, base frame.
+    """
+
+    stamp_s: float
+    session_s: float
+    pose: Pose
+    depth_m: float
+    rest_position_m: Array
+    skin_position_m: Array
+    force_n: Array
+
+
+@dataclass(frozen=True)
+class SeenImage:
+    """An image that the camera is about to give.
+
+    Attributes:
+        stamp_s: time of the frame, within its trajectory.
+        session_s: time since the session's start.
+        pixels: (H, W, 3) linear to the sensor's numbers, 0 to 255, not rounded.
+        idle: (H, W, 3) the same without contact.
+        centre_px: (2,) x and y of the optical axis.
+        focal_px: pixels a radian of the equidistant fisheye.
+        flow_px_s: (H, W, 2) how fast the picture moves; zero where it is not known.
+    """
+
+    stamp_s: float
+    session_s: float
+    pixels: Array
+    idle: Array
+    centre_px: Array
+    focal_px: float
+    flow_px_s: Array
+
+
+MotionFilter = Callable[[float, Pose, Array], Pose]
+"""From time (s), pose as told, and the force (3,) on the indenter to the pose as it is."""
+ResponseFilter = Callable[[Response], Response]
+ImageFilter = Callable[[SeenImage], Array]
+"""Returns (H, W, 3) pixels."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """An effect of the library; one file in `gap/effects` holds one, as `EFFECT`.
+
+    Attributes:
+        name: of its file.
+        title: as reports name it, at the start of a sentence.
+        parameters: its numbers; the first one is its size.
+        channels: where it shows: `SKIN`, `FORCE`, `IMAGE`.
+        protocol: what excites it, in words for the user.
+        excited_by: whether a trajectory of a data set does.
+        taken_for: effects, or parameters, that look alike.
+        gel, motion, response, image: its hooks, each None where it does not act. The first three
+            are told the recording that they are for; in the live sensor there is none.
+    """
+
+    name: str
+    title: str
+    parameters: tuple[EffectParameter, ...]
+    channels: tuple[str, ...]
+    protocol: str
+    excited_by: Callable[[Recording], bool]
+    taken_for: tuple[str, ...] = ()
+    gel: Callable[[GelTerm, Values, Recording | None], GelTerm] | None = None
+    motion: Callable[[Values], MotionFilter] | None = None
+    response: Callable[[Values], ResponseFilter] | None = None
+    image: Callable[[Values], ImageFilter] | None = None
+
+    @property
+    def needs_solve(self) -> bool:
+        """Whether another size of the effect takes another solve of the gel."""
+        return self.gel is not None or self.motion is not None
+
+    def checked(self, values: Values) -> dict[str, float]:
+        """Return values for all parameters, those not given at their first probe.
+
+        Raises:
+            ValueError: an unknown parameter, or a value that is not finite.
+        """
+        known = {parameter.name: parameter for parameter in self.parameters}
+        unknown = sorted(set(values) - set(known))
+        if unknown:
+            raise ValueError(
+                f"effect {self.name!r} has no parameter {', '.join(unknown)}; it has "
+                f"{', '.join(known)}"
+            )
+        result = {name: float(values.get(name, p.probes[0])) for name, p in known.items()}
+        for name, value in result.items():
+            if not np.isfinite(value):
+                raise ValueError(f"{self.name}.{name} is {value}, expected a number")
+        return result
+
+
+@dataclass(frozen=True)
+class Active:
+    """An effect at work, with the values (all of its parameters) that it has."""
+
+    effect: Effect
+    values: Mapping[str, float]
+
+
+def gel_with(effects: Sequence[Active], term: GelTerm, recording: Recording | None) -> GelTerm:
+    """Return the gel that the effects make of one."""
+    for active in effects:
+        if active.effect.gel is not None:
+            term = active.effect.gel(term, active.values, recording)
+    return term
+
+
+def motion_filters(effects: Sequence[Active]) -> MotionFilter:
+    """Return fresh filters of the pose, one after the other."""
+    filters = [a.effect.motion(a.values) for a in effects if a.effect.motion is not None]
+
+    def filtered(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
+        for one in filters:
+            pose = one(stamp_s, pose, force_n)
+        return pose
+
+    return filtered
+
+
+def response_filters(effects: Sequence[Active]) -> ResponseFilter:
+    """Return fresh filters of skin and force, one after the other."""
+    filters = [a.effect.response(a.values) for a in effects if a.effect.response is not None]
+
+    def filtered(response: Response) -> Response:
+        for one in filters:
+            response = one(response)
+        return response
+
+    return filtered
+
+
+def image_filters(effects: Sequence[Active]) -> ImageFilter:
+    """Return fresh filters of the image, one after the other."""
+    filters = [a.effect.image(a.values) for a in effects if a.effect.image is not None]
+
+    def filtered(image: SeenImage) -> Array:
+        for one in filters:
+            image = replace(image, pixels=one(image))
+        return image.pixels
+
+    return filtered

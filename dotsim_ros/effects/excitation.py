@@ -1,0 +1,61 @@
+"""What a recording does to the gel: the questions by which effects say whether it excites them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dotsim_ros.measured.recording import STILL_M, TOUCH_M, Phase, Recording
+
+STRAINING_M = 1.0e-3
+"""A press that is shallower strains the gel too little to tell one elastic law from another."""
+
+REVERSAL_COSINE = -0.5
+"""Two moves one after the other whose directions are this far apart go there and back."""
+
+LATER_S = 10.0
+"""What changes with time is not seen in a recording that ends sooner after the session's start."""
+
+
+def touches(recording: Recording) -> bool:
+    """Return whether the indenter presses at all."""
+    return bool(np.any(recording.depth_m > TOUCH_M))
+
+
+def strains(recording: Recording) -> bool:
+    """Return whether the gel is pressed so deep that its law is more than linear."""
+    return bool(np.any(recording.depth_m > STRAINING_M))
+
+
+def unloads(recording: Recording) -> bool:
+    """Return whether a frame shows the contact after it was deeper."""
+    return any(
+        phase is Phase.RELEASE and depth > TOUCH_M
+        for phase, depth in zip(recording.phase, recording.depth_m, strict=True)
+    )
+
+
+def rests_after_contact(recording: Recording) -> bool:
+    """Return whether a frame shows the skin untouched after it was pressed."""
+    pressed = np.flatnonzero(recording.depth_m > TOUCH_M)
+    return bool(pressed.size and np.any(recording.depth_m[pressed[0] :] < 0.0))
+
+
+def reverses(recording: Recording) -> bool:
+    """Return whether the indenter turns back in contact, holds between the two moves or not."""
+    position = np.stack([pose.position_m for pose in recording.press.poses])
+    last = None
+    for frame in range(1, len(position)):
+        move = position[frame] - position[frame - 1]
+        length = float(np.linalg.norm(move))
+        if recording.depth_m[frame] < TOUCH_M or length < STILL_M:
+            continue
+        if last is not None and float(move @ last) / length < REVERSAL_COSINE:
+            return True
+        last = move / length
+    return False
+
+
+def presses_late(recording: Recording) -> bool:
+    """Return whether the indenter presses some time after the session's start."""
+    end_s = recording.session_s + float(np.ptp(recording.press.stamp_s))
+    return touches(recording) and end_s >= LATER_S

@@ -1,0 +1,176 @@
+"""Effects at work in a live sensor: its gel, and what goes in and comes out frame by frame."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dotsim_ros.calibration.parameters import specification_with, values_of
+from dotsim_ros.effects.effect import (
+    Active,
+    Array,
+    GelTerm,
+    Response,
+    SeenImage,
+    gel_with,
+    image_filters,
+    motion_filters,
+    response_filters,
+)
+from dotsim_ros.geometry.pose import Pose, Wrench
+from dotsim_ros.metrics.presses import tip_depth_m
+from dotsim_ros.specification import SensorSpecification
+
+if TYPE_CHECKING:
+    from dotsim_ros.sensor import Frame, GelFrame, TactileSensor
+
+NO_FORCE_N = 1e-9
+"""A force below this has no direction."""
+
+
+def specification_with_effects(
+    specification: SensorSpecification, effects: Sequence[Active]
+) -> SensorSpecification:
+    """Return a sensor whose gel is what the effects make of it.
+
+    Raises:
+        ValueError: an effect acts on a gel that has another law than neo-Hooke's or Yeoh's, or
+            gives it a value that it cannot have.
+    """
+    if not any(active.effect.gel for active in effects):
+        return specification
+    own = specification.material
+    term = gel_with(
+        effects, GelTerm(values_of(specification), own.prony_shares, own.prony_times_s), None
+    )
+    changed = specification_with(specification, term.values)
+    material = replace(
+        changed.material, prony_shares=term.prony_shares, prony_times_s=term.prony_times_s
+    )
+    return replace(changed, material=material)
+
+
+def wrench_with_force(wrench: Wrench, force_n: Array, tip_m: Array) -> Wrench:
+    """Return a wrench of another force.
+
+    What of it lies along the force before acts where that did; the rest acts at the tip.
+
+    Args:
+        wrench: before, about the frame's origin.
+        force_n: (3,) the new force.
+        tip_m: (3,) of the indenter.
+    """
+    before = wrench.force_n
+    square = float(before @ before)
+    share = float(force_n @ before) / square if square > NO_FORCE_N**2 else 0.0
+    torque = share * wrench.torque_nm + np.cross(tip_m, force_n - share * before)
+    return Wrench(force_n, torque)
+
+
+class LiveEffects:
+    """The filters of pose, response and image of one sensor.
+
+    Args:
+        effects: at work.
+        sensor: whose gel has the effects already.
+
+    Attributes:
+        act_in_time: whether a frame may differ from the one before though nothing was told.
+    """
+
+    def __init__(self, effects: Sequence[Active], sensor: TactileSensor) -> None:
+        self._effects, self._sensor = tuple(effects), sensor
+        self._has_response = any(active.effect.response for active in effects)
+        self._has_image = any(active.effect.image for active in effects)
+        has_motion = any(active.effect.motion for active in effects)
+        self.act_in_time = self._has_response or self._has_image or has_motion
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a session: no time has passed, and nothing is remembered."""
+        self._session_s = 0.0
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a trajectory: nothing is remembered; the session's time goes on."""
+        self._stamp_s = 0.0
+        self._motion = motion_filters(self._effects)
+        self._response = response_filters(self._effects)
+        self._image = image_filters(self._effects)
+
+    def moved(self, pose: Pose, force_n: Array, step_s: float) -> Pose:
+        """Return where the indenter is when it is told to be at a pose.
+
+        Args:
+            pose: as told.
+            force_n: (3,) of the gel on the indenter in the frame before.
+            step_s: since then.
+        """
+        self._stamp_s += step_s
+        self._session_s += step_s
+        return self._motion(self._stamp_s, pose, force_n)
+
+    def answered(self, gel: GelFrame, pose: Pose | None) -> GelFrame:
+        """Return what is measured of a gel; without an indenter, the gel as it is."""
+        if pose is None or not self._has_response:
+            return gel
+        rest_m = self._sensor.skin.rest_position_m
+        answer = self._response(
+            Response(
+                stamp_s=self._stamp_s,
+                session_s=self._session_s,
+                pose=pose,
+                depth_m=float(tip_depth_m(self._sensor.skin, [pose])[0]),
+                rest_position_m=rest_m,
+                skin_position_m=gel.skin_position_m,
+                force_n=gel.wrench.force_n,
+            )
+        )
+        return replace(
+            gel,
+            skin_position_m=answer.skin_position_m,
+            wrench=wrench_with_force(gel.wrench, answer.force_n, pose.position_m),
+        )
+
+    def camera(self, before_m: Array | None, step_s: float) -> Callable[[Frame], Frame] | None:
+        """Return what the camera makes of this moment's frame, whenever it is rendered; None where
+        no effect acts on it.
+
+        Args:
+            before_m: (V, 3) the skin in the frame before; None where nothing leads here.
+            step_s: since then.
+        """
+        if not self._has_image:
+            return None
+        image, stamp_s, session_s = self._image, self._stamp_s, self._session_s
+        sensor = self._sensor
+
+        def seen(frame: Frame) -> Frame:
+            begun_s = time.perf_counter()
+            if before_m is None:
+                flow = np.zeros((*frame.image.shape[:2], 2))
+            else:
+                flow = sensor.picture_motion_px(before_m, frame.skin_position_m) / step_s
+            pixels = image(
+                SeenImage(
+                    stamp_s=stamp_s,
+                    session_s=session_s,
+                    pixels=frame.image.astype(np.float64),
+                    idle=sensor.idle_image.astype(np.float64),
+                    centre_px=sensor.camera.principal_point_px,
+                    focal_px=sensor.camera.focal_px,
+                    flow_px_s=flow,
+                )
+            )
+            spent_s = time.perf_counter() - begun_s
+            return replace(
+                frame,
+                image=np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8),
+                timings_s={**frame.timings_s, "effects": spent_s},
+            )
+
+        return seen

@@ -1,0 +1,140 @@
+"""What the optical effects share: gains, resampling, and what excites them.
+
+An optical effect acts on the camera's numbers after everything else, and keeps them between 0 and
+`FULL_SCALE`. Lengths in the picture are given in units of the focal length, so that a value found
+on pictures of one size holds for pictures of another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.effects.effect import IMAGE, Array, Effect, EffectParameter, SeenImage, Values
+from dotsim_ros.measured.recording import Phase, Recording
+
+FULL_SCALE = 255.0
+
+FAST_M_S = 2.0e-3
+"""An indenter that moves faster under load moves the picture enough to blur or skew it."""
+
+SourceMap = Callable[[SeenImage], tuple[Array, Array]]
+"""From a picture to x and y (H, W each), px, of where in it each new pixel looks."""
+
+
+def any_frame(recording: Recording) -> bool:
+    """Return that a recording excites what every frame shows, also one without contact."""
+    return recording.press.frame_count > 0
+
+
+def moves_fast(recording: Recording) -> bool:
+    """Return whether the indenter loads or slides at `FAST_M_S` or faster in any frame."""
+    press = recording.press
+    position = np.stack([pose.position_m for pose in press.poses])
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=1) / np.diff(press.stamp_s)
+    return any(
+        phase in (Phase.SLIDE, Phase.LOAD) and fast
+        for phase, fast in zip(recording.phase[1:], speed >= FAST_M_S, strict=True)
+    )
+
+
+def within_scale(pixels: Array) -> Array:
+    """Return pixels (..., 3) clipped to what the camera can give."""
+    return np.clip(pixels, 0.0, FULL_SCALE)
+
+
+def radius_square(image: SeenImage) -> Array:
+    """Return (H, W) the squared distance from the optical axis over half the picture's height, the
+    coordinate of `dotsim_ros.optics.lighting.Vignetting`."""
+    height, width = image.pixels.shape[:2]
+    x = np.arange(width) - image.centre_px[0]
+    y = np.arange(height) - image.centre_px[1]
+    return (x[None, :] ** 2 + y[:, None] ** 2) / (0.5 * height) ** 2
+
+
+def sampled(pixels: Array, x: Array, y: Array) -> Array:
+    """Return pixels (H, W, 3) looked up at places (H, W) in px by cubic interpolation.
+
+    A place outside shows the nearest border, a whole pixel itself, to single precision.
+    """
+    # OpenCV 5 cuts doubles off to whole numbers.
+    found = cv2.remap(
+        pixels.astype(np.float32),
+        _asked_for(x).astype(np.float32),
+        _asked_for(y).astype(np.float32),
+        cv2.INTER_CUBIC,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(found, dtype=np.float64)
+
+
+def _asked_for(place: Array) -> Array:
+    """Return where OpenCV's cubic must be asked to look, to look at a place.
+
+    Its kernel is that of Keys ("Cubic convolution interpolation for digital image processing",
+    1981) with a = -0.75, which shows a straight slope at f^3 - 1.5 f^2 + 1.5 f of a pixel where it
+    is asked for f: up to 0.047 px beside it, so that 0.10 px become 0.14.
+    With f = 1/2 + sinh(u) that is 1/2 + sinh(3 u) / 4.
+    """
+    whole = np.floor(place)
+    return np.asarray(whole + 0.5 + np.sinh(np.arcsinh(4.0 * (place - whole) - 2.0) / 3.0))
+
+
+def pixel_places(image: SeenImage) -> tuple[Array, Array]:
+    """Return x and y (H, W each) of all pixels."""
+    height, width = image.pixels.shape[:2]
+    x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
+    return x, y
+
+
+class FixedResampling:
+    """Resamples every picture alike; the map is made for the first picture of each geometry.
+
+    Args:
+        source: makes the map; it may read the picture's size, centre and focal length alone.
+    """
+
+    def __init__(self, source: SourceMap) -> None:
+        self._source = source
+        self._geometry: tuple[float, ...] = ()
+        self._x: NDArray[np.float64] = np.empty((0, 0))
+        self._y: NDArray[np.float64] = np.empty((0, 0))
+
+    def __call__(self, image: SeenImage) -> Array:
+        """Return the resampled pixels (H, W, 3)."""
+        geometry = (*image.pixels.shape, *map(float, image.centre_px), float(image.focal_px))
+        if geometry != self._geometry:
+            self._x, self._y = self._source(image)
+            self._geometry = geometry
+        return within_scale(sampled(image.pixels, self._x, self._y))
+
+
+def led_imbalance(colour: str, channel: int) -> Effect:
+    """Return the effect that the LEDs of one colour shine weaker or brighter than the others.
+
+    The picture's channel stands for the LEDs: the light of one colour that the camera sees in
+    another channel is left out.
+
+    Args:
+        colour: of the LEDs.
+        channel: of the picture: 0 red, 1 green, 2 blue.
+    """
+
+    def image(values: Values) -> Callable[[SeenImage], Array]:
+        gain = np.ones(3)
+        gain[channel] = 1.0 - values["loss_share"]
+        return lambda seen: within_scale(seen.pixels * gain)
+
+    return Effect(
+        name=f"led_imbalance_{colour}",
+        title=f"{colour.capitalize()} LEDs out of balance",
+        parameters=(EffectParameter("loss_share", "", 0.0, -0.3, 0.3, (0.05, -0.05)),),
+        channels=(IMAGE,),
+        protocol="any pictures, also without contact",
+        excited_by=any_frame,
+        taken_for=("white balance of the camera",),
+        image=image,
+    )

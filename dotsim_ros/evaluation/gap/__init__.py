@@ -1,0 +1,1 @@
+"""How well the gap finder names effects that were hidden on purpose."""

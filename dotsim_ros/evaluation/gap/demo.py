@@ -1,0 +1,85 @@
+"""`find-gap --demo`: draws a hidden effect, seals it, finds it, opens the seal.
+
+The reality is our own gel with another law than the library's, on another unit, with the errors of
+model and instruments: quick to make, and kinder than a measured sensor. `docs/gap_finder.md` says
+how the finder does on data of other solvers.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from dotsim_ros.evaluation.gap.hidden.laws import LAWS
+from dotsim_ros.evaluation.gap.hidden.reality import Truth, draw_truth, library_names, write_truth
+from dotsim_ros.gap.findings import Findings
+
+SENSOR = "sensor_a"
+NULL_SHARE = 0.1
+"""Of the seeds, in which nothing is hidden."""
+SKIN_SPACING_M = 1.2e-3
+
+
+def demo_truth(seed: int) -> Truth:
+    """Return what a seed hides: an effect of the library, sometimes nothing."""
+    random = np.random.default_rng([seed, 7])
+    known = [name for name, law in LAWS.items() if law.library]
+    return Truth(()) if random.random() < NULL_SHARE else draw_truth(random, known)
+
+
+def is_right(findings: Findings, truth: Truth) -> bool:
+    """Return whether the findings name what was hidden, alone or first in a set, or in it."""
+    hidden = library_names(truth)
+    if not hidden:
+        return findings.verdict.value == "no_gap"
+    if hidden == {""}:
+        return findings.verdict.value == "unknown"
+    if findings.verdict.value == "set":
+        return bool(hidden & {*findings.named, *findings.alternatives})
+    return hidden <= set(findings.named)
+
+
+def run_demo(directory: Path, *, seed: int, workers: int) -> int:
+    """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
+    from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
+    from dotsim_ros.gap.presses.search import find_gap
+    from dotsim_ros.gap.presses.search_state import Request
+    from dotsim_ros.gap.report.write import write_findings
+    from dotsim_ros.geometry.skin_mesh import dome_skin
+    from dotsim_ros.progress import PrintedProgress
+    from dotsim_ros.specification import load_sensor
+
+    sensor = load_sensor(SENSOR)
+    truth = demo_truth(seed)
+    directory.mkdir(parents=True, exist_ok=True)
+    print(f"sealed: sha256 {truth.digest()}", flush=True)
+    data = directory / "measured"
+    shutil.rmtree(data, ignore_errors=True)
+    progress = PrintedProgress()
+    measure_unit(
+        data,
+        sensor,
+        dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M),
+        truth,
+        seed=seed,
+        progress=lambda done, total: progress("measure", done, total),
+    )
+    request = Request(
+        measured=data,
+        sensor=sensor,
+        directory=directory / "run",
+        indenters=data / "indenters",
+        seed=seed,
+        workers=workers,
+    )
+    findings, overlay = find_gap(request, progress)
+    write_findings(directory, findings, overlay)
+    write_truth(directory / "truth_opened.json", truth, seed=seed)
+    hidden = ", ".join(f"{name} ({size:.3g} {LAWS[name].unit})" for name, size in truth.effects)
+    print(f"\n{findings.sentence}")
+    print(f"the seal holds: {hidden or 'nothing'} (sha256 {truth.digest()[:12]}...)")
+    right = is_right(findings, truth)
+    print("the finder was right" if right else "the finder was wrong")
+    return 0 if right else 1

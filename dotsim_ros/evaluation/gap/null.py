@@ -1,0 +1,48 @@
+"""The gap finder's null: how far a calibrated twin is from presses in which nothing is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.parameters import values_of
+from dotsim_ros.gap.presses.observables import observe, places_of
+from dotsim_ros.measured.measurement import Measurement
+from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.solver import open_solver, request_of
+
+Array = NDArray[np.float64]
+
+
+def residuals_without_effect(
+    measurement: Measurement,
+    sensor: SensorSpecification,
+    directory: Path,
+    *,
+    workers: int = 2,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Array]:
+    """Return measured minus simulated, (F, SIZE), of each trajectory.
+
+    Args:
+        measurement: of a unit in which nothing is missing.
+        sensor: calibrated to it.
+        directory: where solves are kept.
+        workers: processes.
+        progress: told the solves.
+    """
+    rest_m, values = measurement.skin.rest_position_m, values_of(sensor)
+    with open_solver(sensor, measurement.skin, directory, workers=workers) as solver:
+        answers = solver.run([request_of(r, values) for r in measurement.recordings], progress)
+    result = []
+    for recording, answer in zip(measurement.recordings, answers, strict=True):
+        places, press = places_of(recording, measurement.skin), recording.press
+        measured = observe(places, rest_m, press.skin_position_m, press.force_n, press.frame_count)
+        simulated = observe(
+            places, rest_m, answer.skin_position_m, answer.force_n, press.frame_count
+        )
+        result.append(measured - simulated)
+    return result

@@ -1,0 +1,1 @@
+"""Models of the gel compared on measured presses: surfaces and forces."""

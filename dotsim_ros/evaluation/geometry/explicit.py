@@ -1,0 +1,156 @@
+"""The paper's explicit gel as a model of measured presses, fitted as the paper fits it.
+
+The paper fits E and nu to the surfaces of each trajectory and takes the median. Where the gel's
+mass is scaled until its step is stable, the scale follows E and the surfaces are the same for every
+E, which therefore stays where the paper's fit ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S, ExplicitGel, ExplicitSettings
+from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.presses import Prediction, Press
+from dotsim_ros.sensor import body_of
+from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.model import steps
+
+PAPER_YOUNGS_MODULUS_PA = 27_575.0
+SEARCHED_POISSON_RATIOS = (0.303, 0.40, 0.45, 0.48)
+"""From the paper's own value to a gel nearly incompressible."""
+
+CLEARANCE_M = 0.3e-3
+"""The explicit gel takes its first pose for granted, so that it must lie outside."""
+
+# With its mass scaled up the gel rings for many frames; the rate at which it is quiet in one.
+SETTINGS = ExplicitSettings(damping_per_s=50.0)
+COARSE_SETTINGS = replace(SETTINGS, spacing_m=2.4e-3, softness=30.0)
+"""The paper's row of 2.4 mm, on which nu is searched."""
+
+
+class ExplicitModel:
+    """The explicit gel on the measured skin, in frames of at most 1/24 s.
+
+    Args:
+        specification: its body, density and friction are taken.
+        material: the fitted law.
+        settings: grid and substeps.
+        name: how tables call it.
+    """
+
+    def __init__(
+        self,
+        specification: SensorSpecification,
+        material: NeoHookean,
+        settings: ExplicitSettings = SETTINGS,
+        *,
+        name: str = "explicit",
+    ) -> None:
+        self.specification, self.material, self.settings = specification, material, settings
+        self.name = name
+        self._gel: ExplicitGel | None = None
+
+    def prepare(self, indenter: Indenter, skin: SkinMesh) -> ExplicitGel:
+        """Return the gel at rest; for another skin that takes a while."""
+        gel = self._gel
+        if gel is None or gel.skin is not skin:
+            s = self.specification
+            gel = self._gel = ExplicitGel(
+                body_of(s.gel),
+                skin,
+                material=self.material,
+                density_kg_m3=s.material.density_kg_m3,
+                friction_coefficient=s.contact.friction_coefficient,
+                indenter=indenter,
+                settings=self.settings,
+                frame_s=PAPER_FRAME_S,
+            )
+        elif gel.indenter is not indenter:
+            gel.set_indenter(indenter)
+        gel.reset()
+        return gel
+
+    def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
+        """Return skin and force at the poses of a press, one after the other from rest.
+
+        Raises:
+            DivergenceError: it became unstable.
+        """
+        gel = self.prepare(indenter, skin)
+        gel.step(start_outside(press.poses[0], indenter, skin), PAPER_FRAME_S)
+        position, force = [], []
+        for pose, dt_s, ends_frame in steps(press, longest_step_s=PAPER_FRAME_S):
+            state = gel.step(pose, dt_s)
+            if ends_frame:
+                position.append(state.skin_position_m[0])
+                force.append(state.force_n[0])
+        return Prediction(np.stack(position), np.stack(force))
+
+
+def start_outside(pose: Pose, indenter: Indenter, skin: SkinMesh) -> Pose:
+    """Return a pose moved out along the indenter's axis until it is clear of the skin at rest."""
+    away = pose.rotation()[:, 2]
+    depth = -float(indenter.distance_from(skin.rest_position_m, pose).min())
+    while depth > -CLEARANCE_M:
+        pose = Pose(pose.position_m + (depth + 1.1 * CLEARANCE_M) * away, pose.quaternion_xyzw)
+        depth = -float(indenter.distance_from(skin.rest_position_m, pose).min())
+    return pose
+
+
+def surface_error_m(predicted: Prediction, press: Press) -> float:
+    """Return the paper's loss: the bidirectional Chamfer distance of the vertices, all frames.
+
+    Raises:
+        ValueError: no skin was measured.
+    """
+    if press.skin_position_m is None:
+        raise ValueError(f"{press.name}: no skin was measured, so no surface can be fitted")
+    distances = []
+    for simulated, measured in zip(predicted.skin_position_m, press.skin_position_m, strict=True):
+        distances.append(KDTree(measured).query(simulated)[0].mean())
+        distances.append(KDTree(simulated).query(measured)[0].mean())
+    return float(np.mean(distances))
+
+
+def best_poisson_ratio(
+    specification: SensorSpecification, press: Press, indenter: Indenter, skin: SkinMesh
+) -> float:
+    """Return the searched Poisson's ratio whose surfaces are nearest to a press's."""
+    errors = []
+    for ratio in SEARCHED_POISSON_RATIOS:
+        material = NeoHookean(PAPER_YOUNGS_MODULUS_PA, ratio)
+        model = ExplicitModel(specification, material, COARSE_SETTINGS)
+        errors.append(surface_error_m(model.predict(press, indenter, skin), press))
+    return SEARCHED_POISSON_RATIOS[int(np.argmin(errors))]
+
+
+class ExplicitFit:
+    """Fits explicit gels; a press's own optimum is found once, whatever splits it is in.
+
+    Args:
+        specification: its body, density and friction are taken.
+    """
+
+    def __init__(self, specification: SensorSpecification) -> None:
+        self._specification = specification
+        self._ratio: dict[str, float] = {}
+
+    def fit(
+        self, train: Sequence[Press], indenters: Mapping[str, Indenter], skin: SkinMesh
+    ) -> ExplicitModel:
+        """Return the gel with the median Poisson's ratio of the presses."""
+        for press in train:
+            if press.name not in self._ratio:
+                self._ratio[press.name] = best_poisson_ratio(
+                    self._specification, press, indenters[press.indenter], skin
+                )
+        median = float(np.median([self._ratio[press.name] for press in train]))
+        return ExplicitModel(self._specification, NeoHookean(PAPER_YOUNGS_MODULUS_PA, median))

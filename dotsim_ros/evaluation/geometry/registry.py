@@ -1,0 +1,140 @@
+"""The models that the geometry tables compare, by name, each made for a split when asked."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+from dotsim_ros.evaluation.geometry.explicit import ExplicitFit
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.presses import Model, Press
+from dotsim_ros.measured.split import Split
+from dotsim_ros.metrics.presses import Factory
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.twin.model import ImplicitModel
+
+BASELINES = ("tacto", "taxim", "difftactile")
+"""Each is a module of `dotsim_ros.baselines` with `fit(train, indenters, skin) -> Model`."""
+NAMES = ("ours", "explicit", *BASELINES)
+
+
+def sensor_file(split: str, sensor: str | Path) -> str | Path:
+    """Return the name or file of the sensor to judge a split with.
+
+    Args:
+        split: its name.
+        sensor: name or file of a sensor, which serves for every split; or a folder with one file
+            `SPLIT.yaml` for each, calibrated without what it is judged on.
+
+    Raises:
+        FileNotFoundError: the folder lacks the split's file.
+    """
+    folder = Path(sensor)
+    if not folder.is_dir():
+        return sensor
+    path = folder / f"{split}.yaml"
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{folder} holds no {path.name}: calibrate on the presses that split {split!r} "
+            "leaves for it, or name one sensor's file"
+        )
+    return path
+
+
+def sensor_for(split: Split, sensor: str | Path) -> SensorSpecification:
+    """Return the specification to judge a split with; arguments as `sensor_file`.
+
+    Raises:
+        FileNotFoundError: no such sensor, or the folder lacks the split's file.
+        ValueError: it is no sensor.
+    """
+    return load_sensor(sensor_file(split.name, sensor))
+
+
+def _ours(sensor: str | Path) -> Factory:
+    def make(
+        split: Split,
+        _train: Sequence[Press],
+        _indenters: Mapping[str, Indenter],
+        _skin: SkinMesh,
+    ) -> Model:
+        specification = sensor_for(split, sensor)
+        solver = replace(specification.solver, method="implicit")
+        return ImplicitModel(replace(specification, solver=solver))
+
+    return make
+
+
+def _explicit(stated: str | Path) -> Factory:
+    fits = ExplicitFit(load_sensor(stated))
+
+    def make(
+        _split: Split,
+        train: Sequence[Press],
+        indenters: Mapping[str, Indenter],
+        skin: SkinMesh,
+    ) -> Model:
+        return fits.fit(train, indenters, skin)
+
+    return make
+
+
+def _difftactile() -> Factory:
+    """Return what makes DiffTactile; the fits of several splits share their runs."""
+    trials: list[Any] = []
+
+    def make(
+        _split: Split,
+        train: Sequence[Press],
+        indenters: Mapping[str, Indenter],
+        skin: SkinMesh,
+    ) -> Model:
+        module = importlib.import_module("dotsim_ros.baselines.difftactile")
+        if not trials:
+            gel = module.DynamicGel(module.Shell().mesh(skin), skin)
+            trials.append(module.Trials(gel, indenters))
+        return cast(Model, module.fit(train, indenters, skin, trials=trials[0]))
+
+    return make
+
+
+def _baseline(name: str) -> Factory:
+    def make(
+        _split: Split,
+        train: Sequence[Press],
+        indenters: Mapping[str, Indenter],
+        skin: SkinMesh,
+    ) -> Model:
+        module = importlib.import_module(f"dotsim_ros.baselines.{name}")
+        return cast(Model, module.fit(train, indenters, skin))
+
+    return make
+
+
+def factory_of(name: str, *, sensor: str | Path, stated: str | Path) -> Factory:
+    """Return what makes a model.
+
+    Args:
+        name: one of `NAMES`.
+        sensor: of "ours", see `sensor_for`.
+        stated: name or file of the sensor as its maker states it, for body, density and friction
+            of "explicit".
+
+    Raises:
+        ValueError: no such model, or one that this installation lacks.
+    """
+    if name == "ours":
+        return _ours(sensor)
+    if name == "explicit":
+        return _explicit(stated)
+    if name not in BASELINES:
+        raise ValueError(f"no model {name!r}; known are {', '.join(NAMES)}")
+    module = f"dotsim_ros.baselines.{name}"
+    if importlib.util.find_spec(module) is None:
+        raise ValueError(f"model {name!r} is not installed: there is no module {module}")
+    return _difftactile() if name == "difftactile" else _baseline(name)

@@ -1,0 +1,1 @@
+"""Models of the image compared on measured frames."""

@@ -1,0 +1,187 @@
+"""The models of the image that the optics table compares, by name."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import importlib.util
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import dotsim_ros
+from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
+from dotsim_ros.evaluation.optics.judge import Carried, Factory, Idle, ImageModel
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.twin.footage import OpticalPress, Rest
+
+PUBLISHED = ("paper", "paper_direct", "unet")
+"""Published networks, which take hours without CUDA unless their images are small."""
+NETWORKS = (*PUBLISHED, "ours")
+"""Kinds of networks of `dotsim_ros.learning`."""
+NAMES = (
+    "idle",
+    "idle_refined",
+    "tacto",
+    "tacto_refined",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "unet",
+    "carried",
+    "ours",
+)
+CLIPPED = ("tacto", "tacto_refined")
+"""Models that get the clipped skin instead of the gel's."""
+REFINED = ("idle_refined", "tacto_refined", "carried", "ours")
+"""Models that get an idle image refined by the frames that they are fitted on, with samples between
+its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is
+what they would gain."""
+_IDLE = ("optics/learned_pattern.py", "optics/untouched.py")
+_BASELINES = "baselines/optics"
+_LEARNING = (
+    "optics/network_input.py",
+    *(f"optics/learning/{part}.py" for part in ("examples", "fitting", "networks", "training")),
+)
+_TACTO = tuple(f"{_BASELINES}/{part}.py" for part in ("tacto", "clipped", "pixels"))
+_MADE_BY = {
+    "idle_refined": _IDLE,
+    "tacto": _TACTO,
+    "tacto_refined": (*_TACTO, *_IDLE),
+    "carried": _IDLE,
+    "taxim": tuple(f"{_BASELINES}/{part}.py" for part in ("taxim", "pixels")),
+    "difftactile": tuple(f"{_BASELINES}/{part}.py" for part in ("per_pixel", "pixels")),
+    **dict.fromkeys(PUBLISHED, _LEARNING),
+    "ours": (*_LEARNING, *_IDLE),
+}
+
+
+def code_digest(name: str) -> str:
+    """Return a digest of the code that fits a model and predicts with it.
+
+    Comments, docstrings and layout play no part in it.
+
+    Raises:
+        FileNotFoundError: a file of that code has moved.
+    """
+    package = Path(dotsim_ros.__file__).parent
+    digest = hashlib.sha256()
+    for path in _MADE_BY.get(name, ()):
+        tree = ast.parse((package / path).read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            body = getattr(node, "body", None)
+            if isinstance(body, list):
+                # A string that stands alone does nothing.
+                node.body = [part for part in body if not _is_bare_string(part)]  # type: ignore[attr-defined]
+        digest.update(ast.dump(tree).encode())
+    return digest.hexdigest()
+
+
+def _is_bare_string(statement: ast.stmt) -> bool:
+    return (
+        isinstance(statement, ast.Expr)
+        and isinstance(statement.value, ast.Constant)
+        and isinstance(statement.value.value, str)
+    )
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How models are fitted.
+
+    Attributes:
+        seed: of all draws.
+        budget_minutes: CPU time after which the training of one published network ends; None for
+            none. The others take a minute or two.
+        network_width: of the published networks' images, pixels; None for their own choice.
+
+    Raises:
+        ValueError: a seed below zero, or a budget that is no time.
+    """
+
+    seed: int = 0
+    budget_minutes: float | None = None
+    network_width: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed is {self.seed}, expected 0 or more")
+        if self.budget_minutes is not None and not self.budget_minutes > 0.0:
+            raise ValueError(
+                f"budget is {self.budget_minutes} minutes, expected a positive number; leave it "
+                "out for a training of full length"
+            )
+
+    def budget_of(self, network: str) -> float | None:
+        """Return the minutes after which a network's training ends; None for none."""
+        return self.budget_minutes if network in PUBLISHED else None
+
+    def width_of(self, network: str) -> int | None:
+        """Return the width of a network's images, pixels; None for the network's own choice."""
+        return self.network_width if network in PUBLISHED else None
+
+
+def factory_of(
+    name: str, settings: FitSettings, *, state: Path, progress: Callable[[str], None]
+) -> Factory:
+    """Return what makes a model.
+
+    Args:
+        name: one of `NAMES`.
+        settings: how it is fitted.
+        state: folder in which a network's training leaves its state, to go on from it.
+        progress: told what is being done.
+
+    Raises:
+        ValueError: no such model, or one that needs torch where that is not installed.
+    """
+    match name:
+        case "idle" | "idle_refined":
+            return lambda _train, _rest, _camera: Idle(name)
+        case "carried":
+            return lambda _train, _rest, _camera: Carried()
+        case "tacto" | "tacto_refined":
+            return lambda t, r, c: tacto.fit(t, r, c, seed=settings.seed)
+        case "taxim":
+            return lambda t, r, c: taxim.fit(t, r, c, seed=settings.seed)
+        case "difftactile":
+            _need_torch(name)
+            return lambda t, r, c: per_pixel.fit(t, r, c, seed=settings.seed)
+    if name not in NETWORKS:
+        raise ValueError(f"no model {name!r}; known are {', '.join(NAMES)}")
+    _need_torch(name)
+    return _network(name, settings, state, progress)
+
+
+def _need_torch(name: str) -> None:
+    if importlib.util.find_spec("torch") is None:
+        raise ValueError(
+            f"model {name!r} is fitted with torch, which is not installed; install "
+            "dotsim_ros[learning], or leave it out of --models"
+        )
+
+
+def _network(
+    name: str, settings: FitSettings, state: Path, progress: Callable[[str], None]
+) -> Factory:
+    def make(train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera) -> ImageModel:
+        # Loaded on use: the other models need none of it.
+        from dotsim_ros.learning.fitting import fit_network
+
+        return fit_network(
+            name,
+            train,
+            rest,
+            camera,
+            seed=settings.seed,
+            budget_minutes=settings.budget_of(name),
+            size=settings.width_of(name),
+            directory=state,
+            progress=lambda p: progress(
+                f"{name}: epoch {p.epoch} of {p.epochs}, {p.psnr_db:.2f} dB in training, "
+                f"{p.left_s / 60.0:.1f} min left"
+            ),
+        )
+
+    return make

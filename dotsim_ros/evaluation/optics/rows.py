@@ -1,0 +1,239 @@
+"""Rows of the optics table, kept on disk as soon as they are there.
+
+Fitting a network takes minutes to hours, so a run that was broken off goes on where it ended: a row
+is found again by the data, the frames of its split, its model, how that is fitted and the code that
+does it. Frames and models that are the same give the same row, whatever the split is called.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+import time
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.evaluation.optics.judge import (
+    FrameScores,
+    ImageModel,
+    restricted,
+    score_frames,
+    scores_as_json,
+    scores_from_json,
+)
+from dotsim_ros.evaluation.optics.models import (
+    CLIPPED,
+    NETWORKS,
+    REFINED,
+    FitSettings,
+    code_digest,
+    factory_of,
+)
+from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit
+from dotsim_ros.files import whole_file
+from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.twin.footage import OpticalData, OpticalPress
+
+ByteImage = NDArray[np.uint8]
+
+_FORMAT = 1
+
+
+class _Course(Protocol):
+    epochs: int
+    spent_s: float
+    cut_short: bool
+
+
+@runtime_checkable
+class _TrainedModel(Protocol):
+    """A network: it says how its training went."""
+
+    trained: _Course
+    size: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class TrainingRecord:
+    """How far a network was trained.
+
+    Attributes:
+        epochs: begun; the last one may be cut short.
+        minutes: of CPU time spent training.
+        cut_short: whether a budget ended it.
+        width_px, height_px: of its images.
+    """
+
+    epochs: int
+    minutes: float
+    cut_short: bool
+    width_px: int
+    height_px: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """What a model got on the judged frames of a split.
+
+    Attributes:
+        scores: of every judged frame.
+        images: (H, W, 3) predicted, of the frames that sheets show.
+        fit_s: how long the fit took, with what else the machine did.
+        predict_s: how long predicting and judging took, a frame.
+        commit, date: when it was made.
+        training: of a network; None for what is no network.
+    """
+
+    scores: tuple[FrameScores, ...]
+    images: dict[FrameKey, ByteImage]
+    fit_s: float
+    predict_s: float
+    commit: str
+    date: str
+    training: TrainingRecord | None = None
+
+
+def by_name(data: OpticalData) -> dict[str, OpticalPress]:
+    """Return the presses by name."""
+    return {press.name: press for press in data.presses}
+
+
+@dataclass(frozen=True)
+class RowMaker:
+    """Makes rows, or finds those made before.
+
+    Attributes:
+        data: the measured frames, with what the gel says of them.
+        clipped: gives the presses with Tacto's clipped skin, when a row needs them.
+        refined: gives the same frames by an idle image that the frames of a split to fit on refine.
+        cache: folder of the rows.
+        settings: how models are fitted.
+        progress: told what is being done.
+    """
+
+    data: OpticalData
+    clipped: Callable[[], Mapping[str, OpticalPress]]
+    refined: Callable[[OpticalSplit], OpticalData]
+    cache: Path
+    settings: FitSettings = field(default_factory=FitSettings)
+    progress: Callable[[str], None] = lambda _line: None
+
+    @cached_property
+    def presses(self) -> dict[str, OpticalPress]:
+        """The presses by name."""
+        return by_name(self.data)
+
+    @cached_property
+    def _digest(self) -> str:
+        digest = hashlib.sha256(self.data.rest.idle.tobytes())
+        for press in self.data.presses:
+            digest.update(press.name.encode())
+            for array in (press.tip_depth_m, press.measured, press.depth_m, press.carried):
+                digest.update(np.ascontiguousarray(array).tobytes())
+        return digest.hexdigest()
+
+    def _path(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Path:
+        fitted: list[Any] = [code_digest(model)]
+        if model in NETWORKS:
+            fitted += [self.settings.budget_of(model), self.settings.width_of(model)]
+        parts = [_FORMAT, self._digest, split.train, split.test, list(shown)]
+        key = repr((*parts, model, self.settings.seed, fitted)).encode()
+        return self.cache / f"{model}-{hashlib.sha256(key).hexdigest()[:24]}.json"
+
+    def make(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Row:
+        """Return the row of a model on a split.
+
+        Args:
+            model: one of `optics_models.NAMES`.
+            split: frames to fit on and to judge on.
+            shown: judged frames whose images are wanted.
+
+        Raises:
+            ValueError: the model could not be fitted.
+        """
+        path = self._path(model, split, shown)
+        known = _load(path)
+        where = f"{split.level}, {split.way}, {model}"
+        if known is not None:
+            self.progress(f"{where}: made before, on {known.date}")
+            return known
+        self.progress(f"{where}: fitting on {len(split.train)} frames")
+        data = self.refined(split) if model in REFINED else self.data
+        presses = self.clipped() if model in CLIPPED else by_name(data)
+        # The disc that is judged is the same for all.
+        rest, camera = replace(data.rest, lit=self.data.rest.lit), data.camera
+        state = path.with_suffix(".state")
+        make = factory_of(model, self.settings, state=state, progress=self.progress)
+        start = time.perf_counter()
+        fitted = make(restricted(presses, split.train), rest, camera)
+        fit_s = time.perf_counter() - start
+        self.progress(f"{where}: judging {len(split.test)} frames")
+        start = time.perf_counter()
+        scores, images = score_frames(fitted, presses, split.test, rest, keep=shown)
+        predict_s = (time.perf_counter() - start) / len(scores)
+        origin = provenance()
+        row = Row(
+            tuple(scores),
+            images,
+            fit_s,
+            predict_s,
+            origin["commit"],
+            origin["date"],
+            _training_of(fitted),
+        )
+        _store(path, row)
+        # What a training leaves to go on from is as large as its network, and done with.
+        shutil.rmtree(state, ignore_errors=True)
+        return row
+
+
+def _training_of(model: ImageModel) -> TrainingRecord | None:
+    if not isinstance(model, _TrainedModel):
+        return None
+    course = model.trained
+    return TrainingRecord(course.epochs, course.spent_s / 60.0, course.cut_short, *model.size)
+
+
+def _store(path: Path, row: Row) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(path.with_suffix(".npz")) as temporary:
+        np.savez_compressed(
+            temporary,
+            press=np.array([name for name, _ in row.images], dtype=np.str_),
+            frame=np.array([frame for _, frame in row.images], dtype=np.int64),
+            image=np.array(list(row.images.values()), dtype=np.uint8),
+        )
+    write_json(
+        path,
+        {
+            "scores": scores_as_json(row.scores),
+            "fit_s": row.fit_s,
+            "predict_s": row.predict_s,
+            "commit": row.commit,
+            "date": row.date,
+            "training": None if row.training is None else asdict(row.training),
+        },
+    )
+
+
+def _load(path: Path) -> Row | None:
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        with np.load(path.with_suffix(".npz"), allow_pickle=False) as arrays:
+            keys = zip(arrays["press"].tolist(), arrays["frame"].tolist(), strict=True)
+            images = dict(zip(keys, arrays["image"], strict=True))
+        scores = tuple(scores_from_json(values.pop("scores")))
+        training = values.pop("training", None)
+        record = None if training is None else TrainingRecord(**training)
+        return Row(scores=scores, images=images, training=record, **values)
+    # What is broken or of another version is made anew.
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return None

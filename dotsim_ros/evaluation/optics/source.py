@@ -1,0 +1,81 @@
+"""What some rows get instead of the calibrated gel by the idle image: the geometry that Tacto
+shades, and a refined idle image."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from dotsim_ros.baselines.optics.clipped import clipped_press
+from dotsim_ros.evaluation.optics.judge import frames_by_press, with_frames
+from dotsim_ros.evaluation.optics.split import OpticalSplit
+from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.learning.pattern import with_learned_pattern
+from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.presses import read_press
+from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.sensor import skin_of
+from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.footage import (
+    FilmedData,
+    OpticalData,
+    OpticalPress,
+    lights_of,
+    render_filmed,
+)
+
+
+def clipped_presses(
+    data_set: DataSet, sensor: SensorSpecification, data: OpticalData
+) -> dict[str, OpticalPress]:
+    """Return the presses by name, with what the camera sees of the sensor's skin, clipped.
+
+    Args:
+        data_set: where poses and indenters are.
+        sensor: whose skin is clipped.
+        data: the presses, and the camera.
+
+    Raises:
+        FileNotFoundError: no mesh of an indenter.
+        ValueError: a trajectory without one pose for each image.
+    """
+    renderer = SkinRenderer(data.camera, skin_of(sensor.gel))
+    entries = {entry.name: entry for entry in data_set.entries}
+    indenters: dict[str, Indenter] = {}
+    presses = {}
+    for press in data.presses:
+        if press.indenter not in indenters:
+            indenters[press.indenter] = load_mesh(data_set.indenter_mesh(press.indenter))
+        poses = read_press(entries[press.name]).poses
+        presses[press.name] = clipped_press(press, poses, indenters[press.indenter], renderer)
+    return presses
+
+
+def refined_data(
+    filmed: FilmedData, sensor: SensorSpecification, data: OpticalData, split: OpticalSplit
+) -> OpticalData:
+    """Return the presses by an idle image that the frames to fit on refine, with samples between
+    its pixels, as `train-optics` makes it.
+
+    Args:
+        filmed: images and skins.
+        sensor: whose camera and lights.
+        data: the same frames by the idle image as it was taken.
+        split: no frame that it judges plays a part in the idle image.
+    """
+    presses = {press.name: press for press in filmed.presses}
+    to_fit = [
+        with_frames(presses[name], frames) for name, frames in frames_by_press(split.train).items()
+    ]
+    lighting, vignetting = lights_of(sensor)
+    learned = with_learned_pattern(
+        replace(filmed, presses=tuple(to_fit)),
+        data.camera,
+        lighting=lighting,
+        vignetting=vignetting,
+    )
+    return render_filmed(
+        replace(learned, presses=filmed.presses),
+        data.camera,
+        lighting=lighting,
+        vignetting=vignetting,
+    )

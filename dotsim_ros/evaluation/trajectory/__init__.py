@@ -1,0 +1,1 @@
+"""Paths followed by touch, judged by what was recorded."""

@@ -1,0 +1,302 @@
+"""The trajectories' table, its pictures, and what its figures mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
+from dotsim_ros.evaluation.trajectory.trials import SETTINGS, limits_shown
+from dotsim_ros.files import whole_file
+from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.page import (
+    Bullets,
+    Gallery,
+    Page,
+    Picture,
+    Section,
+    Table,
+    page_figure,
+    picture_of,
+)
+from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
+from dotsim_ros.tasks.policy.rollout import APPROACH_S
+from dotsim_ros.tasks.policy.safety import SafetyLimits
+
+COLUMNS = (
+    Column("mean_error_mm", "mean error mm ↓"),
+    Column("std_mm", "± between trials mm"),
+    Column("p95_error_mm", "95th percentile mm"),
+    Column("largest_error_mm", "largest mm"),
+    Column("progress", "progress ↑", 2),
+    Column("trials", "trials", 0),
+    Column("judged", "judged", 0),
+    Column("ended_early", "ended early", 0),
+    Column("stop_count", "stops", 0),
+    Column("frame_rate_hz", "frames/s", 1),
+)
+LIMIT_COLUMNS = (
+    Column("speed_mm_s", "speed mm/s", 1),
+    Column("acceleration_m_s2", "acceleration m/s²", 2),
+    Column("turn_rate_rad_s", "turning rad/s", 3),
+    Column("turn_rad", "turned rad", 3),
+    Column("excursion", "excursion x, y, z mm"),
+    Column("force_n", "force N", 2),
+    Column("exceeded", "trials beyond a limit", 0),
+)
+SAYS = {
+    "simulated": "the sensor that the policy was trained on",
+    "transferred": "the stand-in for a measured sensor: its calibrated gel, lens and lights, the "
+    "network that completes its image, and noise as its camera has; the policy saw none of it",
+    "shifted": "the sensor trained on with a gel 10 % stiffer, light dimmed to 60 %, and a camera "
+    "tilted by 1 degree",
+}
+NOT_SO = (
+    "`transferred` is no real sensor. The images are those of a simulation that was fitted to a "
+    "data set which is itself synthetic, and the gel under them is this package's, not the "
+    "finite-element one that the data came from: what both leave out, neither shows.",
+    "`shifted` lies within what training varied for light and camera. The stiffer gel hardly shows "
+    "in an image, since the shape of a gel that a rigid body presses slowly does not depend on its "
+    "stiffness; it shows in the force.",
+    "The arm is simulated, and the indenter stands still in its base.",
+)
+PANEL_INCHES = (3.5, 2.5)
+GRID_PANEL_INCHES = (3.1, 2.3)
+DOTS_PER_INCH = 110
+REFERENCE_COLOUR, APPROACH_COLOUR = "#9aa5b1", "#d9a441"
+TRIAL_COLOURS = ("#1f5fa8", "#c0392b", "#2e8b57", "#7d3c98", "#b9770e")
+
+
+def drawn_places(path: str, position_m: FloatArray) -> tuple[FloatArray, FloatArray, str, str]:
+    """Return the two coordinates (mm) that a path is told best by, and their names."""
+    contact = DomeContact()
+    tilt, depth_m = contact.tilt_and_depth(position_m)
+    radius_mm = 1e3 * (contact.dome_radius_m + contact.ball_radius_m - 1.4e-3)
+    depth = 1e3 * depth_m
+    match path:
+        case "figure_eight":
+            return radius_mm * tilt[..., 0], radius_mm * tilt[..., 1], "along x, mm", "along y, mm"
+        case "arc":
+            angle = np.linalg.norm(tilt, axis=-1)
+            azimuth = np.arctan2(tilt[..., 0], tilt[..., 1])
+            return radius_mm * np.sin(angle) * azimuth, depth, "along the arc, mm", "depth, mm"
+        case "press":
+            return radius_mm * tilt[..., 1], depth, "along y, mm", "depth, mm"
+        case _:
+            return radius_mm * tilt[..., 0], depth, "along x, mm", "depth, mm"
+
+
+def draw_path(axes: Axes, path: str, recordings: Sequence[LoopRecording]) -> None:
+    """Draw what was done on what should have been; the approach paler."""
+    closed = reference_path(path).position_m
+    x, y, x_name, y_name = drawn_places(path, np.concatenate([closed, closed[:1]]))
+    axes.plot(x, y, color=REFERENCE_COLOUR, lw=5.0, solid_capstyle="round", zorder=1)
+    for index, recording in enumerate(recordings):
+        try:
+            begun_s, ended_s = recording.led_s()
+        except ValueError:
+            continue
+        places = recording.indenter_m()
+        x, y, _, _ = drawn_places(path, places)
+        approach = (recording.pose_s >= begun_s) & (recording.pose_s <= begun_s + APPROACH_S)
+        judged = (recording.pose_s >= begun_s + APPROACH_S) & (recording.pose_s <= ended_s)
+        axes.plot(x[approach], y[approach], color=APPROACH_COLOUR, lw=0.8, zorder=2)
+        colour = TRIAL_COLOURS[index % len(TRIAL_COLOURS)]
+        axes.plot(x[judged], y[judged], color=colour, lw=0.9, zorder=3)
+    axes.set_xlabel(x_name)
+    axes.set_ylabel(y_name)
+    if path == "figure_eight":
+        axes.set_aspect("equal", adjustable="datalim")
+
+
+def path_picture(path: str, recordings: Sequence[LoopRecording], *, name: str) -> Picture:
+    """Return the picture of a path for a report."""
+    with page_figure(*PANEL_INCHES) as figure:
+        axes = figure.add_subplot()
+        draw_path(axes, path, recordings)
+        axes.set_title(path.replace("_", " "))
+        return picture_of(figure, name=name, alt=f"The path {path}: executed and reference")
+
+
+def write_grid(file: Path, recordings: Mapping[tuple[str, str], Sequence[LoopRecording]]) -> None:
+    """Write a picture of all paths in all settings, whole or not at all.
+
+    Args:
+        file: PNG.
+        recordings: by setting and path.
+    """
+    settings = [name for name in SETTINGS if any(key[0] == name for key in recordings)]
+    paths = list(dict.fromkeys(path for _, path in recordings))
+    width, height = GRID_PANEL_INCHES
+    with matplotlib.rc_context({"font.family": "DejaVu Sans", "font.size": 8.0}):
+        figure = Figure(figsize=(width * len(paths), height * len(settings)), layout="constrained")
+        panels = figure.subplots(len(settings), len(paths), squeeze=False)
+        for row, setting in enumerate(settings):
+            for column, path in enumerate(paths):
+                axes = panels[row, column]
+                draw_path(axes, path, recordings.get((setting, path), ()))
+                axes.set_title(f"{path.replace('_', ' ')}, {setting}", fontsize=8.5)
+        with whole_file(file) as part:
+            figure.savefig(part, dpi=DOTS_PER_INCH)
+
+
+def trajectory_page(figures: Mapping[str, Any], picture: str) -> str:
+    """Return the page of the figures.
+
+    Args:
+        figures: as `trajectory_figures` gives them, with `provenance` and `plan`.
+        picture: of the paths, seen from the page.
+    """
+    settings = [name for name in SETTINGS if name in figures]
+    rows = [
+        ((setting, path), _shown(found))
+        for setting in settings
+        for path, found in [("all", figures[setting]), *figures[setting]["paths"].items()]
+    ]
+    plan, limits = figures["plan"], figures["limits"]
+    parts = [
+        "# Trajectories followed by touch alone",
+        "Over ROS topics, in real time: `tactile_sim`, `tactile_policy` and `xarm_sim` as "
+        f"processes. {plan['trials']} trials of each path and setting, {plan['seconds']:g} s each; "
+        "every trial starts somewhere on its path and a little beside it, drawn by the seed, at "
+        "the same places in every setting.",
+        "\n".join(f"- **{setting}**: {SAYS[setting]}." for setting in settings),
+        markdown_table(("setting", "path"), rows, COLUMNS),
+        f"![executed paths on the reference]({picture})",
+        "Grey: the path; yellow: the approach of the first "
+        f"{APPROACH_S:g} s, which is not judged; coloured: the trials.",
+        "## The motion against its limits",
+        "Largest values of all trials, of the motion that was recorded. The policy's node allows "
+        f"{limits['speed_mm_s']:g} mm/s, {limits['acceleration_m_s2']:g} m/s², "
+        f"{limits['turn_rate_rad_s']:g} rad/s, {limits['turn_rad']:g} rad, and an excursion of "
+        f"{', '.join(f'{v:g}' for v in limits['excursion_mm'])} mm.",
+        markdown_table(("setting", "path"), rows, LIMIT_COLUMNS),
+        "## Stops",
+        _stops(figures, settings),
+        "## What the figures mean",
+        entry_list(
+            {
+                "mean error": "distance from where the indenter was in the sensor's frame to the "
+                "nearest point of the path, mean over a trial after the approach, then over "
+                "trials; ± is the deviation of the trials' means",
+                "progress": "laps made over those that the expert makes in that time: who stands "
+                "still makes no error",
+                "judged": "trials that went on after the approach; one that was latched before has "
+                "no error and is counted here and under ended early",
+                "frames/s": "of the simulated sensor, which shares the machine with everything "
+                "else; 25 is all of them",
+            }
+        ),
+        "## What this does not show",
+        "\n".join(f"- {line}" for line in NOT_SO),
+        "## Made by",
+        entry_list(figures["provenance"]),
+    ]
+    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def trial_report(
+    row: Mapping[str, Any],
+    limits: SafetyLimits,
+    picture: Picture,
+    *,
+    path: str,
+    policy: str,
+    sensor: str,
+    origin: Mapping[str, str],
+) -> Page:
+    """Return the report of one trial.
+
+    Args:
+        row: its figures, from `judge`.
+        limits: that the motion is held against.
+        picture: of the path.
+        path, policy, sensor: names.
+        origin: where it comes from.
+    """
+    sections = [Section("Path", (Gallery((picture,)),), is_half=True)]
+    is_judged = "mean_error_mm" in row
+    lead = f"Not judged: {row['ended']}."
+    if is_judged:
+        lead = (
+            f"{row['mean_error_mm']:.2f} mm from the path on average, {row['laps']:.2f} laps in "
+            f"the time in which the expert makes {row['laps_of_expert']:.2f}."
+        )
+        followed = (
+            ("mean error", f"{row['mean_error_mm']:.3f} mm"),
+            ("95th percentile", f"{row['p95_error_mm']:.3f} mm"),
+            ("largest", f"{row['largest_error_mm']:.3f} mm"),
+            ("judged", f"{row['seconds']:.1f} s, after an approach of {APPROACH_S:g} s"),
+        )
+        sections.append(Section("Followed", (Table(("figure", "value"), followed),), is_half=True))
+    if "speed_mm_s" in row:
+        allowed = limits_shown(limits)
+        moved = tuple(
+            (name, _number(row[key]), _number(allowed[key]))
+            for name, key in (
+                ("speed, mm/s", "speed_mm_s"),
+                ("acceleration, m/s²", "acceleration_m_s2"),
+                ("turning, rad/s", "turn_rate_rad_s"),
+                ("turned, rad", "turn_rad"),
+                ("away from where it was enabled, mm", "excursion_mm"),
+            )
+        )
+        rates = (
+            ("frames of the sensor", f"{row['frame_rate_hz']:.2f}"),
+            ("commands", f"{row['command_rate_hz']:.2f}"),
+            ("feedback of the arm", f"{row['feedback_rate_hz']:.2f}"),
+        )
+        sections += [
+            Section(
+                "Largest values", (Table(("what", "measured", "allowed"), moved),), is_half=True
+            ),
+            Section("Rates", (Table(("topic", "Hz"), rates),), is_half=True),
+        ]
+    stops = tuple(f"{reason}: {count}" for reason, count in row["stops"].items())
+    sections += [
+        Section("Stops", (Bullets(stops or ("none",)),), is_half=True),
+        Section("Made by", (Bullets(tuple(f"{k}: {v}" for k, v in origin.items())),), is_half=True),
+    ]
+    is_good = is_judged and not row["ended"] and not row["exceeded"]
+    return Page(
+        f"{policy} on {sensor}: {path.replace('_', ' ')}",
+        lead,
+        tuple(sections),
+        label="within all limits" if is_good else (row["ended"] or "beyond a limit"),
+        colour="#2e7d32" if is_good else "#b3261e",
+    )
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(f"{each:.3g}" for each in value)
+    return f"{value:.3g}"
+
+
+def _shown(found: Mapping[str, Any]) -> dict[str, Any]:
+    excursion = found.get("excursion_mm")
+    return {
+        **found,
+        "stop_count": sum(found["stops"].values()),
+        "excursion": None if excursion is None else ", ".join(f"{v:.1f}" for v in excursion),
+    }
+
+
+def _stops(figures: Mapping[str, Any], settings: Sequence[str]) -> str:
+    lines = []
+    for setting in settings:
+        for path, found in figures[setting]["paths"].items():
+            for reason, count in found["stops"].items():
+                lines.append(f"- {setting}, {path}: {reason} {count}")
+        for path, rows in figures[setting]["rows"].items():
+            for number, row in enumerate(rows):
+                if row["ended"]:
+                    lines.append(f"- {setting}, {path}, trial {number + 1} ended: {row['ended']}")
+    return "\n".join(lines) or "None."

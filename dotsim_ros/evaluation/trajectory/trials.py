@@ -1,0 +1,432 @@
+"""Trajectories followed by touch alone: the settings, the trials, and what a recording is worth.
+
+What runs the loop is handed in, so nothing here needs ROS.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import yaml
+from scipy.spatial.transform import Rotation
+
+from dotsim_ros.files import whole_file, write_image
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.optics.idle import read_idle_frame, resample
+from dotsim_ros.provenance import provenance
+from dotsim_ros.sensor import given_path
+from dotsim_ros.specification import load_sensor, sensor_path
+from dotsim_ros.tasks.policy.demonstration import within_bounds
+from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, ReferencePath, reference_path
+from dotsim_ros.tasks.policy.rollout import APPROACH_S
+from dotsim_ros.tasks.policy.safety import SafetyLimits
+
+SIMULATED, TRANSFERRED, SHIFTED = "simulated", "transferred", "shifted"
+SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED)
+STIFFER, DIMMED, TILT_DEG = 1.1, 0.6, 1.0
+CAMERA_NOISE_LEVELS = 1.2
+"""Of the camera of `sensor_a`: shared/measured/README.md states it, differences of its five idle
+images tell the same."""
+START_SPREAD_M = 0.4e-3
+"""Standard deviation along each axis of where a trial starts beside its path."""
+BRAKING_S = 0.3
+"""After the last command the motion still counts for so long."""
+TRIES = 3
+_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A sensor that the policy is tried on.
+
+    Attributes:
+        name: one of SETTINGS.
+        sensor: name or file of the sensor.
+        noise_levels: standard deviation of the camera's noise, of 255.
+        content: hash of what the sensor is made of.
+    """
+
+    name: str
+    sensor: str
+    noise_levels: float = 0.0
+    content: str = ""
+
+
+@dataclass(frozen=True)
+class TrialPlan:
+    """What is tried.
+
+    Attributes:
+        settings: which sensors.
+        paths: names of the paths.
+        trial_count: of each path in each setting.
+        seconds: that the policy leads, the approach of APPROACH_S included.
+        seed: of the starts.
+        policy: hash of the policy's weights.
+    """
+
+    settings: tuple[Setting, ...]
+    paths: tuple[str, ...]
+    trial_count: int = 10
+    seconds: float = 12.0
+    seed: int = 0
+    policy: str = ""
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.paths) - set(PATHS))
+        if unknown or not self.paths:
+            raise ValueError(
+                f"no path {', '.join(unknown) or 'is named'}; choose from {', '.join(PATHS)}"
+            )
+        if self.trial_count < 1 or self.seconds < APPROACH_S + 1.0:
+            raise ValueError(
+                f"{self.trial_count} trials of {self.seconds:g} s: expected at least one, of at "
+                f"least {APPROACH_S + 1.0:g} s"
+            )
+
+    def file_of(self, setting: Setting, path: str, number: int) -> str:
+        """Return the name of the file that keeps a trial."""
+        what = [_FORMAT, self.policy, setting.content, path, number, self.seed, self.seconds]
+        what += [setting.noise_levels]
+        digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:12]
+        return f"{setting.name}-{path}-{number}-{digest}.npz"
+
+
+class Loop(Protocol):
+    """What runs a closed loop."""
+
+    def __call__(
+        self, setting: Setting, path: str, start_m: FloatArray, seconds: float
+    ) -> LoopRecording:
+        """Return what the loop did; OSError where it could not be run."""
+
+
+@dataclass
+class Trials:
+    """The recordings of a plan, and what they are worth.
+
+    Attributes:
+        recordings: of each trial, by setting and path.
+        rows: the figures of each, in the same order.
+    """
+
+    recordings: dict[tuple[str, str], list[LoopRecording]] = field(default_factory=dict)
+    rows: dict[tuple[str, str], list[dict[str, Any]]] = field(default_factory=dict)
+
+
+def setting_of(name: str, folder: Path, *, trained_on: str) -> Setting:
+    """Return a setting; the shifted sensor's files are written into a folder.
+
+    Args:
+        name: one of SETTINGS.
+        folder: for files that are made.
+        trained_on: name or file of the sensor that the policy was trained on.
+
+    Raises:
+        ValueError: no such setting.
+    """
+    if name == SIMULATED:
+        return Setting(name, trained_on, content=_content(sensor_path(trained_on)))
+    if name == TRANSFERRED:
+        return Setting(
+            name, "sensor_a", CAMERA_NOISE_LEVELS, content=_content(sensor_path("sensor_a"))
+        )
+    if name == SHIFTED:
+        path = write_shifted(folder, trained_on)
+        return Setting(name, str(path), content=_content(path))
+    raise ValueError(f"there is no setting {name!r}; choose one of {', '.join(SETTINGS)}")
+
+
+def write_shifted(folder: Path, source: str) -> Path:
+    """Write a sensor with a stiffer gel, dimmed light and a tilted camera, and return its file.
+
+    The camera turns in its place: its idle image is the sensor's own, seen from there.
+    """
+    document = yaml.safe_load(sensor_path(source).read_text(encoding="utf-8"))
+    sensor = load_sensor(source)
+    document["name"] = f"{sensor.name}_shifted"
+    for constant in (
+        "youngs_modulus_pa",
+        "c10_pa",
+        "c01_pa",
+        "c20_pa",
+        "c30_pa",
+        "bulk_modulus_pa",
+    ):
+        if constant in document["material"]:
+            document["material"][constant] = STIFFER * float(document["material"][constant])
+    turn = Rotation.from_rotvec([np.radians(TILT_DEG), 0.0, 0.0])
+    turned = Rotation.from_quat(sensor.camera.quaternion_xyzw) * turn
+    camera = document["camera"]
+    camera["quaternion_xyzw"] = [float(number) for number in turned.as_quat()]
+    idle = given_path(sensor.camera.idle_image)
+    own = FisheyeCamera.from_specification(sensor.camera)
+    x, y, z, w = camera["quaternion_xyzw"]
+    tilted = FisheyeCamera.from_specification(replace(sensor.camera, quaternion_xyzw=(x, y, z, w)))
+    seen = resample(read_idle_frame(idle, own).image, own, tilted)
+    picture = folder.absolute() / "shifted_idle.png"
+    write_image(picture, np.rint(DIMMED * seen).astype(np.uint8))
+    if idle.with_suffix(".yaml").is_file():
+        shutil.copyfile(idle.with_suffix(".yaml"), picture.with_suffix(".yaml"))
+    camera["idle_image"] = str(picture)
+    path = folder / "shifted.yaml"
+    with whole_file(path) as part:
+        part.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def _content(path: Path) -> str:
+    """Return a hash of a sensor's file; where its images lie does not count."""
+    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    idle = document.get("camera", {}).pop("idle_image", "")
+    digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
+    if idle:
+        digest.update(given_path(idle).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def trial_start(path: ReferencePath, contact: DomeContact, *, seed: int, number: int) -> FloatArray:
+    """Return where the indenter is (3,) in the sensor's frame as a trial begins: somewhere on the
+    path and a little beside it, the same in every setting."""
+    random = np.random.default_rng([seed, PATHS.index(path.name), number])
+    place = path.position_m[int(random.integers(len(path.position_m)))]
+    return within_bounds(place + START_SPREAD_M * random.standard_normal(3), contact)
+
+
+def run_trials(
+    plan: TrialPlan,
+    loop: Loop,
+    limits: SafetyLimits,
+    cache: Path,
+    *,
+    contact: DomeContact | None = None,
+    progress: Callable[[str], None],
+) -> Trials:
+    """Run what has not been run before, and judge all.
+
+    Args:
+        plan: what to try.
+        loop: runs it.
+        limits: that the motion is held against.
+        cache: folder of the recordings; a run that was broken off goes on.
+        contact: of the ball on the dome.
+        progress: takes a line for each trial.
+
+    Raises:
+        OSError: a trial could not be run in TRIES tries.
+    """
+    contact = contact or DomeContact()
+    trials = Trials()
+    for setting in plan.settings:
+        for name in plan.paths:
+            path = reference_path(name, contact)
+            for number in range(plan.trial_count):
+                kept = cache / plan.file_of(setting, name, number)
+                if kept.is_file():
+                    recording = LoopRecording.load(kept)
+                else:
+                    start = trial_start(path, contact, seed=plan.seed, number=number)
+                    recording = _tried(loop, setting, name, start, plan.seconds, progress)
+                    recording.save(kept)
+                row = judge(recording, path, limits)
+                trials.recordings.setdefault((setting.name, name), []).append(recording)
+                trials.rows.setdefault((setting.name, name), []).append(row)
+                progress(f"{setting.name}, {name}, trial {number + 1}: {told(row)}")
+    return trials
+
+
+def _tried(
+    loop: Loop,
+    setting: Setting,
+    path: str,
+    start_m: FloatArray,
+    seconds: float,
+    progress: Callable[[str], None],
+) -> LoopRecording:
+    for left in reversed(range(TRIES)):
+        try:
+            recording = loop(setting, path, start_m, seconds)
+        except OSError as error:
+            if not left:
+                raise
+            progress(f"{setting.name}, {path}: {error}; once more")
+        else:
+            known = provenance()
+            made = {key: known[key] for key in ("commit", "date", "machine")}
+            return replace(recording, notes={**recording.notes, **made})
+    raise AssertionError("TRIES is at least one")
+
+
+def told(row: Mapping[str, Any]) -> str:
+    """Return a trial's figures on one line."""
+    if "mean_error_mm" not in row:
+        return f"not judged: {row['ended']}"
+    stops = ", ".join(f"{reason} {count}" for reason, count in row["stops"].items())
+    return (
+        f"{row['mean_error_mm']:.3f} mm, {row['laps']:.2f} of {row['laps_of_expert']:.2f} laps, "
+        f"{row['frame_rate_hz']:.1f} frames/s, stops: {stops or 'none'}"
+        + (f", ended: {row['ended']}" if row["ended"] else "")
+    )
+
+
+def judge(recording: LoopRecording, path: ReferencePath, limits: SafetyLimits) -> dict[str, Any]:
+    """Return what a recording is worth.
+
+    Errors are distances from where the indenter was in the sensor's frame to the nearest point of
+    the path, after the first APPROACH_S in which the arm was led; largest values are of the whole
+    time from the first command to the last.
+    """
+    notes = recording.notes
+    ended = ""
+    if notes.get("state") in ("latched", "refused"):
+        ended = f"{notes['reason']}: {notes['detail']}"
+    row: dict[str, Any] = {"stops": dict(notes.get("stops", {})), "ended": ended}
+    try:
+        begun_s, ended_s = recording.led_s()
+    except ValueError as error:
+        return row | {"ended": ended or str(error)}
+    row |= motion_figures(recording, limits)
+    led = (recording.pose_s >= begun_s + APPROACH_S) & (recording.pose_s <= ended_s)
+    if np.count_nonzero(led) < 2:
+        return row | {"ended": ended or "within the approach"}
+    places = recording.indenter_m()[led]
+    error_mm = 1e3 * path.nearest(places)[0]
+    duration_s = float(np.ptp(recording.pose_s[led]))
+    return row | {
+        "mean_error_mm": round(float(error_mm.mean()), 4),
+        "p95_error_mm": round(float(np.percentile(error_mm, 95)), 4),
+        "largest_error_mm": round(float(error_mm.max()), 4),
+        "laps": round(path.laps(places), 3),
+        "laps_of_expert": round(duration_s / path.lap_s, 3),
+        "seconds": round(duration_s, 2),
+    }
+
+
+def motion_figures(recording: LoopRecording, limits: SafetyLimits) -> dict[str, Any]:
+    """Return rates, largest speeds, accelerations and excursions of the motion that was recorded,
+    and which limits it exceeded."""
+    begun_s, ended_s = recording.led_s()
+    within = (recording.twist_s >= begun_s) & (recording.twist_s <= ended_s + BRAKING_S)
+    twist, twist_s = recording.twist[within], recording.twist_s[within]
+    step_s = np.diff(twist_s)
+    steps = np.diff(twist, axis=0)[step_s > 0.0] / step_s[step_s > 0.0, None]
+    shown = (recording.pose_s >= begun_s) & (recording.pose_s <= ended_s + BRAKING_S)
+    pose = recording.pose[shown]
+    before = recording.pose[recording.pose_s <= begun_s]
+    home = before[-1] if len(before) else pose[0]
+    away_m = np.abs(pose[:, :3] - home[:3]).max(axis=0)
+    turns = Rotation.from_quat(home[3:]).inv() * Rotation.from_quat(pose[:, 3:])
+    commands = recording.command[
+        (recording.command_s >= begun_s) & (recording.command_s <= ended_s)
+    ]
+    figures = {
+        "speed_mm_s": 1e3 * _largest(twist[:, :3]),
+        "turn_rate_rad_s": _largest(twist[:, 3:]),
+        "acceleration_m_s2": _largest(steps[:, :3]),
+        "turn_acceleration_rad_s2": _largest(steps[:, 3:]),
+        "commanded_speed_mm_s": 1e3 * _largest(commands[:, :3]),
+        "turn_rad": float(turns.magnitude().max()),
+    }
+    allowed = limits_shown(limits)
+    allowed["commanded_speed_mm_s"] = allowed["speed_mm_s"]
+    exceeded = [name for name, value in figures.items() if value > allowed[name] * (1.0 + 1e-9)]
+    if (away_m > limits.half_box_m).any():
+        exceeded.append("excursion_mm")
+    frames = (recording.frame_s >= begun_s) & (recording.frame_s <= ended_s)
+    force = np.linalg.norm(recording.force_n[frames], axis=1)
+    return {
+        **{name: round(value, 4) for name, value in figures.items()},
+        "excursion_mm": np.round(1e3 * away_m, 2).tolist(),
+        "exceeded": exceeded,
+        "standing_share": round(float(np.mean(~commands.any(axis=1))), 4),
+        "force_n": round(float(force.max(initial=0.0)), 3),
+        "frame_rate_hz": _rate_hz(recording.frame_s, begun_s, ended_s),
+        "feedback_rate_hz": _rate_hz(recording.pose_s, begun_s, ended_s),
+        "command_rate_hz": _rate_hz(recording.command_s, begun_s, ended_s),
+    }
+
+
+def _largest(vectors: FloatArray) -> float:
+    return float(np.linalg.norm(vectors, axis=1).max(initial=0.0))
+
+
+def _rate_hz(times_s: FloatArray, begun_s: float, ended_s: float) -> float:
+    inside = times_s[(times_s >= begun_s) & (times_s <= ended_s)]
+    if len(inside) < 2:
+        return 0.0
+    return round(float((len(inside) - 1) / (inside[-1] - inside[0])), 2)
+
+
+def summarize(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the figures of several trials: mean and deviation of the trials' mean errors."""
+    judged = [row for row in rows if "mean_error_mm" in row]
+    moved = [row for row in rows if "speed_mm_s" in row]
+    errors = [row["mean_error_mm"] for row in judged]
+    stops: dict[str, int] = {}
+    for row in rows:
+        for reason, count in row["stops"].items():
+            stops[reason] = stops.get(reason, 0) + count
+    figures: dict[str, Any] = {
+        "trials": len(rows),
+        "judged": len(judged),
+        "ended_early": sum(bool(row["ended"]) for row in rows),
+        "stops": stops,
+        "exceeded": sum(bool(row["exceeded"]) for row in moved),
+    }
+    if judged:
+        figures |= {
+            "mean_error_mm": round(float(np.mean(errors)), 4),
+            "std_mm": round(float(np.std(errors, ddof=1)), 4) if len(errors) > 1 else None,
+            "p95_error_mm": round(float(np.mean([row["p95_error_mm"] for row in judged])), 4),
+            "largest_error_mm": max(row["largest_error_mm"] for row in judged),
+            "progress": round(
+                float(
+                    sum(row["laps"] for row in judged)
+                    / sum(row["laps_of_expert"] for row in judged)
+                ),
+                3,
+            ),
+        }
+    for name in ("speed_mm_s", "turn_rate_rad_s", "acceleration_m_s2", "turn_rad", "force_n"):
+        figures[name] = max((row[name] for row in moved), default=None)
+    if moved:
+        figures["excursion_mm"] = np.max([row["excursion_mm"] for row in moved], axis=0).tolist()
+        for name in ("frame_rate_hz", "command_rate_hz", "feedback_rate_hz"):
+            figures[name] = round(float(np.mean([row[name] for row in moved])), 2)
+    return figures
+
+
+def limits_shown(limits: SafetyLimits) -> dict[str, Any]:
+    """Return the limits under the names of the figures that are held against them."""
+    return {
+        "speed_mm_s": 1e3 * limits.linear_m_s,
+        "turn_rate_rad_s": limits.angular_rad_s,
+        "acceleration_m_s2": limits.linear_m_s2,
+        "turn_acceleration_rad_s2": limits.angular_rad_s2,
+        "turn_rad": limits.turn_rad,
+        "excursion_mm": (1e3 * limits.half_box_m).tolist(),
+    }
+
+
+def trajectory_figures(plan: TrialPlan, trials: Trials) -> dict[str, Any]:
+    """Return the figures as the JSON file holds them."""
+    figures: dict[str, Any] = {}
+    for setting in plan.settings:
+        by_path = {name: trials.rows[setting.name, name] for name in plan.paths}
+        together = [row for rows in by_path.values() for row in rows]
+        figures[setting.name] = summarize(together) | {
+            "sensor": Path(setting.sensor).name,
+            "camera_noise_levels": setting.noise_levels,
+            "paths": {name: summarize(rows) for name, rows in by_path.items()},
+            "rows": by_path,
+        }
+    return figures

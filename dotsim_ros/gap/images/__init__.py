@@ -1,0 +1,1 @@
+"""The gap finder on images: effects of the camera and its lights."""

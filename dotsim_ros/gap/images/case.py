@@ -1,0 +1,158 @@
+"""Measured pictures beside the twin's: the residuals and films of a set of trajectories."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.effects.effect import Active, Effect
+from dotsim_ros.gap.images.model import Film, PictureModel, resized, resized_picture
+from dotsim_ros.gap.images.reading import Pictures
+from dotsim_ros.gap.images.tile_noise import contact_change
+from dotsim_ros.gap.images.tiles import TileMeter, tile_grid
+from dotsim_ros.measured.recording import Phase, Recording
+
+Array = NDArray[np.float64]
+
+IDLE = "idle"
+"""Name of the trajectory that the idle images make: one frame, their mean, at the session's
+start."""
+WIDTH, HEIGHT = 320, 240
+"""Pixels that tiles are compared at, whatever the camera has: shifts and noise are of that size."""
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A trajectory's pictures beside the twin's, at the size of the tiles.
+
+    Attributes:
+        name: of the trajectory.
+        recording: its motion; None for `IDLE`.
+        measured: (F, H, W, 3), 0 to 255.
+        film: what the twin says.
+        residual: (F, T, 6) observables of measured against predicted.
+        change: (F, T, 6) `contact_change` of the prediction.
+    """
+
+    name: str
+    recording: Recording | None
+    measured: NDArray[np.generic]
+    film: Film
+    residual: Array
+    change: Array
+
+    def of_frames(self, frames: NDArray[np.integer]) -> Shot:
+        """Return some of the frames; the films keep how fast the picture moved there."""
+        film = replace(
+            self.film,
+            stamp_s=self.film.stamp_s[frames],
+            session_s=self.film.session_s[frames],
+            pixels=self.film.pixels[frames],
+            flow_px_s=self.film.flow_px_s[frames],
+        )
+        return replace(
+            self,
+            measured=self.measured[frames],
+            film=film,
+            residual=self.residual[frames],
+            change=self.change[frames],
+        )
+
+
+@dataclass(frozen=True)
+class OpticalCase:
+    """All pictures of a data set beside the twin's.
+
+    Attributes:
+        shots: `IDLE` first.
+        meter: that compared them.
+        camera: (T, 6) deviation by the camera's noise; NaN where a single idle image tells none.
+    """
+
+    shots: tuple[Shot, ...]
+    meter: TileMeter
+    camera: Array
+
+    def without_contact(self) -> OpticalCase:
+        """Return the frames in which nothing touches the skin."""
+        kept = []
+        for shot in self.shots:
+            if shot.recording is None:
+                kept.append(shot)
+                continue
+            free = np.flatnonzero([phase is Phase.IDLE for phase in shot.recording.phase])
+            if len(free):
+                kept.append(shot.of_frames(free))
+        return replace(self, shots=tuple(kept))
+
+    def of(self, names: Sequence[str]) -> list[Shot]:
+        """Return the shots of some names, in their own order."""
+        return [shot for shot in self.shots if shot.name in names]
+
+    def changed_by(self, shot: Shot, effects: Sequence[Active]) -> Array:
+        """Return (F, T, 6) what effects do to the observables of a shot."""
+        return self.meter.difference(shot.film.with_effects(effects), shot.film.pixels)
+
+
+def optical_case(
+    pictures: Pictures,
+    model: PictureModel,
+    skins: Mapping[str, Array],
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> OpticalCase:
+    """Return measured pictures beside those of a model.
+
+    Args:
+        pictures: as measured.
+        model: of the twin's pictures, at their size.
+        skins: (F, V, 3) of the sensor's skin by name of the trajectory; those that it lacks are
+            left out.
+        progress: told the trajectories.
+    """
+    # Loaded on use: it starts Warp.
+    from dotsim_ros.optics.idle import lit_region
+
+    rest = resized_picture(model.idle.astype(np.float64), WIDTH, HEIGHT)
+    meter = TileMeter(tile_grid(lit_region(np.rint(rest).astype(np.uint8))), rest)
+    idles = np.stack([resized_picture(one, WIDTH, HEIGHT) for one in pictures.idle_images])
+    mean = idles.mean(axis=0, dtype=np.float64)[None]
+    shots = [_shot(IDLE, None, mean, resized(model.idle_film(), WIDTH, HEIGHT), meter)]
+    known = [one for one in pictures.trajectories if one.recording.name in skins]
+    for number, one in enumerate(known):
+        recording = one.recording
+        film = model.film(
+            skins[recording.name], recording.press.stamp_s, start_s=recording.session_s
+        )
+        measured = np.stack([resized_picture(image, WIDTH, HEIGHT) for image in one.measured])
+        film = resized(film, WIDTH, HEIGHT)
+        shots.append(_shot(recording.name, recording, measured, film, meter))
+        if progress is not None:
+            progress(number + 1, len(known))
+    unknown = np.full((len(meter.grid), shots[0].residual.shape[-1]), np.nan)
+    return OpticalCase(tuple(shots), meter, meter.noise(idles) if len(idles) > 1 else unknown)
+
+
+def _shot(
+    name: str,
+    recording: Recording | None,
+    measured: NDArray[np.generic],
+    film: Film,
+    meter: TileMeter,
+) -> Shot:
+    rest = np.broadcast_to(film.idle, film.pixels.shape)
+    change = contact_change(meter.difference(film.pixels, rest))
+    residual = meter.difference(measured, film.pixels)
+    return Shot(name, recording, measured, film, residual, change)
+
+
+def excited(effects: Mapping[str, Effect], shots: Sequence[Shot]) -> tuple[list[Effect], list[str]]:
+    """Return the effects that act on pictures and that these excite, and the names of the others
+    that act on pictures."""
+    optical = [effect for effect in effects.values() if effect.image is not None]
+    recordings = [shot.recording for shot in shots if shot.recording is not None]
+    found = [e for e in optical if any(e.excited_by(recording) for recording in recordings)]
+    return found, [effect.name for effect in optical if effect not in found]

@@ -1,0 +1,353 @@
+"""The rule of the pictures: which optical effects are named, how large they are, what is unknown.
+
+The best effect's signature is made anew at the size found (a secant instead of the probe's), its
+shape searched about the best probe. A second effect enters past the threshold and with a share of
+what the first one leaves (`decision.FURTHER`). What the named ones leave is compared with what
+trajectories leave in which nothing is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.effects.effect import Active, Effect, EffectParameter
+from dotsim_ros.gap import decision
+from dotsim_ros.gap.findings import Estimate, Verdict
+from dotsim_ros.gap.images.case import OpticalCase, Shot
+from dotsim_ros.gap.images.null import OpticalNull
+from dotsim_ros.gap.images.search import (
+    Nuisance,
+    OpticalSearch,
+    Score,
+    Signature,
+    alike,
+    camera_nuisances,
+    freed,
+    probes_of,
+    signatures_of,
+)
+from dotsim_ros.gap.images.tile_noise import TileNoise
+
+Array = NDArray[np.float64]
+
+ROUNDS = 2
+"""How often a signature is made anew."""
+SMALLEST_STEP = 0.2
+"""A signature is made with this share of its probe at least: shorter ones are all rounding."""
+BOOTSTRAPS = 100
+MOST_EFFECTS = 2
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """An effect at the size that was found.
+
+    Attributes:
+        effect: it.
+        score: of its refined signature.
+        signature: made at the size found.
+    """
+
+    effect: Effect
+    score: Score
+    signature: Signature
+
+    @property
+    def active(self) -> Active:
+        """The effect at work."""
+        return Active(self.effect, self.effect.checked(self.score.values))
+
+
+@dataclass(frozen=True)
+class OpticalAnswer:
+    """What the rule makes of pictures.
+
+    Attributes:
+        verdict: the answer.
+        named: the effects.
+        alternatives: names of those that the first is not told from.
+        scores: of all effects, the best first.
+        statistic, threshold: the largest, and what 1 - alpha of data without any effect stay below.
+        explained: share of what could be removed that the best effects take away.
+        excess, largest_excess: mean square of the whitened residual without effects, and what
+            1 - alpha of data without any effect stay below.
+        stability: share of bootstrap repetitions over trajectories with the same first effect.
+        estimates: the parameters of each named effect.
+    """
+
+    verdict: Verdict
+    named: tuple[Fitted, ...]
+    alternatives: tuple[str, ...]
+    scores: tuple[Score, ...]
+    statistic: float
+    threshold: float
+    explained: float
+    excess: float
+    largest_excess: float
+    stability: float | None
+    estimates: Mapping[str, tuple[Estimate, ...]]
+
+
+class PictureSearch:
+    """Looks for optical effects in some trajectories of a case.
+
+    Args:
+        case: of all pictures.
+        shots: those to search.
+        effects: to look for; all known to the null.
+        null: what pictures show where nothing is missing.
+        alpha: probability of a name on data without any effect.
+        seed: of the draws.
+        signatures: of the effects on these shots, where they were made before.
+    """
+
+    def __init__(
+        self,
+        case: OpticalCase,
+        shots: Sequence[Shot],
+        effects: Sequence[Effect],
+        null: OpticalNull,
+        *,
+        alpha: float,
+        seed: int,
+        signatures: Mapping[str, Sequence[Signature]] | None = None,
+    ) -> None:
+        self.case, self.shots, self.null, self.alpha = case, list(shots), null, alpha
+        self._effects = {effect.name: effect for effect in effects}
+        self._random = np.random.default_rng(seed)
+        self._films = [shot.film for shot in self.shots]
+        self._changes = [shot.change for shot in self.shots]
+        self.noise: TileNoise = null.at(case.meter, case.camera)
+        self.nuisances: tuple[Nuisance, ...] = camera_nuisances(self._films, case.meter)
+        if signatures is None:
+            signatures = signatures_of(effects, self._films, case.meter)
+        self.signatures = dict(signatures)
+        self.search = self._searching(self.signatures)
+        self.threshold = self.search.threshold(alpha, seed=seed)
+
+    def _searching(self, signatures: Mapping[str, Sequence[Signature]]) -> OpticalSearch:
+        spurious = self.null.spurious_of(signatures)
+        return OpticalSearch(signatures, self.noise, self.nuisances, self._changes, spurious)
+
+    def answer(self, residuals: Sequence[Array] | None = None) -> OpticalAnswer:
+        """Return what the rule makes of residuals (F, T, 6) of the shots; None for their own."""
+        measured = [s.residual for s in self.shots] if residuals is None else list(residuals)
+        scores = self.search.score(measured)
+        statistic = max(score.statistic for score in scores)
+        count = sum(one.size for one in measured)
+        most = self.null.largest_excess(self.alpha)
+        before = self._square(measured)
+        first = self._first(scores)
+        named: list[Fitted] = []
+        explained = 0.0
+        if first is not None:
+            named, left = self._named(measured, first)
+            gained = before - left
+            explained = gained / max(gained + max(left - most * count, 0.0), 1e-9)
+        excess = before / count
+        verdict = Verdict.NO_GAP
+        if first is not None:
+            verdict = Verdict.NAMED if explained >= decision.EXPLAINED else Verdict.UNKNOWN
+        elif excess > most:
+            verdict = Verdict.UNKNOWN
+        alternatives: tuple[str, ...] = ()
+        stability = None
+        estimates: dict[str, tuple[Estimate, ...]] = {}
+        if verdict is Verdict.NAMED:
+            if len(named) == 1:
+                alternatives = self._alternatives(scores, named[0])
+            verdict = Verdict.SET if alternatives else Verdict.NAMED
+            estimates, stability = self._estimates(measured, named)
+        else:
+            named = []
+        return OpticalAnswer(
+            verdict,
+            tuple(named),
+            alternatives,
+            tuple(scores),
+            statistic,
+            self.threshold,
+            float(np.clip(explained, 0.0, 1.0)),
+            excess,
+            most,
+            stability,
+            estimates,
+        )
+
+    def _first(self, scores: Sequence[Score]) -> Score | None:
+        """Return the score that explains most of those past the threshold."""
+        return next((s for s in scores if s.statistic > self.threshold), None)
+
+    def _square(self, residuals: Sequence[Array]) -> float:
+        """Return the square of a residual, whitened and free of nuisances."""
+        whitened = self.search.whitened(residuals)
+        return float(whitened @ whitened)
+
+    def _without(self, residuals: Sequence[Array], named: Sequence[Fitted]) -> list[Array]:
+        """Return what named effects leave of residuals."""
+        active = [one.active for one in named]
+        return [
+            residual - self.case.changed_by(shot, active)
+            for residual, shot in zip(residuals, self.shots, strict=True)
+        ]
+
+    def _named(self, measured: Sequence[Array], first: Score) -> tuple[list[Fitted], float]:
+        """Return the effects that are added, and the square that they leave."""
+        named = [self._refined(measured, first)]
+        rest = self._without(measured, named)
+        left = self._square(rest)
+        floor = self.null.largest_excess(self.alpha) * sum(one.size for one in measured)
+        while len(named) < MOST_EFFECTS:
+            others = [s for s in self.search.score(rest) if s.name != named[0].effect.name]
+            second = self._first(others)
+            if second is None:
+                break
+            added = self._refined(rest, second)
+            # The first one took what belongs to the second, too.
+            again = self._refined(self._without(measured, [added]), named[0].score)
+            both = [again, added]
+            rest = self._without(measured, both)
+            least = self._square(rest)
+            if left - least < decision.FURTHER * max(left - floor, 0.0) or left <= floor:
+                break
+            named, left = both, least
+        return named, left
+
+    def _refined(self, residuals: Sequence[Array], score: Score) -> Fitted:
+        """Return an effect fitted with a signature made at the size found, and its shape searched
+        about the best probe's."""
+        effect = self._effects[score.name]
+        best = self._tried(effect, score.values, residuals)
+        reach = 1.0
+        for _ in range(ROUNDS):
+            for parameter in effect.parameters:
+                if parameter.none is not None:
+                    continue
+                for value in _beside(parameter, best.score.values[parameter.name], reach):
+                    values = {**best.score.values, parameter.name: value}
+                    other = self._tried(effect, values, residuals)
+                    if other.score.fit > best.score.fit:
+                        best = other
+            reach *= 0.5
+            best = self._tried(effect, best.score.values, residuals)
+        return best
+
+    def _tried(
+        self, effect: Effect, values: Mapping[str, float], residuals: Sequence[Array]
+    ) -> Fitted:
+        """Return an effect fitted with a signature made at some values."""
+        probed = _probed_at(effect, values)
+        signatures = signatures_of([probed], self._films, self.case.meter)
+        score = self._searching(signatures).score(residuals)[0]
+        return Fitted(effect, score, signatures[effect.name][0])
+
+    def _alternatives(self, scores: Sequence[Score], best: Fitted) -> tuple[str, ...]:
+        """Return the effects that the data do not tell from the best one."""
+        order = sorted(scores, key=lambda score: score.name != best.effect.name)
+        past = {score.name for score in scores if score.statistic > self.threshold}
+        return tuple(n for n in alike(order, self.search.likeness())[1:] if n in past)
+
+    def _estimates(
+        self, measured: Sequence[Array], named: Sequence[Fitted]
+    ) -> tuple[dict[str, tuple[Estimate, ...]], float]:
+        """Return the parameters of named effects with intervals by a bootstrap over trajectories,
+        and the share of its repetitions that rank the first one first."""
+        count = len(self.shots)
+        draws = self._random.integers(count, size=(BOOTSTRAPS, count))
+        weights = np.stack([np.bincount(draw, minlength=count) for draw in draws])
+        found = {}
+        for one in named:
+            others = [other for other in named if other is not one]
+            rest = self._without(measured, others) if others else list(measured)
+            search = self._searching({one.effect.name: (one.signature,)})
+            products = search.products(rest)
+            values = [
+                search.score_products(np.tensordot(weight, products, axes=1))[0].values
+                for weight in weights
+            ]
+            variance = self.null.variances(one.effect.name, one.signature)
+            spread = {
+                d.name: 1.96 * abs(d.step) * float(np.sqrt(v))
+                for d, v in zip(one.signature.directions, variance, strict=True)
+            }
+            found[one.effect.name] = tuple(
+                _estimate(p, one.score.values[p.name], [v[p.name] for v in values], spread)
+                for p in one.effect.parameters
+            )
+        products = self.search.products(measured)
+        name = named[0].effect.name
+        same = sum(
+            self.search.score_products(np.tensordot(weight, products, axes=1))[0].name == name
+            for weight in weights[: BOOTSTRAPS // 5]
+        )
+        return found, same / (BOOTSTRAPS // 5)
+
+
+def mean_squares(
+    shots: Sequence[Shot], residuals: Sequence[Array], noise: TileNoise, case: OpticalCase
+) -> Array:
+    """Return the mean square of each shot's residual, in expected variances, the camera's gain and
+    black level being fitted to all of them."""
+    nuisances = camera_nuisances([shot.film for shot in shots], case.meter)
+    whitened = freed(residuals, noise, nuisances, [shot.change for shot in shots])
+    ends = np.cumsum([one.size for one in residuals])[:-1]
+    return np.array([np.mean(part**2) for part in np.split(whitened, ends)])
+
+
+def without_effects(
+    case: OpticalCase, shots: Sequence[Shot], named: Sequence[Fitted]
+) -> list[Array]:
+    """Return what named effects leave of the residuals of shots."""
+    active = [one.active for one in named]
+    return [shot.residual - case.changed_by(shot, active) for shot in shots]
+
+
+def _probed_at(effect: Effect, values: Mapping[str, float]) -> Effect:
+    """Return an effect that is probed once, at some values."""
+    (directions, _), *_ = probes_of(effect)
+    steps = {d.name: d.step for d in directions}
+    parameters = []
+    for parameter in effect.parameters:
+        value = values[parameter.name]
+        if parameter.none is not None:
+            least = SMALLEST_STEP * abs(steps[parameter.name])
+            if abs(value - parameter.none) < least:
+                side = np.sign(value - parameter.none) or np.sign(steps[parameter.name])
+                value = parameter.none + float(side) * least
+        parameters.append(replace(parameter, probes=(value,)))
+    return replace(effect, parameters=tuple(parameters))
+
+
+def _beside(parameter: EffectParameter, value: float, reach: float) -> list[float]:
+    """Return values of a shape on both sides of one."""
+    probes = sorted(parameter.probes)
+    low, high = parameter.low, parameter.high
+    if low > 0.0 and high / low > 5.0:
+        gaps = np.diff(np.log(probes))
+        factor = float(np.exp(0.5 * reach * (gaps.mean() if len(gaps) else np.log(3.0))))
+        found = [value / factor, value * factor]
+    else:
+        gaps = np.diff(probes)
+        step = 0.5 * reach * (float(gaps.mean()) if len(gaps) else 0.3 * (high - low))
+        found = [value - step, value + step]
+    return [one for one in found if low <= one <= high]
+
+
+def _estimate(
+    parameter: EffectParameter, value: float, drawn: Sequence[float], spread: Mapping[str, float]
+) -> Estimate:
+    """Return a parameter with its interval: that of the bootstrap and of the model's own error."""
+    low, high = np.percentile(drawn, [2.5, 97.5]).tolist()
+    own = spread.get(parameter.name, 0.0)
+    below, above = np.hypot(max(value - low, 0.0), own), np.hypot(max(high - value, 0.0), own)
+    return Estimate(
+        parameter.name,
+        parameter.unit,
+        value,
+        max(value - float(below), min(parameter.low, value)),
+        min(value + float(above), max(parameter.high, value)),
+    )

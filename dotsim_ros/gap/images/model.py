@@ -1,0 +1,217 @@
+"""What the twin's camera should see of measured trajectories, and what it did see.
+
+The picture of the calibrated gel is made by the frozen network from the twin's own idle frame, or
+from that of the unit's commissioning where there is one. The idle images that are searched are not
+used for it: whatever changed since then would be carried into every prediction and be seen no more.
+Optical effects act on these pictures.
+
+Importing this loads neither Warp nor ONNX Runtime.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.effects.effect import Active, Array, SeenImage, image_filters
+
+if TYPE_CHECKING:
+    from dotsim_ros.geometry.camera import FisheyeCamera
+    from dotsim_ros.optics.renderer import View
+    from dotsim_ros.specification import SensorSpecification
+
+ByteImage = NDArray[np.uint8]
+Float32Array = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Film:
+    """Pictures of one trajectory, as the twin has them.
+
+    Attributes:
+        stamp_s: (F,) times of the frames, within the trajectory.
+        session_s: (F,) times since the session's start.
+        pixels: (F, H, W, 3) linear to the sensor's numbers, 0 to 255, not rounded.
+        flow_px_s: (F, H, W, 2) how fast the picture moves.
+        idle: (H, W, 3) the same camera's picture without contact.
+        centre_px: (2,) x and y of the optical axis.
+        focal_px: pixels a radian.
+    """
+
+    stamp_s: Array
+    session_s: Array
+    pixels: Float32Array
+    flow_px_s: Float32Array
+    idle: Array
+    centre_px: Array
+    focal_px: float
+
+    def seen(self) -> Iterator[SeenImage]:
+        """Yield the frames as effects take them."""
+        for frame in range(len(self.stamp_s)):
+            yield SeenImage(
+                float(self.stamp_s[frame]),
+                float(self.session_s[frame]),
+                self.pixels[frame].astype(np.float64),
+                self.idle,
+                self.centre_px,
+                self.focal_px,
+                self.flow_px_s[frame].astype(np.float64),
+            )
+
+    def with_effects(self, effects: Sequence[Active]) -> Float32Array:
+        """Return the pixels (F, H, W, 3) with effects at work, by fresh filters."""
+        filtered = image_filters(effects)
+        return np.stack([filtered(image) for image in self.seen()]).astype(np.float32)
+
+
+def resized(film: Film, width: int, height: int) -> Film:
+    """Return a film of another size and the same view."""
+    if film.pixels.shape[1:3] == (height, width):
+        return film
+    scale = width / film.pixels.shape[2]
+    return Film(
+        film.stamp_s,
+        film.session_s,
+        np.stack([resized_picture(one, width, height) for one in film.pixels]),
+        np.stack([np.float32(scale) * resized_picture(f, width, height) for f in film.flow_px_s]),
+        resized_picture(film.idle, width, height),
+        # The centre of the first pixel is (0, 0).
+        scale * (film.centre_px + 0.5) - 0.5,
+        scale * film.focal_px,
+    )
+
+
+def resized_picture(picture: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    """Return a picture (H, W, C) of another size; each new pixel is the mean of what it covers."""
+    smaller = width < picture.shape[1]
+    way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(picture, (width, height), interpolation=way))
+
+
+class PictureModel:
+    """Makes the pictures of skins with a sensor's calibrated camera and its frozen network.
+
+    Args:
+        sensor: the twin; without a network its picture is the carried one.
+        width, height: of the pictures.
+        idle: (H, W, 3) uint8 of that size, the unit's idle frame at its commissioning; None for the
+            twin's own.
+
+    Attributes:
+        camera: of that size.
+        idle: (H, W, 3) uint8, the idle frame.
+
+    Raises:
+        FileNotFoundError: the sensor's idle image or network is missing.
+        ValueError: a size of another aspect ratio, or a network of another sensor.
+    """
+
+    def __init__(
+        self,
+        sensor: SensorSpecification,
+        *,
+        width: int,
+        height: int,
+        idle: ByteImage | None = None,
+    ) -> None:
+        # Loaded on use: they start Warp.
+        from dotsim_ros.geometry.camera import FisheyeCamera
+        from dotsim_ros.optics.idle import read_idle_frame
+        from dotsim_ros.optics.image import ImageRenderer
+        from dotsim_ros.optics.renderer import SkinRenderer
+        from dotsim_ros.sensor import given_path, residual_network, skin_of
+
+        full = FisheyeCamera.from_specification(sensor.camera)
+        self.camera: FisheyeCamera = full.scaled(width, height)
+        frame = read_idle_frame(given_path(sensor.camera.idle_image), self.camera)
+        self.idle: ByteImage = frame.image if idle is None else idle
+        skin = skin_of(sensor.gel)
+        self._triangles = skin.triangles
+        self._renderer = SkinRenderer(self.camera, skin)
+        network = residual_network(sensor, self.camera)
+        residual = None
+        if network is not None:
+            untouched = self._renderer.render(skin.rest_position_m)
+            residual = network.at_rest(untouched, self.idle)
+        self._residual = residual
+        self._image = ImageRenderer(
+            self.camera,
+            skin,
+            self.idle,
+            lighting=frame.lighting,
+            vignetting=frame.vignetting,
+            fine=frame.fine if idle is None else None,
+        )
+
+    def film(self, skin_position_m: NDArray[np.floating], stamp_s: Array, start_s: float) -> Film:
+        """Return what the camera sees of a skin that moves.
+
+        Args:
+            skin_position_m: (F, V, 3) of the sensor's skin, base frame.
+            stamp_s: (F,) times of the frames.
+            start_s: time of the first frame since the session's start.
+        """
+        pictures, flows = [], []
+        before: View | None = None
+        for frame, position in enumerate(skin_position_m):
+            view = self._renderer.render(position)
+            pictures.append(self._picture(view))
+            if before is None:
+                flows.append(np.zeros((*view.triangle.shape, 2), dtype=np.float32))
+            else:
+                lapse_s = float(stamp_s[frame] - stamp_s[frame - 1])
+                flows.append(flow_of(before, view, self._triangles) / np.float32(lapse_s))
+            before = view
+        return self._film(
+            stamp_s, start_s + (stamp_s - stamp_s[0]), np.stack(pictures), np.stack(flows)
+        )
+
+    def idle_film(self) -> Film:
+        """Return the film of one frame that shows the gel untouched, at the session's start."""
+        height, width = self.idle.shape[:2]
+        flow = np.zeros((1, height, width, 2), dtype=np.float32)
+        return self._film(np.zeros(1), np.zeros(1), self.idle[None].astype(np.float32), flow)
+
+    def _film(
+        self, stamp_s: Array, session_s: Array, pixels: Float32Array, flow_px_s: Float32Array
+    ) -> Film:
+        return Film(
+            stamp_s,
+            session_s,
+            pixels,
+            flow_px_s,
+            self.idle.astype(np.float64),
+            self.camera.principal_point_px,
+            self.camera.focal_px,
+        )
+
+    def _picture(self, view: View) -> Float32Array:
+        carried = self._image.carry(view)
+        picture = carried.astype(np.float32)
+        if self._residual is not None:
+            picture = picture + self._residual(view, carried)
+        return np.clip(picture, np.float32(0.0), np.float32(255.0))
+
+
+def flow_of(before: View, view: View, triangles: NDArray[np.integer]) -> Float32Array:
+    """Return (H, W, 2) how far, px, what each pixel of a view shows has moved since another view;
+    zero where no skin is seen.
+
+    Args:
+        before, view: of one skin.
+        triangles: (T, 3) of it.
+    """
+    moved = view.vertex_pixel - before.vertex_pixel
+    seen = view.mask
+    corners = np.asarray(triangles)[view.triangle[seen]]
+    second, third = view.barycentric[seen].T
+    weight = np.stack([1.0 - second - third, second, third], axis=1)
+    flow = np.zeros((*view.triangle.shape, 2), dtype=np.float32)
+    flow[seen] = np.einsum("nk,nkd->nd", weight, np.nan_to_num(moved[corners]))
+    return flow

@@ -1,0 +1,310 @@
+"""What pictures show where nothing is missing: the file that thresholds of the images come from.
+
+It holds the covariance of the tiles, the sizes that the model's own error gives each effect, and
+how far whole trajectories lie from what the covariance says. It is made from pictures in which
+nothing is wrong (`dotsim_ros find-gap --fit-optical-noise`); a file made with one sensor serves
+another's pictures as a guess, each of whose tiles takes the deviations of the nearest one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+from scipy.stats import t as student
+
+from dotsim_ros.effects.effect import Effect
+from dotsim_ros.files import whole_file
+from dotsim_ros.gap.images.case import IDLE, OpticalCase
+from dotsim_ros.gap.images.search import (
+    Direction,
+    OpticalSearch,
+    Signature,
+    camera_nuisances,
+    freed,
+    signatures_of,
+)
+from dotsim_ros.gap.images.tile_noise import Correlation, TileNoise, estimate_noise
+from dotsim_ros.gap.images.tiles import TileMeter
+from dotsim_ros.resources import parameter_path
+
+Array = NDArray[np.float64]
+
+FILE = "gap/optical_noise.npz"
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class SpuriousSize:
+    """How far an effect's sizes scatter where there is none.
+
+    Attributes:
+        effect: its name.
+        shape: values of the parameters that have no direction, by name.
+        step: of the first direction, with its sign.
+        deviation: of each direction's parameter, by name.
+    """
+
+    effect: str
+    shape: Mapping[str, float]
+    step: float
+    deviation: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class OpticalNull:
+    """What pictures show where nothing is missing.
+
+    Attributes:
+        noise: covariance of the tiles.
+        spurious: of the effects' sizes.
+        excess: (J,) mean square of the whitened residual of each trajectory, by the covariance of
+            the others.
+        sensor: whose pictures it was told from.
+        source: which ones, in words.
+    """
+
+    noise: TileNoise
+    spurious: tuple[SpuriousSize, ...]
+    excess: Array
+    sensor: str
+    source: str
+
+    def at(self, meter: TileMeter, camera: Array) -> TileNoise:
+        """Return the covariance of other tiles.
+
+        Args:
+            meter: of them.
+            camera: (T, 6) deviation by the camera's noise; NaN where it is not known.
+        """
+        centre = meter.grid.centre_px
+        nearest = KDTree(self.noise.centre_px).query(centre)[1]
+        own = self.noise.camera[nearest]
+        return TileNoise(
+            centre,
+            np.where(np.isfinite(camera), camera, own),
+            self.noise.model[nearest],
+            self.noise.growth,
+            self.noise.mixing,
+            self.noise.correlations,
+            self.noise.trajectory_count,
+        )
+
+    def knows(self, effect: Effect) -> bool:
+        """Return whether the scatter of an effect's size is known."""
+        return any(one.effect == effect.name for one in self.spurious)
+
+    def variances(self, name: str, signature: Signature) -> Array:
+        """Return (P,) the variance of a signature's sizes, in squared steps.
+
+        That of the probe whose shape is nearest.
+
+        Raises:
+            ValueError: the file knows nothing of this effect's parameters.
+        """
+        names = {d.name for d in signature.directions}
+        known = [s for s in self.spurious if s.effect == name and set(s.deviation) == names]
+        if not known:
+            raise ValueError(
+                f"the file of the images' noise knows nothing of {name} "
+                f"({', '.join(sorted(names))}); make it anew with find-gap --fit-optical-noise"
+            )
+        step = signature.directions[0].step
+        nearest = min(known, key=lambda one: _distance(one, signature, known, step))
+        return np.array([(nearest.deviation[d.name] / d.step) ** 2 for d in signature.directions])
+
+    def spurious_of(self, signatures: Mapping[str, Sequence[Signature]]) -> dict[str, list[Array]]:
+        """Return the variances of all signatures, as `OpticalSearch` takes them."""
+        return {
+            name: [self.variances(name, one) for one in several]
+            for name, several in signatures.items()
+        }
+
+    @property
+    def usual_excess(self) -> float:
+        """Mean square of a whitened residual where nothing is missing."""
+        return float(np.exp(np.mean(np.log(self.excess))))
+
+    def largest_excess(self, alpha: float) -> float:
+        """Return the mean square that one more trajectory exceeds with probability alpha.
+
+        Its logarithm is taken as normal, of the mean and the deviation that few trajectories tell.
+        Data of several trajectories scatter less if these are independent, which is not assumed.
+        """
+        logarithm = np.log(self.excess)
+        count = len(logarithm)
+        spread = float(np.std(logarithm, ddof=1)) * np.sqrt(1.0 + 1.0 / count)
+        beyond = float(student.ppf(1.0 - alpha, count - 1))
+        return float(np.exp(np.mean(logarithm) + beyond * spread))
+
+
+def _distance(
+    one: SpuriousSize, signature: Signature, known: Sequence[SpuriousSize], step: float
+) -> tuple[float, float]:
+    """Return how far a probe's shape is from a signature's, then how far their steps are."""
+    total = 0.0
+    for name, value in signature.shape.items():
+        values = [other.shape[name] for other in known]
+        width = max(max(values) - min(values), 1e-12)
+        total += ((one.shape[name] - value) / width) ** 2
+    return total, abs(one.step - step)
+
+
+def fit_optical_null(
+    case: OpticalCase,
+    effects: Iterable[Effect],
+    *,
+    sensor: str,
+    source: str,
+    signatures: Mapping[str, Sequence[Signature]] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> OpticalNull:
+    """Return what pictures show in which nothing is wrong.
+
+    Args:
+        case: the pictures; the idle images give the camera's noise alone.
+        effects: those with an image hook are fitted.
+        sensor: name of the sensor.
+        source: what the pictures are, in words.
+        signatures: of the effects on the trajectories, where they were made before.
+        progress: told the trajectories.
+
+    Raises:
+        ValueError: fewer than five trajectories, or a single idle image.
+    """
+    shots = [shot for shot in case.shots if shot.name != IDLE]
+    if not np.all(np.isfinite(case.camera)):
+        raise ValueError("a single idle image tells no noise of the camera; record a few")
+    residuals, changes = [s.residual for s in shots], [s.change for s in shots]
+    films, centre = [s.film for s in shots], case.meter.grid.centre_px
+    noise = estimate_noise(residuals, changes, case.camera, centre)
+    nuisances = camera_nuisances(films, case.meter)
+    if signatures is None:
+        signatures = signatures_of(effects, films, case.meter)
+    search = OpticalSearch(signatures, noise, nuisances, changes)
+    variances = search.spurious_variances(residuals)
+    spurious = [
+        SpuriousSize(
+            name,
+            dict(one.shape),
+            one.directions[0].step,
+            _deviations(one.directions, variance),
+        )
+        for name, several in signatures.items()
+        for one, variance in zip(several, variances[name], strict=True)
+    ]
+    excess = np.zeros(len(shots))
+    for left_out in range(len(shots)):
+        others = [k for k in range(len(shots)) if k != left_out]
+        told = estimate_noise(
+            [residuals[k] for k in others], [changes[k] for k in others], case.camera, centre
+        )
+        own = camera_nuisances([films[left_out]], case.meter)
+        excess[left_out] = np.mean(
+            freed([residuals[left_out]], told, own, [changes[left_out]]) ** 2
+        )
+        if progress is not None:
+            progress(left_out + 1, len(shots))
+    return OpticalNull(noise, tuple(spurious), excess, sensor, source)
+
+
+def _deviations(directions: Sequence[Direction], variance: Array) -> dict[str, float]:
+    return {
+        d.name: abs(d.step) * float(np.sqrt(v)) for d, v in zip(directions, variance, strict=True)
+    }
+
+
+def save_optical_null(null: OpticalNull, path: Path) -> None:
+    """Write it, whole or not at all."""
+    noise = null.noise
+    rows = [
+        (number, one.effect, name, kind, value)
+        for number, one in enumerate(null.spurious)
+        for kind, values in (
+            ("shape", one.shape),
+            ("step", {"": one.step}),
+            ("deviation", one.deviation),
+        )
+        for name, value in values.items()
+    ]
+    number, effect, name, kind, value = zip(*rows, strict=True)
+    with whole_file(path) as part:
+        np.savez_compressed(
+            part,
+            version=np.array(VERSION),
+            centre_px=noise.centre_px,
+            camera=noise.camera,
+            model=noise.model,
+            growth=noise.growth,
+            mixing=noise.mixing,
+            correlations=np.array([(c.white, c.frames, c.length_px) for c in noise.correlations]),
+            trajectory_count=np.array(noise.trajectory_count),
+            spurious_number=np.array(number),
+            spurious_effect=np.array(effect),
+            spurious_name=np.array(name),
+            spurious_kind=np.array(kind),
+            spurious_value=np.array(value, dtype=np.float64),
+            excess=null.excess,
+            sensor=np.array(null.sensor),
+            source=np.array(null.source),
+        )
+
+
+def load_optical_null(path: str | Path | None = None) -> OpticalNull:
+    """Read it; None: the shipped one.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: a file of another version.
+    """
+    path = parameter_path(FILE) if path is None else Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"no file of the images' noise at {path}; find-gap --fit-optical-noise makes one"
+        )
+    with np.load(path, allow_pickle=False) as arrays:
+        if "version" not in arrays.files or int(arrays["version"]) != VERSION:
+            raise ValueError(
+                f"{path} is no noise of images of version {VERSION}; make it anew with find-gap "
+                "--fit-optical-noise"
+            )
+        noise = TileNoise(
+            arrays["centre_px"],
+            arrays["camera"],
+            arrays["model"],
+            arrays["growth"],
+            arrays["mixing"],
+            tuple(Correlation(*map(float, row)) for row in arrays["correlations"]),
+            int(arrays["trajectory_count"]),
+        )
+        parts: dict[int, dict[str, dict[str, float]]] = {}
+        effects: dict[int, str] = {}
+        for number, effect, name, kind, value in zip(
+            arrays["spurious_number"].tolist(),
+            arrays["spurious_effect"].tolist(),
+            arrays["spurious_name"].tolist(),
+            arrays["spurious_kind"].tolist(),
+            arrays["spurious_value"].tolist(),
+            strict=True,
+        ):
+            effects[number] = effect
+            parts.setdefault(number, {}).setdefault(kind, {})[name] = value
+        return OpticalNull(
+            noise,
+            tuple(
+                SpuriousSize(
+                    effects[number],
+                    parts[number].get("shape", {}),
+                    parts[number]["step"][""],
+                    parts[number]["deviation"],
+                )
+                for number in sorted(parts)
+            ),
+            arrays["excess"],
+            str(arrays["sensor"]),
+            str(arrays["source"]),
+        )

@@ -1,0 +1,610 @@
+"""Which optical effect explains how measured pictures differ from the twin's: a score of each.
+
+Observables, signatures and nuisances are whitened by the covariance of tiles (`TileNoise`) and
+freed from the nuisances: those without a prior are projected out, those with one weigh as a normal
+distribution of their size. Effects are ranked by how much of the squared residual their signature
+takes away, each parameter kept within its range; the penalty of a parameter and of a choice between
+probes is that of Akaike ("A new look at the statistical model identification", IEEE Transactions on
+Automatic Control 19(6), 1974).
+
+Whether the first is more than the model's own error is another question: a small error that all
+tiles share looks like a small effect, and many frames make it significant. So each effect is fitted
+to trajectories in which nothing is wrong, one by one. The variance of these spurious sizes beyond
+their sampling error (by the estimator of Paule and Mandel, "Consensus values and weighting
+factors", Journal of Research of the National Bureau of Standards 87(5), 1982) is added to that of
+the size found, as if the error were the same in all trajectories. It is told from a few
+trajectories: the statistic's threshold is that of Student's distribution, drawn with the
+signatures' products alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from dotsim_ros.effects.effect import Active, Effect, EffectParameter
+from dotsim_ros.gap import decision
+from dotsim_ros.gap.images.model import Film
+from dotsim_ros.gap.images.tile_noise import TileNoise
+from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHARPNESS, TileMeter
+
+Array = NDArray[np.float64]
+
+OFFSET_LEVELS = 0.5
+"""Deviation of the camera's black level, grey levels: its prior. Ambient light is more."""
+
+Spurious = Mapping[str, Sequence[Array]]
+"""Variance of the spurious size along each direction of each signature, by effect."""
+
+LEAST_SPURIOUS = 0.002
+"""The model's error of a size deviates by no less than this share of the parameter's range, however
+little a few trajectories show: smaller effects are of no interest."""
+
+_TINY = 1e-12
+
+LEAST_NORM = 1.0
+"""A signature that is shorter, whitened, at its probe, is not excited by the data."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One parameter of an effect, over the step that its signature was made with.
+
+    Attributes:
+        name: of the parameter.
+        none: where the effect is absent.
+        step: from there to the probe.
+        low, high: range of the parameter.
+    """
+
+    name: str
+    none: float
+    step: float
+    low: float
+    high: float
+
+    def bounds(self) -> tuple[float, float]:
+        """Return the least and the largest multiple of the step."""
+        ends = sorted(((self.low - self.none) / self.step, (self.high - self.none) / self.step))
+        return ends[0], ends[1]
+
+
+@dataclass(frozen=True)
+class Signature:
+    """What an effect does to the observables, to first order about a probe.
+
+    Attributes:
+        directions: P of them; the first is the effect's size.
+        shape: values of the parameters that have no such direction.
+        blocks: of each trajectory (F, T, 6, P).
+    """
+
+    directions: tuple[Direction, ...]
+    shape: Mapping[str, float]
+    blocks: tuple[Array, ...]
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """What may differ without anything missing.
+
+    Attributes:
+        name: of it.
+        blocks: of each trajectory (F, T, 6), what one unit of it does.
+        deviation: of its size; infinite where nothing is known of it.
+    """
+
+    name: str
+    blocks: tuple[Array, ...]
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Score:
+    """How well one effect explains the residual.
+
+    Attributes:
+        name: of the effect.
+        fit: what it takes off the squared, whitened residual, less the penalty of its freedom; 0
+            where the data do not excite it.
+        statistic: the square of its size over what noise and the model's error leave of it, less
+            the penalty; compare it with `OpticalSearch.threshold`.
+        norm: its size over what noise and the model's error leave of it, delta.
+        explained: share that it takes off the squared residual beyond what noise leaves: 1 where
+            no more than noise is left.
+        values: of all its parameters, at the best probe.
+        is_excited: whether the data show it at all.
+    """
+
+    name: str
+    fit: float
+    statistic: float
+    norm: float
+    explained: float
+    values: Mapping[str, float]
+    is_excited: bool
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How alike two effects look in these data.
+
+    Attributes:
+        first, second: their names.
+        cosine: largest between their signatures, 0 to 1.
+    """
+
+    first: str
+    second: str
+    cosine: float
+
+    def separation(self, norm: float) -> float:
+        """Return d of an effect of this whitened length."""
+        return norm * float(np.sqrt(max(1.0 - self.cosine, 0.0) / 2.0))
+
+
+def probes_of(effect: Effect) -> list[tuple[tuple[Direction, ...], dict[str, float]]]:
+    """Return the directions and the shape of each probe of an effect.
+
+    The first parameter takes each of its probes, and so does each that shapes the effect; other
+    parameters that can be absent take their first probe that is not.
+    """
+    size, *others = effect.parameters
+    shapes = [p for p in others if p.none is None]
+    more = tuple(_direction(p, p.probes) for p in others if p.none is not None)
+    found = []
+    for probe in size.probes:
+        for values in product(*(p.probes for p in shapes)):
+            shape = {p.name: value for p, value in zip(shapes, values, strict=True)}
+            found.append(((_direction(size, (probe,)), *more), shape))
+    return found
+
+
+def _direction(parameter: EffectParameter, probes: Sequence[float]) -> Direction:
+    assert parameter.none is not None
+    steps = [probe - parameter.none for probe in probes if probe != parameter.none]
+    if not steps:
+        raise ValueError(
+            f"parameter {parameter.name!r} is probed at {list(probes)}, where it is absent; give "
+            "it a probe at which it acts"
+        )
+    return Direction(parameter.name, float(parameter.none), steps[0], parameter.low, parameter.high)
+
+
+def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[Array]:
+    """Return what each probe of an effect does to one trajectory, (F, T, 6, P) each.
+
+    Args:
+        effect: with an image hook.
+        film: the twin's pictures.
+        meter: that compares.
+    """
+    probes = probes_of(effect)
+    films = []
+    for directions, shape in probes:
+        none = {d.name: d.none for d in directions}
+        for d in directions:
+            values = effect.checked({**none, **shape, d.name: d.none + d.step})
+            films.append(film.with_effects([Active(effect, values)]))
+    found = iter(meter.differences(films, film.pixels))
+    return [np.stack([next(found) for _ in directions], axis=-1) for directions, _ in probes]
+
+
+def signatures_of(
+    effects: Iterable[Effect], films: Iterable[Film], meter: TileMeter
+) -> dict[str, tuple[Signature, ...]]:
+    """Return the signatures of effects by name; films are taken one at a time.
+
+    Args:
+        effects: those without an image hook are left out.
+        films: the twin's pictures of the trajectories.
+        meter: that compares.
+    """
+    optical = [effect for effect in effects if effect.image is not None]
+    blocks: dict[str, list[list[Array]]] = {effect.name: [] for effect in optical}
+    for film in films:
+        for effect in optical:
+            blocks[effect.name].append(signature_blocks(effect, film, meter))
+    return {
+        effect.name: tuple(
+            Signature(directions, shape, tuple(one[number] for one in blocks[effect.name]))
+            for number, (directions, shape) in enumerate(probes_of(effect))
+        )
+        for effect in optical
+    }
+
+
+def camera_nuisances(films: Iterable[Film], meter: TileMeter) -> tuple[Nuisance, ...]:
+    """Return the gain of the camera, free, and its black level, within `OFFSET_LEVELS`.
+
+    One of each for the whole data set. A free black level would hide ambient light, which is alike
+    but for its size.
+    """
+    gain, offset = [], []
+    for film in films:
+        block = np.zeros((len(film.pixels), len(meter.grid), len(NAMES)))
+        block[..., COLOURS] = meter.colour(film.pixels)
+        block[..., SHARPNESS] = meter.sharpness(film.pixels)
+        gain.append(block)
+        level = np.zeros_like(block)
+        level[..., COLOURS] = 1.0
+        offset.append(level)
+    return (
+        Nuisance("gain", tuple(gain), np.inf),
+        Nuisance("black level", tuple(offset), OFFSET_LEVELS),
+    )
+
+
+class OpticalSearch:
+    """Scores optical effects on the pictures of one set of trajectories.
+
+    What the residual does not enter is worked out once.
+
+    Args:
+        signatures: of the effects by name, in blocks of the trajectories' order.
+        noise: covariance of the observables.
+        nuisances: that explain nothing.
+        changes: (F, T, 6) of each trajectory, `contact_change` of its prediction.
+        spurious: variances of the sizes that the model's error gives effects, as
+            `spurious_variances` of trajectories without any effect returns them; None for none.
+
+    Raises:
+        ValueError: no effect, or blocks that are not one for each trajectory.
+    """
+
+    def __init__(
+        self,
+        signatures: Mapping[str, Sequence[Signature]],
+        noise: TileNoise,
+        nuisances: Sequence[Nuisance],
+        changes: Sequence[Array],
+        spurious: Spurious | None = None,
+    ) -> None:
+        listed = [(name, one) for name, several in signatures.items() for one in several]
+        if not listed:
+            raise ValueError("no optical effect to score")
+        for name, blocks in [
+            *((name, one.blocks) for name, one in listed),
+            *((n.name, n.blocks) for n in nuisances),
+        ]:
+            if len(blocks) != len(changes):
+                raise ValueError(
+                    f"{name}: {len(blocks)} trajectories, expected {len(changes)} as predicted"
+                )
+        self._noise, self._changes = noise, tuple(changes)
+        self._owners = tuple(name for name, _ in listed)
+        self._signatures = tuple(one for _, one in listed)
+        ends = np.cumsum([len(one.directions) for one in self._signatures])
+        starts = np.concatenate([[0], ends[:-1]])
+        self._slices = tuple(slice(a, b) for a, b in zip(starts, ends, strict=True))
+        self._names = tuple(signatures)
+        self._probe_count = {name: len(several) for name, several in signatures.items()}
+        self._raw = self._whitened([one.blocks for one in self._signatures])
+        self._nuisances = self._whitened([tuple(b[..., None] for b in n.blocks) for n in nuisances])
+        self._deviations = np.array([n.deviation for n in nuisances])
+        self._ends = np.concatenate([[0], np.cumsum([change.size for change in self._changes])])
+        self._free = _without(self._nuisances, self._deviations)
+        self._columns = self._free(self._raw)
+        self._gram = self._columns.T @ self._columns
+        numbers = Counter[str]()
+        self._spurious = []
+        for name, one in zip(self._owners, self._signatures, strict=True):
+            known = None if spurious is None else spurious[name][numbers[name]]
+            self._spurious.append(np.zeros(len(one.directions)) if known is None else known)
+            numbers[name] += 1
+
+    def _whitened(self, blocks: Sequence[Sequence[Array]]) -> Array:
+        """Return (N, P) of several sets of blocks (F, T, 6, p), side by side."""
+        rows = []
+        for number, change in enumerate(self._changes):
+            if not blocks:
+                rows.append(np.empty((change.size, 0)))
+                continue
+            values = np.concatenate([one[number] for one in blocks], axis=-1)
+            rows.append(self._noise.whiten(values, change))
+        return np.concatenate(rows)
+
+    def whitened(self, residual: Sequence[Array]) -> Array:
+        """Return (N,) a residual, (F, T, 6) of each trajectory, whitened and free of nuisances."""
+        return self._free(self._whitened([tuple(r[..., None] for r in residual)]))[:, 0]
+
+    def score(self, residual: Sequence[Array]) -> list[Score]:
+        """Return the scores of all effects, best first.
+
+        Args:
+            residual: (F, T, 6) of each trajectory, measured against predicted.
+        """
+        whitened = self.whitened(residual)
+        beyond = float(whitened @ whitened) - len(whitened)
+        return self._scores(self._gram, self._columns.T @ whitened, beyond, self._spurious)
+
+    def products(self, residual: Sequence[Array]) -> Array:
+        """Return (K, M, M) the products of signatures, nuisances and residual of each trajectory:
+        what `score_products` takes, summed over any of them."""
+        rows = np.concatenate(
+            [
+                self._raw,
+                self._nuisances,
+                self._whitened([tuple(r[..., None] for r in residual)]),
+            ],
+            axis=1,
+        )
+        parts = [rows[a:b] for a, b in zip(self._ends[:-1], self._ends[1:], strict=True)]
+        return np.stack([part.T @ part for part in parts])
+
+    def score_products(self, products: Array) -> list[Score]:
+        """Return the scores of all effects, best first, of trajectories drawn with repetition.
+
+        Args:
+            products: (M, M) sum of `products` over those drawn.
+        """
+        count = self._raw.shape[1]
+        nuisances = slice(count, count + len(self._deviations))
+        kept = [*range(count), len(products) - 1]
+        square = products[nuisances, nuisances] + np.diag(self._deviations**-2.0)
+        across = products[nuisances][:, kept]
+        left = products[np.ix_(kept, kept)] - across.T @ np.linalg.pinv(square) @ across
+        # How many numbers there are plays no part in sizes.
+        return self._scores(left[:-1, :-1], left[:-1, -1], float(left[-1, -1]), self._spurious)
+
+    def spurious_variances(self, residuals: Sequence[Array]) -> Spurious:
+        """Return the variances of the sizes that effects seem to have where there is none.
+
+        Args:
+            residuals: (F, T, 6) of each trajectory, in which nothing is wrong.
+        """
+        alone = [self._alone(number, residuals) for number in range(len(self._changes))]
+        whole = (self._columns.T @ self.whitened(residuals), np.diag(self._gram))
+        # Each trajectory by itself, and all together: an error that all share shows there.
+        right, square = map(np.array, zip(*alone, whole, strict=True))
+        variance = _variance_beyond(right, square)
+        found: dict[str, list[Array]] = {name: [] for name in self._names}
+        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
+            least = [LEAST_SPURIOUS * (d.high - d.low) / d.step for d in signature.directions]
+            found[name].append(np.maximum(variance[part], np.square(least)))
+        return {name: tuple(several) for name, several in found.items()}
+
+    def _alone(self, number: int, residuals: Sequence[Array]) -> tuple[Array, Array]:
+        """Return the products of the columns with one trajectory's residual, and their squares,
+        freed from the nuisances of this trajectory."""
+        part = slice(self._ends[number], self._ends[number + 1])
+        free = _without(self._nuisances[part], self._deviations)
+        columns = free(self._raw[part])
+        change = self._changes[number]
+        residual = free(self._noise.whiten(residuals[number][..., None], change))[:, 0]
+        return columns.T @ residual, np.sum(columns**2, axis=0)
+
+    def null_statistics(self, count: int, seed: int) -> Array:
+        """Return (count,) the largest statistic of each of so many residuals without any effect."""
+        random = np.random.default_rng(seed)
+        value, vector = np.linalg.eigh(self._gram)
+        root = vector * np.sqrt(np.maximum(value, 0.0))
+        draws = random.standard_normal((count, len(value))) @ root.T
+        # Student's: the variances are told from so many trajectories.
+        freedom = self._noise.trajectory_count
+        draws /= np.sqrt(random.chisquare(freedom, (count, 1)) / freedom)
+        # Noise over its own deviation has this distribution whatever part of it is the model's.
+        gain = {name: np.zeros(count) for name in self._names}
+        statistic = {name: np.zeros(count) for name in self._names}
+        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
+            gram, right = self._gram[part, part], draws[:, part]
+            if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
+                continue
+            bounds = [d.bounds() for d in signature.directions]
+            if len(bounds) == 1:
+                size = np.clip(right / gram[0, 0], *bounds[0])
+            else:
+                size = np.stack([bounded_size(gram, one, bounds) for one in right])
+            square = np.einsum("np,pq,nq->n", size, gram, size)
+            own = 2.0 * np.sum(size * right, axis=1) - square
+            better = own > gain[name]
+            gain[name][better] = own[better]
+            statistic[name][better] = square[better] - self._penalty(name, signature)
+        return np.maximum(np.max(list(statistic.values()), axis=0), 0.0)
+
+    def threshold(self, alpha: float, *, count: int = 2000, seed: int = 0) -> float:
+        """Return the statistic that a share alpha of data sets without any effect exceeds."""
+        return float(np.quantile(self.null_statistics(count, seed), 1.0 - alpha))
+
+    def likeness(self) -> list[Likeness]:
+        """Return how alike each two effects look, the most alike first; of excited ones alone."""
+        bases: dict[str, list[Array]] = {}
+        for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
+            basis = self._basis(part)
+            if basis.shape[1] and signature.directions:
+                bases.setdefault(name, []).append(basis)
+        found = [
+            Likeness(
+                first,
+                second,
+                max(
+                    float(np.linalg.norm(a.T @ b, ord=2))
+                    for a in bases[first]
+                    for b in bases[second]
+                ),
+            )
+            for first, second in combinations(bases, 2)
+        ]
+        return sorted(found, key=lambda one: -one.cosine)
+
+    def _basis(self, part: slice) -> Array:
+        columns = self._columns[:, part]
+        left, value, _ = np.linalg.svd(columns, full_matrices=False)
+        return np.asarray(left[:, value > LEAST_NORM])
+
+    def _scores(
+        self, gram: Array, right: Array, beyond: float, spurious: Sequence[Array]
+    ) -> list[Score]:
+        """Return scores, best fit first.
+
+        Args:
+            gram: (P, P) products of the columns.
+            right: (P,) products of the columns with a residual.
+            beyond: how much the residual's square exceeds that of noise.
+            spurious: variances of the spurious sizes, of each signature.
+        """
+        best: dict[str, Score] = {}
+        for name, signature, part, variance in zip(
+            self._owners, self._signatures, self._slices, spurious, strict=True
+        ):
+            score = self._score(name, signature, gram[part, part], right[part], beyond, variance)
+            if name not in best or score.fit > best[name].fit:
+                best[name] = score
+        return sorted(best.values(), key=lambda one: -one.fit)
+
+    def _penalty(self, name: str, signature: Signature) -> float:
+        """Return what the freedom of an effect takes from its gain."""
+        return 2.0 * len(signature.directions) + 2.0 * math.log(self._probe_count[name])
+
+    def _score(
+        self,
+        name: str,
+        signature: Signature,
+        gram: Array,
+        right: Array,
+        beyond: float,
+        variance: Array,
+    ) -> Score:
+        directions = signature.directions
+        values = {**signature.shape, **{d.name: d.none for d in directions}}
+        if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
+            return Score(name, 0.0, 0.0, 0.0, 0.0, values, False)
+        size = bounded_size(gram, right, [d.bounds() for d in directions])
+        gain = float(2.0 * size @ right - size @ gram @ size)
+        penalty = self._penalty(name, signature)
+        values |= {
+            d.name: d.none + float(s) * d.step for d, s in zip(directions, size, strict=True)
+        }
+        # The size varies by its sampling error, the inverse of gram, and by the model's error.
+        weight = np.linalg.solve(np.eye(len(gram)) + gram * variance, gram)
+        square = float(size @ weight @ size)
+        explained = gain / max(beyond, gain, _TINY)
+        return Score(
+            name,
+            max(gain - penalty, 0.0),
+            max(square - penalty, 0.0),
+            math.sqrt(max(square, 0.0)),
+            explained,
+            values,
+            True,
+        )
+
+
+def freed(
+    residual: Sequence[Array],
+    noise: TileNoise,
+    nuisances: Sequence[Nuisance],
+    changes: Sequence[Array],
+) -> Array:
+    """Return (N,) a residual, (F, T, 6) of each trajectory, whitened and free of nuisances."""
+    rows = [
+        noise.whiten(
+            np.stack([one, *(nuisance.blocks[number] for nuisance in nuisances)], axis=-1),
+            changes[number],
+        )
+        for number, one in enumerate(residual)
+    ]
+    whitened = np.concatenate(rows)
+    deviations = np.array([n.deviation for n in nuisances])
+    return _without(whitened[:, 1:], deviations)(whitened[:, 0])
+
+
+def score_optical(
+    residual: Sequence[Array],
+    signatures: Mapping[str, Sequence[Signature]],
+    noise: TileNoise,
+    nuisances: Sequence[Nuisance],
+    changes: Sequence[Array],
+    spurious: Spurious | None = None,
+) -> list[Score]:
+    """Return the scores of optical effects, best first.
+
+    Args:
+        residual: (F, T, 6) of each trajectory, measured against predicted.
+        signatures, noise, nuisances, changes, spurious: as `OpticalSearch`, which scores many
+            residuals.
+
+    Raises:
+        ValueError: as `OpticalSearch`.
+    """
+    return OpticalSearch(signatures, noise, nuisances, changes, spurious).score(residual)
+
+
+def alike(scores: Sequence[Score], likeness: Iterable[Likeness]) -> list[str]:
+    """Return the effects that the data cannot tell from the best one, the best first.
+
+    Args:
+        scores: best first.
+        likeness: of the effects.
+    """
+    best = scores[0]
+    near = {
+        other
+        for one in likeness
+        for mine, other in ((one.first, one.second), (one.second, one.first))
+        if mine == best.name and one.separation(best.norm) < decision.APART
+    }
+    return [best.name, *(score.name for score in scores[1:] if score.name in near)]
+
+
+def _variance_beyond(right: Array, square: Array) -> Array:
+    """Return (P,) the variance v of sizes beyond their sampling error.
+
+    Sizes x_j = right_j / square_j have the sampling variance 1 / square_j; v solves
+    sum_j x_j^2 / (v + 1 / square_j) = J, and is 0 where they vary less.
+
+    Args:
+        right, square: (J, P).
+    """
+    size = right / np.maximum(square, _TINY)
+    sampling = 1.0 / np.maximum(square, _TINY)
+    count = len(right)
+    low, high = np.zeros(right.shape[1]), np.sum(size**2, axis=0)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        too_small = np.sum(size**2 / (middle + sampling), axis=0) > count
+        low, high = np.where(too_small, middle, low), np.where(too_small, high, middle)
+    return np.asarray(low)
+
+
+def _without(columns: Array, deviation: Array) -> Callable[[Array], Array]:
+    """Return what turns vectors of unit covariance, beside nuisances (N, Q) of these deviations,
+    into vectors of unit covariance in all; nothing is left along those of infinite deviation."""
+    free = _directions(columns[:, np.isinf(deviation)])
+    known = columns[:, ~np.isinf(deviation)] * deviation[~np.isinf(deviation)]
+    known = known - free @ (free.T @ known)
+    left, value, _ = np.linalg.svd(known, full_matrices=False)
+    shrink = 1.0 - 1.0 / np.sqrt(1.0 + value**2)
+
+    def apply(vectors: Array) -> Array:
+        rest = vectors - free @ (free.T @ vectors)
+        return np.asarray(rest - left @ (shrink * (left.T @ rest).T).T)
+
+    return apply
+
+
+def _directions(columns: Array) -> Array:
+    """Return orthonormal columns of the same span."""
+    left, value, _ = np.linalg.svd(columns, full_matrices=False)
+    return np.asarray(left[:, value > 1e-9 * max(value.max(initial=0.0), 1e-300)])
+
+
+def bounded_size(gram: Array, right: Array, bounds: Sequence[tuple[float, float]]) -> Array:
+    """Return x of the least x' gram x - 2 x' right within bounds."""
+    low, high = np.array(bounds).T
+    if len(right) == 1:
+        return np.clip(right / gram[0], low, high)
+    # Columns of a vanishing direction are kept at bay by a trace of their length.
+    solid = gram + 1e-9 * np.trace(gram) * np.eye(len(gram))
+    free = np.linalg.solve(solid, right)
+    if np.all((free >= low) & (free <= high)):
+        return np.asarray(free)
+    root = np.linalg.cholesky(solid)
+    return np.asarray(lsq_linear(root.T, np.linalg.solve(root, right), (low, high)).x)

@@ -1,0 +1,1 @@
+"""The gap finder on skin and force: evidence, inference, and the answer."""

@@ -1,0 +1,350 @@
+"""From screened effects to an answer, by the rule of `decision` (steps 5 to 8 of the method)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.gap import decision
+from dotsim_ros.gap.findings import Verdict
+from dotsim_ros.gap.presses.certainty import rows_of
+from dotsim_ros.gap.presses.evidence import Segment, Variant
+from dotsim_ros.gap.presses.inference import (
+    Evidence,
+    Fit,
+    draw_null,
+    fit,
+    fit_nuisances,
+    log_evidence,
+)
+from dotsim_ros.gap.presses.screening import Screen, best_trial
+from dotsim_ros.gap.presses.search_state import Ranked, Search
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+ROUNDS = 2
+"""How often the sizes of the best effects are refined by a solve at the size found."""
+PAIR_ROUNDS = 2
+SMALL_SHARE = 0.08
+"""A size that is nearer to a node than this share of it needs no solve of its own."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the rule makes of a case.
+
+    Attributes:
+        verdict: the answer.
+        named, alternatives: effects.
+        ranked: every effect that was tried, the best first.
+        statistic, threshold, p_value: gain and limit of the effect that is named, or comes
+            nearest to it.
+    """
+
+    verdict: Verdict
+    named: list[Ranked]
+    alternatives: list[Ranked]
+    ranked: list[Ranked]
+    statistic: float
+    threshold: float
+    p_value: float
+
+
+def set_limits(search: Search, ranked: Sequence[Ranked], gains: Array) -> float:
+    """Set what each effect must gain to be past its limit; return the threshold of simulated nulls.
+
+    Args:
+        search: the case.
+        ranked: effects.
+        gains: of data without any effect, as `null_gains` returns them.
+    """
+    threshold = decision.threshold_of(gains.tolist(), search.request.alpha)
+    for entry in ranked:
+        factor = decision.limit_factor(entry.effect.name, search.discrepancy.limit_factors)
+        entry.limit = factor * threshold
+    return threshold
+
+
+def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains: Array) -> Answer:
+    """Apply the rule to a case.
+
+    Args:
+        search: the case.
+        ranked: its effects, screened.
+        gains, pattern_gains: of data without any effect, as `null_gains` returns them.
+    """
+    alpha = search.request.alpha
+    threshold = set_limits(search, ranked, gains)
+    heavier = max(decision.PATTERNS_HEAVIER, search.discrepancy.pattern_factor)
+    pattern_threshold = heavier * decision.threshold_of(pattern_gains.tolist(), alpha)
+    search.pattern_chance = heavier * float(np.median(pattern_gains))
+    is_effect = any(entry.is_past_limit for entry in ranked)
+    if is_effect:
+        ranked = _refit(search, ranked)
+    verdict = Verdict.NO_GAP
+    named: list[Ranked] = []
+    alternatives: list[Ranked] = []
+    if is_effect or pattern_gain(search) > pattern_threshold:
+        verdict, named, alternatives = _decide(search, ranked)
+    first = max(named or ranked, key=lambda entry: entry.trial.gain / entry.limit)
+    scale = first.limit / threshold
+    p_value = float(np.mean(scale * gains >= first.trial.gain))
+    return Answer(verdict, named, alternatives, ranked, first.trial.gain, first.limit, p_value)
+
+
+def screen(search: Search, variants: Sequence[Variant]) -> list[Ranked]:
+    """Return the effects by their gain."""
+    groups: dict[str, list[Variant]] = {}
+    for variant in variants:
+        groups.setdefault(variant.effect.name, []).append(variant)
+    ranked = []
+    for name, members in groups.items():
+        trial = best_trial(search.evidence, search.segments(members), search.base.objective)
+        ranked.append(Ranked(search.case.library[name], members, trial))
+    return sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
+
+
+def null_gains(search: Search, ranked: Sequence[Ranked], count: int) -> tuple[Array, Array]:
+    """Return, of `count` data without an effect, the largest gain of any, and that of patterns."""
+    evidence = search.evidence
+    segments = [s for entry in ranked for s in search.segments(entry.variants)]
+    effects = Screen(evidence, segments)
+    widened = Screen(evidence.with_nuisances(search.pattern_columns))
+    gains, patterns = np.zeros(count), np.zeros(count)
+    for k in range(count):
+        residual = draw_null(evidence, search.random)
+        base, by_segment = effects.gains(residual)
+        gains[k] = by_segment.max()
+        patterns[k] = base - widened.gains(residual)[0]
+        search.progress("nulls", k + 1, count)
+    return gains, patterns
+
+
+def pattern_gain(search: Search) -> float:
+    """Return what all patterns together gain over the recalibrated twin."""
+    widened = search.evidence.with_nuisances(search.pattern_columns)
+    return search.base.objective - fit_nuisances(widened).objective
+
+
+def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
+    """Simulate the best effects at the sizes found, again and again; return them in order."""
+    for _ in range(ROUNDS):
+        close = _close(ranked)
+        wanted: list[tuple[Variant, float]] = []
+        for entry in close:
+            variant, size = _better_variant(search, entry), entry.trial.size
+            nearest = min(abs(size - node) for node in variant.node)
+            if nearest > SMALL_SHARE * max(abs(size - variant.absent), 1e-12):
+                wanted.append((variant, size))
+        wanted = [pair for k, pair in enumerate(wanted) if search.has_budget(k + 1)]
+        if not wanted:
+            break
+        search.case.extend(
+            wanted, progress=lambda done, total: search.progress("refit", done, total)
+        )
+        for entry in close:
+            segments = search.segments(entry.variants)
+            entry.trial = best_trial(search.evidence, segments, search.base.objective)
+        ranked = sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
+    return ranked
+
+
+def _close(ranked: Sequence[Ranked]) -> list[Ranked]:
+    """Return the effects that are worth a refit."""
+    least = ranked[0].trial.gain - decision.CLOSE
+    return [
+        entry
+        for place, entry in enumerate(ranked)
+        if place < decision.SCREENED or entry.trial.gain > least
+    ]
+
+
+def _better_variant(search: Search, entry: Ranked) -> Variant:
+    """Return the variant to simulate next: between the shapes tried, where a parabola through their
+    gains has its top; the best one tried where there is no such place."""
+    best = entry.trial.variant
+    names = list(best.shape)
+    if len(names) != 1:
+        return best
+    name = names[0]
+    gains = {
+        variant.shape[name]: best_trial(
+            search.evidence, search.segments([variant]), search.base.objective
+        ).gain
+        for variant in entry.variants
+    }
+    shapes = sorted(gains)
+    place = shapes.index(best.shape[name])
+    if not 0 < place < len(shapes) - 1 or min(shapes) <= 0.0:
+        return best
+    x = np.log(shapes[place - 1 : place + 2])
+    curve = np.polyfit(x, [gains[s] for s in shapes[place - 1 : place + 2]], 2)
+    if curve[0] >= 0.0:
+        return best
+    top = float(np.exp(np.clip(-curve[1] / (2.0 * curve[0]), x[0], x[2])))
+    if min(abs(np.log(top / s)) for s in shapes) < 0.15:
+        return best
+    variant = search.case.variants(entry.effect)[0]
+    variant.shape = {name: top}
+    entry.variants.append(variant)
+    return variant
+
+
+def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked], list[Ranked]]:
+    """Return the verdict, the effects to add, and those that the first is not told from."""
+    for entry in _close(ranked):
+        entry.explained = _explained(search, [entry])
+        entry.held_out_gain = _held_out_gain(search, entry)
+    able = [entry for entry in ranked if entry.is_past_limit]
+    if not able:
+        return Verdict.UNKNOWN, [], []
+    best = able[0]
+    pair = _pair(search, ranked)
+    if pair is not None:
+        further = _gain(search, pair) - _gain(search, [best])
+        if further > decision.FURTHER * _left(search, [best]):
+            if _explained(search, pair) < decision.EXPLAINED:
+                return Verdict.UNKNOWN, [], []
+            return Verdict.NAMED, pair, []
+    if (best.explained or 0.0) < decision.EXPLAINED:
+        return Verdict.UNKNOWN, [], []
+    least = best.trial.gain - decision.SAME
+    alternatives = [entry for entry in able[1:] if entry.trial.gain > least]
+    return (Verdict.SET if alternatives else Verdict.NAMED), [best], alternatives
+
+
+def _explained(search: Search, entries: Sequence[Ranked]) -> float:
+    """Return the share that effects have of what they gain and of the gap that they leave."""
+    gained = _gain(search, entries)
+    return float(np.clip(gained / max(gained + _left(search, entries), 1e-9), 0.0, 1.0))
+
+
+def _gain(search: Search, entries: Sequence[Ranked]) -> float:
+    """Return what effects gain together, each at up to 1.3 of the size found."""
+    return search.base.objective - _fit_of(search.evidence, entries).objective
+
+
+def _left(search: Search, entries: Sequence[Ranked]) -> float:
+    """Return the gap that effects leave: what patterns could remove beside them, if skin and force
+    need not agree about an effect's size, or by how much more the data differ than data without any
+    effect, whichever is more."""
+    evidence = search.evidence
+    own = _fit_of(evidence, entries).objective
+    widened = evidence.with_nuisances(search.pattern_columns)
+    everything = _fit_by_channel(widened, _by_channel(search, entries)).objective
+    # What patterns remove of noise alone is no gap.
+    by_patterns = own - everything - search.pattern_chance
+    misfit = own - search.misfit_limit * len(evidence.residual)
+    return max(by_patterns, misfit, 0.0)
+
+
+def _fit_of(evidence: Evidence, entries: Sequence[Ranked]) -> Fit:
+    columns = np.stack([entry.trial.change for entry in entries], axis=1)
+    return fit(evidence, columns, np.zeros(len(entries)), np.full(len(entries), 1.3))
+
+
+def _by_channel(search: Search, entries: Sequence[Ranked]) -> Array:
+    """Return (n, 2 k) what k effects of the size found do to the skin alone and to the force alone,
+    in turn."""
+    columns = [
+        search.case.channel_columns(entry.trial.variant, entry.trial.size, search.chosen)
+        for entry in entries
+    ]
+    return np.concatenate(columns, axis=1)
+
+
+def _fit_by_channel(evidence: Evidence, columns: Array) -> Fit:
+    """Return the fit of effects whose sizes in the skin need not be those in the force."""
+    high = np.full(columns.shape[1], decision.LARGEST_IN_CHANNEL)
+    return fit(evidence, columns, np.zeros(len(high)), high)
+
+
+def sizes_by_channel(search: Search, entry: Ranked) -> tuple[float, float] | None:
+    """Return the size of an effect as the skin tells it and as the force does, None where they do
+    not disagree, or one of them says nothing of it."""
+    columns = _by_channel(search, [entry])
+    if not columns.any(axis=0).all():
+        return None
+    found = _fit_by_channel(search.evidence, columns)
+    if _fit_of(search.evidence, [entry]).objective - found.objective < decision.SAME:
+        return None
+    variant, size = entry.trial.variant, entry.trial.size
+    skin, force = (variant.absent + share * (size - variant.absent) for share in found.size)
+    return float(skin), float(force)
+
+
+def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
+    """Return the two effects that gain most together, None unless each gains more beside the other
+    than its limit and what the other's law may be off by.
+
+    The one that gains most alone need not be of them: it may be what the two look like together.
+    """
+    if len(ranked) < 2:
+        return None
+    pairs = []
+    for first in _close(ranked):
+        second = _beside(search, first, [entry for entry in ranked if entry is not first])
+        pair = [first, second]
+        for _ in range(PAIR_ROUNDS):
+            # Each at the size that it has beside the other.
+            pair = [_beside(search, pair[1], [pair[0]]), _beside(search, pair[0], [pair[1]])]
+        pairs.append(pair)
+    best = max(pairs, key=lambda pair: _gain(search, pair))
+    first, second = best
+    is_needed = all(
+        entry.trial.gain > entry.limit + decision.OTHER_LAW * other.trial.gain
+        for entry, other in ((first, second), (second, first))
+    )
+    return best if is_needed else None
+
+
+def _beside(search: Search, known: Ranked, others: Sequence[Ranked]) -> Ranked:
+    """Return that of the others which gains most beside a known effect, as it does there."""
+    evidence = search.evidence.without(known.trial.change)
+    base = fit_nuisances(evidence).objective
+    tried = [
+        replace(entry, trial=best_trial(evidence, search.segments(entry.variants), base))
+        for entry in others
+    ]
+    return max(tried, key=lambda entry: entry.trial.gain)
+
+
+def _held_out_gain(search: Search, entry: Ranked) -> float:
+    """Return what an effect gains of the log score, in nats, of trajectories that were left out,
+    each in turn, its size and the nuisances as uncertain as the others leave them.
+
+    The score of one trajectory is the log of the probability of all data less that of the others
+    (Dawid 1984). A size that the others cannot tell costs little, one that they tell otherwise
+    costs much.
+    """
+    places = range(len(search.chosen))
+    segments = search.segments(entry.variants)
+    whole = _evidence_gain(search.evidence, segments, entry)
+    left_out = [[place for place in places if place != out] for out in places]
+    return sum(
+        whole
+        - _evidence_gain(
+            search.evidence.of(kept),
+            [rows_of(s, search.evidence.rows_of(kept)) for s in segments],
+            entry,
+        )
+        for kept in left_out
+        if kept
+    )
+
+
+def _evidence_gain(evidence: Evidence, segments: Sequence[Segment], entry: Ranked) -> float:
+    """Return by how much an effect raises the log of the data's probability."""
+    base = fit_nuisances(evidence)
+    trial = best_trial(evidence, segments, base.objective)
+    parameter = entry.effect.parameters[0]
+    # Of a size that may be anywhere in its range.
+    precision = np.array([12.0 / (parameter.high - parameter.low) ** 2])
+    remaining = evidence.without(trial.segment.offset)
+    with_effect = log_evidence(remaining, trial.fit, trial.segment.column[:, None], precision)
+    without = log_evidence(evidence, base, np.zeros((len(evidence.residual), 0)), np.zeros(0))
+    return with_effect - without

@@ -1,0 +1,170 @@
+"""What a twin may be wrong about without any effect being missing: the nuisances, their priors, and
+what each of them does to a trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.parameters import PARAMETERS, GelValues, with_coordinates
+from dotsim_ros.effects.effect import Active, Effect
+from dotsim_ros.gap.presses.observables import PATCH_COUNT
+from dotsim_ros.measured.recording import Recording
+from dotsim_ros.twin.solver import Request, request_of
+
+Array = NDArray[np.float64]
+
+SHIFT_STEP_M = 0.1e-3
+STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
+"""Of the differences, in the parameters' coordinates: of the size of the priors."""
+TOLERANCES = {
+    "thickness": ("thickness_error", {"thickness_share": -0.0225}),
+    "delay": ("latency", {"latency_s": 0.01}),
+    "arm": ("base_compliance", {"compliance_m_n": 2.0e-5}),
+    "relaxation": ("viscoelastic_relaxation", {"share": 0.05, "time_s": 10.0}),
+}
+"""Effects that are there to a small degree in any unit and setup, or that the model's own error
+looks like: the effect of each, and the step of the difference, in its first parameter."""
+BIASED = ("friction", *TOLERANCES)
+"""Nuisances whose means presses in which nothing is missing tell."""
+SHARED, OWN, SINCE = "shared", "own", "since"
+
+
+@dataclass(frozen=True)
+class Nuisance:
+    """One thing that a twin may be wrong about.
+
+    Attributes:
+        name, unit: for reports.
+        deviation: of its prior, in the coordinate of its parameter (the logarithm of a stiffness or
+            of friction; the first parameter of its effect, for `TOLERANCES`), metres, or seconds.
+        belongs: `SHARED` by all data of a unit, each data set's `OWN`, or what has changed `SINCE`
+            the commissioning.
+        mean: of its prior, in the unit of the deviation.
+    """
+
+    name: str
+    unit: str
+    deviation: float
+    belongs: str
+    mean: float = 0.0
+
+    @property
+    def centre(self) -> float:
+        """The mean in deviations."""
+        return self.mean / self.deviation
+
+
+_OWN_ERRORS = (
+    Nuisance("shift_x", "m", 0.03e-3, OWN),
+    Nuisance("shift_y", "m", 0.03e-3, OWN),
+    Nuisance("shift_z", "m", 0.03e-3, OWN),
+    Nuisance("clock", "s", 0.003, OWN),
+)
+
+ABSOLUTE = (
+    Nuisance("E", "log", 0.08, SHARED),
+    Nuisance("nu", "log(1/2 - nu)", 0.2, SHARED),
+    Nuisance("friction", "log", 0.2, SHARED),
+    Nuisance("c20", "of C10", 0.05, SHARED),
+    Nuisance("thickness", "share", 0.01, SHARED),
+    Nuisance("delay", "s", 0.005, SHARED),
+    Nuisance("arm", "m/N", 8.0e-6, SHARED),
+    Nuisance("relaxation", "share", 0.03, SHARED),
+    *_OWN_ERRORS,
+)
+"""Against a calibrated sensor's file: units differ by some percent, the arm by some hundredths of a
+millimetre. The means of `BIASED` come with the discrepancy; the deviations of `TOLERANCES` are what
+halves of the stand-in sensor's presses, and a second unit's, differ by."""
+
+DIFFERENTIAL = (
+    Nuisance("E", "log", 0.3, SHARED),
+    Nuisance("nu", "log(1/2 - nu)", 0.8, SHARED),
+    Nuisance("friction", "log", 0.5, SHARED),
+    Nuisance("c20", "of C10", 0.2, SHARED),
+    Nuisance("thickness", "share", 0.03, SHARED),
+    Nuisance("delay", "s", 0.015, SHARED),
+    Nuisance("arm", "m/N", 2.0e-5, SHARED),
+    Nuisance("relaxation", "share", 0.1, SHARED),
+    *_OWN_ERRORS,
+    Nuisance("E_since", "log", 0.02, SINCE),
+)
+"""Against the unit's own commissioning, which tells its constants; since then, its stiffness may
+have changed by what a laboratory's temperature does."""
+
+
+def nuisance_requests(
+    recording: Recording, values: GelValues, library: Mapping[str, Effect]
+) -> list[Request]:
+    """Return what must be simulated for the columns of a trajectory, the twin as it is first."""
+    result = [request_of(recording, values)]
+    for name, step in STEPS.items():
+        parameter = PARAMETERS[name]
+        at = parameter.to_coordinate(getattr(values, parameter.field))
+        moved = with_coordinates(values, [parameter], np.array([at + step]))
+        result.append(request_of(recording, moved))
+    result += [
+        request_of(recording, values, shift_m=axis.tolist()) for axis in SHIFT_STEP_M * np.eye(3)
+    ]
+    for name, parameters in TOLERANCES.values():
+        effect = library[name]
+        active = Active(effect, effect.checked(parameters))
+        result.append(request_of(recording, values, effects=[active]))
+    return result
+
+
+def nuisance_columns(
+    nuisances: Sequence[Nuisance], observed: Sequence[Array], *, is_reference: bool
+) -> list[Array]:
+    """Return what each nuisance does to the observables (F, SIZE) when it moves by one deviation.
+
+    Args:
+        nuisances: q of them.
+        observed: observables of `nuisance_requests`, in their order.
+        is_reference: whether the trajectory is of the commissioning.
+    """
+    base = observed[0]
+    force_alone = base.copy()
+    force_alone[:, : 3 * PATCH_COUNT] = np.where(
+        np.isfinite(base[:, : 3 * PATCH_COUNT]), 0.0, np.nan
+    )
+    slopes = {
+        "E": force_alone,
+        "E_since": force_alone,
+    }
+    for place, (name, step) in enumerate(STEPS.items()):
+        slopes[name] = (observed[1 + place] - base) / step
+    for axis, name in enumerate(("shift_x", "shift_y", "shift_z")):
+        slopes[name] = (observed[4 + axis] - base) / SHIFT_STEP_M
+    for place, (name, (_, parameters)) in enumerate(TOLERANCES.items()):
+        step = next(iter(parameters.values()))
+        slopes[name] = (observed[7 + place] - base) / step
+    # What is late in one data set alone does the same as what is late in all.
+    slopes["clock"] = slopes["delay"]
+    result = []
+    for nuisance in nuisances:
+        column = nuisance.deviation * slopes[nuisance.name]
+        if nuisance.belongs == SINCE and is_reference:
+            column = np.zeros_like(column)
+        result.append(column)
+    return result
+
+
+def centred(nuisances: Sequence[Nuisance], bias: Mapping[str, float]) -> tuple[Nuisance, ...]:
+    """Return nuisances about the means of a bias, by name."""
+    return tuple(replace(n, mean=bias.get(n.name, n.mean)) for n in nuisances)
+
+
+def values_after(values: GelValues, nuisances: Sequence[Nuisance], moved: Array) -> GelValues:
+    """Return the gel with its nuisances moved by (q,) deviations from their means."""
+    for nuisance, deviations in zip(nuisances, moved.tolist(), strict=True):
+        if nuisance.name not in PARAMETERS:
+            continue
+        parameter = PARAMETERS[nuisance.name]
+        at = parameter.to_coordinate(getattr(values, parameter.field))
+        place = np.array([at + nuisance.mean + deviations * nuisance.deviation])
+        values = with_coordinates(values, [parameter], place)
+    return values

@@ -1,0 +1,214 @@
+"""From an answer to findings: what is left, where, and what the effects close (steps 4 and 9)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.parameters import PARAMETERS, GelValues
+from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.overlay import FoundEffect, Overlay
+from dotsim_ros.gap.findings import Candidate, ChannelGap, Estimate, Findings, Verdict
+from dotsim_ros.gap.presses.answer import Answer, sizes_by_channel
+from dotsim_ros.gap.presses.assumptions import values_after
+from dotsim_ros.gap.presses.certainty import BOOTSTRAPS, close_pairs
+from dotsim_ros.gap.presses.evidence import Case
+from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
+from dotsim_ros.gap.presses.locate import (
+    Residuals,
+    channel_gaps,
+    places_of_gap,
+    residuals_of,
+    share_closed,
+    worst_frame,
+)
+from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
+from dotsim_ros.gap.report import wording
+from dotsim_ros.measured.measurement import Measurement
+from dotsim_ros.twin.simulator import SolveError
+from dotsim_ros.twin.solver import request_of
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def findings_of(
+    search: Search,
+    measurement: Measurement,
+    reference: Measurement | None,
+    *,
+    answer: Answer,
+    silent: Sequence[str],
+    stability: float | None,
+) -> tuple[Findings, Overlay | None]:
+    case, request = search.case, search.request
+    named, ranked, verdict = answer.named, answer.ranked, answer.verdict
+    change = change_by_trajectory(search, named)
+    refitted = fit_nuisances(search.evidence.without(case.whitened(change, search.chosen)))
+    residuals = residuals_of(
+        case,
+        recalibrated=search.base.nuisance,
+        refitted=refitted.nuisance,
+        change=change,
+        noise=search.noise,
+        discrepancy=search.discrepancy,
+    )
+    measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
+    judged = search.locked or measured
+    closed: tuple[float, float, float] | None = None
+    if named:
+        closed = share_closed(residuals, judged, search.random)
+        if not np.isfinite(closed[0]):
+            closed = None
+            search.warnings.append("the locked trajectories show no gap that could be closed")
+    if stability is not None and stability < 0.9:
+        search.warnings.append(
+            f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
+            "trajectories agree; record more trajectories"
+        )
+    worst = worst_frame(
+        case,
+        residuals,
+        measured,
+        lambda number: _skins(search, number, named),
+        measurement.skin.rest_position_m,
+    )
+    shared = case.shared_nuisances()
+    fallback: tuple[ChannelGap, ...] = ()
+    is_unknown = verdict is Verdict.UNKNOWN
+    if is_unknown:
+        fallback = channel_gaps(_fallback(search), judged)
+    fitted = values_after(case.values, shared, refitted.nuisance[: len(shared)])
+    gaps = channel_gaps(residuals, judged)
+    places = places_of_gap(case, residuals, measured, search.random)
+    findings = Findings(
+        verdict=verdict,
+        sentence=wording.sentence(
+            verdict,
+            [(e.effect, e.estimates) for e in named],
+            [e.effect for e in answer.alternatives],
+            gaps,
+            nearest=ranked[0].effect if ranked else None,
+            sizes=sizes_by_channel(search, ranked[0]) if is_unknown and ranked else None,
+            place=wording.largest_place(places),
+        ),
+        named=tuple(e.effect.name for e in named),
+        alternatives=tuple(e.effect.name for e in answer.alternatives),
+        statistic=answer.statistic,
+        threshold=answer.threshold,
+        alpha=request.alpha,
+        p_value=answer.p_value,
+        mode="absolute" if reference is None else "differential",
+        candidates=_candidates(search, ranked, silent),
+        calibrated=_calibrated(case, fitted, refitted),
+        places=places,
+        gaps=gaps,
+        share_closed=None if closed is None else closed[0],
+        share_closed_low=None if closed is None else closed[1],
+        share_closed_high=None if closed is None else closed[2],
+        fallback=fallback,
+        stability=stability,
+        pairs=close_pairs(search, ranked),
+        worst=worst,
+        warnings=tuple(search.warnings),
+        trajectories=tuple(case.trajectories[k].recording.name for k in search.chosen),
+        locked=tuple(case.trajectories[k].recording.name for k in search.locked),
+        data_hash=measurement.digest,
+        sensor=request.sensor.name,
+    )
+    if verdict not in (Verdict.NAMED, Verdict.SET):
+        return findings, None
+    overlay = Overlay(
+        request.sensor.name,
+        measurement.digest,
+        tuple(FoundEffect(e.effect.name, e.estimates) for e in named),
+    )
+    return findings, overlay
+
+
+def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[Array]:
+    """Return (F, SIZE) of each trajectory by effects at the sizes found."""
+    total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
+    for entry in entries:
+        for number, part in enumerate(search.case.change_at(entry.trial.variant, entry.trial.size)):
+            total[number] = total[number] + part
+    return total
+
+
+def _fallback(search: Search) -> Residuals:
+    """Return what patterns leave when they stand in for an effect: a Gaussian process with the
+    patterns as its functions, fitted beside the nuisances."""
+    widened = search.evidence.with_nuisances(search.pattern_columns)
+    found = fit_nuisances(widened).nuisance
+    count = search.evidence.nuisance.shape[1]
+    return residuals_of(
+        search.case,
+        recalibrated=search.base.nuisance,
+        refitted=found[:count],
+        change=search.case.pattern_change(PATTERN_DEVIATION * found[count:]),
+        noise=search.noise,
+        discrepancy=search.discrepancy,
+    )
+
+
+def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate, ...]:
+    """Return the nuisances as fitted; the interval is that of their priors."""
+    result = []
+    for (nuisance, _), name, moved in zip(
+        case.columns(), case.column_names(), refitted.nuisance.tolist(), strict=True
+    ):
+        reach = 1.96 * nuisance.deviation
+        if nuisance.name in PARAMETERS:
+            parameter = PARAMETERS[nuisance.name]
+            at = parameter.to_coordinate(getattr(case.values, parameter.field)) + nuisance.mean
+            ends = sorted(parameter.to_value(at + side * reach) for side in (-1.0, 1.0))
+            value = float(getattr(fitted, parameter.field))
+            result.append(Estimate(name, parameter.unit, value, ends[0], ends[1]))
+        else:
+            value = nuisance.mean + moved * nuisance.deviation
+            ends = [nuisance.mean + side * reach for side in (-1.0, 1.0)]
+            result.append(Estimate(name, nuisance.unit, value, ends[0], ends[1]))
+    return tuple(result)
+
+
+def _skins(search: Search, number: int, named: Sequence[Ranked]) -> tuple[Array, Array] | None:
+    """Return the skins (F, V, 3) of a trajectory without and with the effects, None where the gel
+    could not be solved."""
+    recording = search.case.trajectories[number].recording
+    effects = [
+        Active(e.effect, e.effect.checked(e.trial.variant.values(e.trial.size))) for e in named
+    ]
+    requests = [request_of(recording, search.case.values, effects=e) for e in ((), effects)]
+    try:
+        without, with_effects = search.case.solver.run(requests)
+    except SolveError as error:
+        search.warnings.append(f"no picture of {recording.name}: {error}")
+        return None
+    return without.skin_position_m, with_effects.skin_position_m
+
+
+def _candidates(
+    search: Search, ranked: Sequence[Ranked], silent: Sequence[str]
+) -> tuple[Candidate, ...]:
+    result = [
+        Candidate(
+            e.effect.name,
+            e.effect.title,
+            True,
+            e.trial.gain,
+            e.trial.size,
+            e.explained,
+            e.held_out_gain,
+            e.estimates,
+            e.limit,
+        )
+        for e in ranked
+    ]
+    library = search.case.library
+    result += [
+        Candidate(name, library[name].title, False, 0.0, library[name].parameters[0].none or 0.0)
+        for name in silent
+    ]
+    return tuple(result)

@@ -1,0 +1,413 @@
+"""From recordings to whitened evidence: what was measured, what the twin gives, and what nuisances
+and effects do to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.parameters import GelValues
+from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
+from dotsim_ros.gap.presses.assumptions import OWN, Nuisance, nuisance_columns, nuisance_requests
+from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, Whitening, usable, whitening_of
+from dotsim_ros.gap.presses.inference import Evidence
+from dotsim_ros.gap.presses.observables import CHANNELS, Places, observe, places_of
+from dotsim_ros.gap.presses.patterns import patterns
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.recording import Recording
+from dotsim_ros.twin.simulator import Simulated, SolveError
+from dotsim_ros.twin.solver import Progress, Solver, request_of
+
+Array = NDArray[np.float64]
+
+SMALLEST_SEGMENT = 1.0e-3
+"""Share of an effect's range below which two of its nodes are one."""
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A recording with what was observed and predicted.
+
+    Attributes:
+        recording: as measured.
+        is_reference: whether it is of the commissioning.
+        places: of its observables.
+        observed, predicted: (F, SIZE) measured, and of the twin.
+        whitening: of its observables.
+        nuisance: (q, F, SIZE).
+        pattern: (K, F, SIZE).
+    """
+
+    recording: Recording
+    is_reference: bool
+    places: Places
+    observed: Array
+    predicted: Array
+    whitening: Whitening
+    nuisance: Array
+    pattern: Array
+
+
+@dataclass
+class Variant:
+    """An effect with the parameters that shape it fixed: what it does at some sizes, its nodes.
+
+    Attributes:
+        effect: the effect.
+        shape: its parameters beside the first.
+        node: sizes that were simulated, the absent effect's among them.
+        change: at each node, by trajectory, (F, SIZE): with the effect minus without.
+    """
+
+    effect: Effect
+    shape: dict[str, float]
+    node: list[float] = field(default_factory=list)
+    change: list[list[Array]] = field(default_factory=list)
+
+    @property
+    def absent(self) -> float:
+        """Size of the absent effect."""
+        none = self.effect.parameters[0].none
+        assert none is not None
+        return none
+
+    def values(self, size: float) -> dict[str, float]:
+        """Return the values of all parameters at a size."""
+        return {self.effect.parameters[0].name: size, **self.shape}
+
+    def put(self, size: float, change: list[Array]) -> None:
+        """Add a node, in order."""
+        place = int(np.searchsorted(self.node, size))
+        self.node.insert(place, size)
+        self.change.insert(place, change)
+
+
+@dataclass(frozen=True)
+class Segment:
+    """An effect between two nodes, where it is taken as linear.
+
+    Attributes:
+        variant: of the effect.
+        begin: size at its begin.
+        offset: (n,) whitened change at the begin.
+        column: (n,) whitened change for one unit of size.
+        low, high: bounds of the size beyond the begin.
+    """
+
+    variant: Variant
+    begin: float
+    offset: Array
+    column: Array
+    low: float
+    high: float
+
+
+class Case:
+    """A measured data set, with a reference or without, ready to be searched.
+
+    Args:
+        trajectories: of the reference first.
+        nuisances: what the twin may be wrong about.
+        library: effects by name.
+        solver: to simulate with.
+        values: the twin's gel.
+        rest_m: (V, 3) of the skin.
+    """
+
+    def __init__(
+        self,
+        trajectories: Sequence[Trajectory],
+        nuisances: Sequence[Nuisance],
+        library: Mapping[str, Effect],
+        solver: Solver,
+        values: GelValues,
+        rest_m: Array,
+    ) -> None:
+        self.trajectories, self.nuisances = tuple(trajectories), tuple(nuisances)
+        self.library, self.solver, self.values = library, solver, values
+        self._rest_m = rest_m
+
+    def with_trajectories(self, trajectories: Sequence[Trajectory]) -> Case:
+        """Return the same case with other trajectories, as many."""
+        return Case(
+            trajectories, self.nuisances, self.library, self.solver, self.values, self._rest_m
+        )
+
+    def evidence(self, chosen: Sequence[int]) -> Evidence:
+        """Return the evidence of some trajectories."""
+        parts = [self.trajectories[t] for t in chosen]
+        columns = [self._nuisance_columns(t) for t in parts]
+        centre = np.array([nuisance.centre for nuisance, _ in self.columns()])
+        residual = [
+            t.whitening.whiten(t.observed - t.predicted) - column @ centre
+            for t, column in zip(parts, columns, strict=True)
+        ]
+        number = np.repeat(np.arange(len(parts)), [len(r) for r in residual])
+        return Evidence(np.concatenate(residual), np.concatenate(columns), number)
+
+    def columns(self) -> list[tuple[Nuisance, bool | None]]:
+        """Return the evidence's nuisances, in order, with the data that each belongs to: those of
+        the reference, those of the others, None for both."""
+        own = [n for n in self.nuisances if n.belongs == OWN]
+        return [
+            *((n, None) for n in self.nuisances if n.belongs != OWN),
+            *((n, True) for n in own),
+            *((n, False) for n in own),
+        ]
+
+    def column_names(self) -> list[str]:
+        """Return the names of the evidence's nuisances."""
+        return [n.name + (" (reference)" if whose else "") for n, whose in self.columns()]
+
+    def shared_nuisances(self) -> list[Nuisance]:
+        """Return those that come first in the evidence: of the unit, not of a data set."""
+        return [n for n, whose in self.columns() if whose is None]
+
+    def _column_numbers(self, t: Trajectory) -> list[int | None]:
+        """Return which of a trajectory's nuisances each column of the evidence is, None for those
+        of other data."""
+        place = {n.name: k for k, n in enumerate(self.nuisances)}
+        return [
+            place[n.name] if whose in (None, t.is_reference) else None
+            for n, whose in self.columns()
+        ]
+
+    def _nuisance_columns(self, t: Trajectory) -> Array:
+        """Return (n_t, columns) whitened."""
+        white = [t.whitening.whiten(column) for column in t.nuisance]
+        nothing = np.zeros(t.whitening.size)
+        numbers = self._column_numbers(t)
+        return np.stack([nothing if k is None else white[k] for k in numbers], axis=1)
+
+    def moved(self, number: int, nuisance: Array) -> Array:
+        """Return (F, SIZE) what the evidence's nuisances, (columns,) from their means, do to a
+        trajectory."""
+        t = self.trajectories[number]
+        share = np.zeros(len(self.nuisances))
+        for k, moved in zip(self._column_numbers(t), nuisance.tolist(), strict=True):
+            if k is not None:
+                share[k] = self.nuisances[k].centre + moved
+        result: Array = np.tensordot(share, t.nuisance, axes=1)
+        return result
+
+    def whitened(self, change: Sequence[Array], chosen: Sequence[int]) -> Array:
+        """Return (n,) of a change by trajectory."""
+        return np.concatenate([self.trajectories[t].whitening.whiten(change[t]) for t in chosen])
+
+    def pattern_columns(self, chosen: Sequence[int]) -> Array:
+        """Return (n, K) whitened patterns of the measured data, those that are there."""
+        each = np.eye(len(self.trajectories[0].pattern))
+        return np.stack([self.whitened(self.pattern_change(s), chosen) for s in each], axis=1)
+
+    def pattern_change(self, share: Array) -> list[Array]:
+        """Return (F, SIZE) of each trajectory: what patterns do at sizes (K,)."""
+        return [
+            np.zeros_like(t.predicted) if t.is_reference else np.tensordot(share, t.pattern, axes=1)
+            for t in self.trajectories
+        ]
+
+    def change_at(self, variant: Variant, size: float) -> list[Array]:
+        """Return (F, SIZE) of each trajectory: what a variant does at a size, linear between the
+        nodes beside it and beyond the outermost."""
+        node = variant.node
+        right = int(np.clip(np.searchsorted(node, size), 1, len(node) - 1))
+        share = (size - node[right - 1]) / (node[right] - node[right - 1])
+        return [
+            (1.0 - share) * before + share * after
+            for before, after in zip(variant.change[right - 1], variant.change[right], strict=True)
+        ]
+
+    def channel_columns(self, variant: Variant, size: float, chosen: Sequence[int]) -> Array:
+        """Return (n, 2) whitened: what a variant at a size does to the skin alone, and to the force
+        alone."""
+        change = self.change_at(variant, size)
+        columns = []
+        for channel in CHANNELS.values():
+            alone = [np.zeros_like(one) for one in change]
+            for part, one in zip(alone, change, strict=True):
+                part[:, channel] = one[:, channel]
+            columns.append(self.whitened(alone, chosen))
+        return np.stack(columns, axis=1)
+
+    def excited(self, effect: Effect) -> bool:
+        """Return whether a measured trajectory excites an effect, in a channel that is there."""
+        measured = [t for t in self.trajectories if not t.is_reference]
+        has_skin = any(t.recording.press.skin_position_m is not None for t in measured)
+        has_force = any(t.recording.press.force_n is not None for t in measured)
+        seen = (has_skin and SKIN in effect.channels) or (has_force and FORCE in effect.channels)
+        return seen and any(effect.excited_by(t.recording) for t in measured)
+
+    def variants(self, effect: Effect) -> list[Variant]:
+        """Return the variants of an effect, with the absent effect as their only node."""
+        shapes: list[dict[str, float]] = [{}]
+        for parameter in effect.parameters[1:]:
+            shapes = [
+                {**shape, parameter.name: value} for shape in shapes for value in parameter.probes
+            ]
+        nothing = [np.zeros_like(t.predicted) for t in self.trajectories]
+        result = []
+        for shape in shapes:
+            variant = Variant(effect, shape)
+            variant.put(variant.absent, nothing)
+            result.append(variant)
+        return result
+
+    def extend(
+        self,
+        wanted: Sequence[tuple[Variant, float]],
+        progress: Progress | None = None,
+    ) -> list[str]:
+        """Simulate variants at sizes and add the nodes; return what could not be solved.
+
+        Args:
+            wanted: variants and sizes.
+            progress: told the solves.
+        """
+        requests, owners = [], []
+        for variant, size in wanted:
+            active = Active(variant.effect, variant.effect.checked(variant.values(size)))
+            for number, t in enumerate(self.trajectories):
+                if not t.is_reference:
+                    requests.append(request_of(t.recording, self.values, effects=[active]))
+                    owners.append((id(variant), size, number))
+        results, failures = self.solver.run_each(requests, progress)
+        found: dict[tuple[int, float, int], Array] = {}
+        for owner, result in zip(owners, results, strict=True):
+            if result is not None:
+                t = self.trajectories[owner[2]]
+                found[owner] = (
+                    observed_of(t.recording, t.places, result, self._rest_m) - t.predicted
+                )
+        for variant, size in wanted:
+            change = []
+            for number, t in enumerate(self.trajectories):
+                there = found.get((id(variant), size, number))
+                change.append(np.zeros_like(t.predicted) if there is None else there)
+            variant.put(size, change)
+        return failures
+
+    def segments(self, variant: Variant, chosen: Sequence[int]) -> list[Segment]:
+        """Return the segments between a variant's nodes, and beyond the outermost within range."""
+        parameter = variant.effect.parameters[0]
+        white = [self.whitened(change, chosen) for change in variant.change]
+        result = []
+        last = len(variant.node) - 1
+        for k in range(last):
+            width = variant.node[k + 1] - variant.node[k]
+            low, high = 0.0, width
+            if k == 0:
+                low = min(0.0, parameter.low - variant.node[0])
+            if k == last - 1:
+                high = max(width, parameter.high - variant.node[k])
+            # Towards an absent effect a secant says nothing of the other side.
+            if variant.node[k] == variant.absent:
+                low = 0.0
+            if variant.node[k + 1] == variant.absent:
+                high = width
+            column = (white[k + 1] - white[k]) / width
+            result.append(Segment(variant, variant.node[k], white[k], column, low, high))
+        return result
+
+
+def observed_of(recording: Recording, places: Places, simulated: Simulated, rest_m: Array) -> Array:
+    """Return the observables (F, SIZE) of a simulation, in the channels that were measured."""
+    press = recording.press
+    skin = None if press.skin_position_m is None else simulated.skin_position_m
+    force = None if press.force_n is None else simulated.force_n
+    return observe(places, rest_m, skin, force, press.frame_count)
+
+
+def make_trajectories(
+    recordings: Sequence[Recording],
+    reference: Sequence[Recording],
+    *,
+    values: GelValues,
+    nuisances: Sequence[Nuisance],
+    library: Mapping[str, Effect],
+    solver: Solver,
+    skin: SkinMesh,
+    noise: Noise,
+    discrepancy: Discrepancy,
+    channels: Sequence[str],
+    progress: Progress | None = None,
+) -> tuple[list[Trajectory], list[str]]:
+    """Simulate the twin and its nuisances along recordings.
+
+    Args:
+        recordings: measured.
+        reference: of the commissioning; none in absolute mode.
+        values: the twin's gel.
+        nuisances: what it may be wrong about.
+        library: effects by name.
+        solver: of the gel.
+        skin: the skin's markers.
+        noise, discrepancy: of measurement and model.
+        channels: that are used.
+        progress: told the solves.
+
+    Returns:
+        The trajectories, those of the reference first, and what had to be left out.
+    """
+    every = [(r, True) for r in reference] + [(r, False) for r in recordings]
+    requests = [nuisance_requests(r, values, library) for r, _ in every]
+    results, _ = solver.run_each([q for group in requests for q in group], progress)
+    trajectories, left_out = [], []
+    place = 0
+    for (recording, is_reference), group in zip(every, requests, strict=True):
+        answers = results[place : place + len(group)]
+        place += len(group)
+        solved = [answer for answer in answers if answer is not None]
+        if len(solved) < len(answers):
+            left_out.append(
+                f"{recording.name} was left out: the gel could not be solved at its poses, which "
+                "may press deeper than the gel allows"
+            )
+            continue
+        recording = _with_channels(recording, channels)
+        press = recording.press
+        places = places_of(recording, skin)
+        rest = skin.rest_position_m
+        observed = usable(
+            recording,
+            observe(places, rest, press.skin_position_m, press.force_n, press.frame_count),
+        )
+        simulated = [observed_of(recording, places, answer, rest) for answer in solved]
+        columns = np.stack(nuisance_columns(nuisances, simulated, is_reference=is_reference))
+        whitening = whitening_of(
+            recording,
+            places,
+            observed,
+            noise=noise,
+            discrepancy=discrepancy,
+            own=columns[[n.belongs == OWN for n in nuisances]],
+        )
+        trajectories.append(
+            Trajectory(
+                recording,
+                is_reference,
+                places,
+                observed,
+                simulated[0],
+                whitening,
+                columns,
+                patterns(recording, simulated[0], places.axes),
+            )
+        )
+    if not any(not t.is_reference for t in trajectories):
+        raise SolveError("no trajectory could be solved:\n" + "\n".join(left_out))
+    return trajectories, left_out
+
+
+def _with_channels(recording: Recording, channels: Sequence[str]) -> Recording:
+    press = recording.press
+    return replace(
+        recording,
+        press=replace(
+            press,
+            skin_position_m=press.skin_position_m if SKIN in channels else None,
+            force_n=press.force_n if FORCE in channels else None,
+        ),
+    )

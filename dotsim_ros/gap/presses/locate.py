@@ -1,0 +1,252 @@
+"""Where simulation and measurement disagree: by channel, trajectory, phase and region, before and
+after effects are added."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.gap.findings import ChannelGap, Place, WorstFrame
+from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, amplitude, white_variance
+from dotsim_ros.gap.presses.evidence import Case, Trajectory
+from dotsim_ros.gap.presses.observables import CHANNELS, regions_of_observables
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+UNITS = {"skin": "m", "force": "N"}
+RESAMPLED = 200
+FOOTPRINT = 0.3
+"""Effects that move an observable by fewer of its deviations hardly act on it."""
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What is left of the observables of each trajectory, (F, SIZE) each.
+
+    Attributes:
+        before: measured minus the twin as it was.
+        recalibrated: with the nuisances fitted.
+        after: with the effects as well.
+        deviation: what noise and discrepancy are expected to leave.
+    """
+
+    before: list[Array]
+    recalibrated: list[Array]
+    after: list[Array]
+    deviation: list[Array]
+
+
+def expected_deviation(t: Trajectory, noise: Noise, discrepancy: Discrepancy) -> Array:
+    """Return (F, SIZE) one standard deviation of each observable where no effect is missing."""
+    relative = np.diag(discrepancy.between) + np.diag(discrepancy.within)
+    scale = amplitude(t.recording, t.recording.press.force_n)
+    return np.sqrt(scale**2 * relative + white_variance(noise, t.places))
+
+
+def residuals_of(
+    case: Case,
+    *,
+    recalibrated: Array,
+    refitted: Array,
+    change: Sequence[Array],
+    noise: Noise,
+    discrepancy: Discrepancy,
+) -> Residuals:
+    """Return the residuals of every trajectory of a case.
+
+    Args:
+        case: the data.
+        recalibrated, refitted: nuisances (columns,) of the evidence, alone and beside the effects.
+        change: (F, SIZE) of each trajectory by the effects.
+        noise, discrepancy: what is expected to be left.
+    """
+    before, alone, after, deviation = [], [], [], []
+    for number, t in enumerate(case.trajectories):
+        left = t.observed - t.predicted
+        before.append(left)
+        alone.append(left - case.moved(number, recalibrated))
+        after.append(left - case.moved(number, refitted) - change[number])
+        deviation.append(expected_deviation(t, noise, discrepancy))
+    return Residuals(before, alone, after, deviation)
+
+
+def channel_gaps(residuals: Residuals, chosen: Sequence[int]) -> tuple[ChannelGap, ...]:
+    """Return each channel's RMS over some trajectories."""
+    gaps = []
+    for channel, part in CHANNELS.items():
+        rms = [
+            _rms([each[t][:, part] for t in chosen])
+            for each in (
+                residuals.before,
+                residuals.recalibrated,
+                residuals.after,
+                [
+                    np.where(np.isfinite(left), deviation, np.nan)
+                    for left, deviation in zip(residuals.before, residuals.deviation, strict=True)
+                ],
+            )
+        ]
+        if np.isfinite(rms[0]):
+            gaps.append(ChannelGap(channel, UNITS[channel], *rms))
+    return tuple(gaps)
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    values = np.concatenate([part[np.isfinite(part)] for part in parts])
+    return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
+
+
+def share_closed(
+    residuals: Residuals, chosen: Sequence[int], random: np.random.Generator
+) -> tuple[float, float, float]:
+    """Return the share of the gap that the effects close, (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2) in
+    units of the expected deviation, and its interval of 95 % by a bootstrap over trajectories.
+
+    RMS0 is that of the recalibrated twin. Observables that the effects hardly move are left out:
+    they say nothing of the effects. NaN where there was nothing to close, 1 where what is left is
+    below the floor.
+    """
+    sums = np.array([_squares(residuals, t) for t in chosen])
+    drawn = random.integers(len(chosen), size=(RESAMPLED, len(chosen)))
+    shares = [_share(sums[rows].sum(axis=0)) for rows in drawn]
+    finite = [share for share in shares if np.isfinite(share)]
+    low, high = np.percentile(finite, [2.5, 97.5]) if finite else (np.nan, np.nan)
+    return _share(sums.sum(axis=0)), float(low), float(high)
+
+
+def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:
+    """Return squares of the recalibrated twin, of that with effects, and their number; the skin and
+    the force count alike, whatever the number of their observables."""
+    result = np.zeros(3)
+    for part in CHANNELS.values():
+        deviation = residuals.deviation[t][:, part]
+        # NaN, where nothing was observed, is no part of a footprint.
+        before = residuals.recalibrated[t][:, part] / deviation
+        after = residuals.after[t][:, part] / deviation
+        there = np.abs(before - after) > FOOTPRINT
+        if there.any():
+            result += np.array([np.mean(before[there] ** 2), np.mean(after[there] ** 2), 1.0])
+    return float(result[0]), float(result[1]), float(result[2])
+
+
+def _share(sums: Array) -> float:
+    before, after, floor = sums
+    # The floor is what is expected: less than that is no more than all of the gap.
+    return min(1.0, (before - after) / (before - floor)) if before > floor else float("nan")
+
+
+def places_of_gap(
+    case: Case, residuals: Residuals, chosen: Sequence[int], random: np.random.Generator
+) -> tuple[Place, ...]:
+    """Return the RMS in units of the expected deviation, by trajectory and over all of them."""
+    region = np.array(regions_of_observables())
+    sums: dict[tuple[str, str, str], dict[str, Array]] = {}
+    for t in chosen:
+        trajectory = case.trajectories[t]
+        phase = np.array([p.value for p in trajectory.recording.phase])
+        for channel, part in CHANNELS.items():
+            for name in dict.fromkeys(region[part]):
+                for step in dict.fromkeys(phase):
+                    members = np.ix_(phase == step, np.flatnonzero(region == name))
+                    left = residuals.before[t][members] / residuals.deviation[t][members]
+                    after = residuals.after[t][members] / residuals.deviation[t][members]
+                    there = np.isfinite(left)
+                    if there.any():
+                        square = np.array(
+                            [np.sum(left[there] ** 2), np.sum(after[there] ** 2), there.sum()]
+                        )
+                        key = (channel, str(step), str(name))
+                        sums.setdefault(key, {})[trajectory.recording.name] = square
+    places = []
+    for (channel, step, name), by_trajectory in sums.items():
+        for trajectory_name, square in by_trajectory.items():
+            places.append(_place(channel, trajectory_name, step, name, square, 0.0, 0.0))
+        every = np.stack(list(by_trajectory.values()))
+        low, high = _interval(every, random)
+        places.append(_place(channel, "all", step, name, every.sum(axis=0), low, high))
+    return tuple(places)
+
+
+def _place(
+    channel: str, trajectory: str, phase: str, region: str, square: Array, low: float, high: float
+) -> Place:
+    before, after, count = square.tolist()
+    return Place(
+        channel,
+        trajectory,
+        phase,
+        region,
+        float(np.sqrt(before / count)),
+        float(np.sqrt(after / count)),
+        low,
+        high,
+        int(count),
+    )
+
+
+def _interval(squares: Array, random: np.random.Generator) -> tuple[float, float]:
+    if len(squares) < 2:
+        return 0.0, 0.0
+    drawn = squares[random.integers(len(squares), size=(RESAMPLED, len(squares)))].sum(axis=1)
+    low, high = np.percentile(np.sqrt(drawn[:, 0] / drawn[:, 2]), [2.5, 97.5])
+    return float(low), float(high)
+
+
+def worst_frame(
+    case: Case,
+    residuals: Residuals,
+    chosen: Sequence[int],
+    skins_of: Callable[[int], tuple[Array, Array] | None],
+    rest_m: Array,
+) -> WorstFrame | None:
+    """Return the frame with the largest residual before.
+
+    Args:
+        case: the data.
+        residuals: of it.
+        chosen: trajectories to look at.
+        skins_of: returns a trajectory's skins, simulated without and with the effects, (F, V, 3).
+        rest_m: (V, 3).
+    """
+    worst, place = -1.0, (-1, -1)
+    for t in chosen:
+        scaled = (residuals.before[t] / residuals.deviation[t]) ** 2
+        for frame, row in enumerate(scaled):
+            there = np.isfinite(row)
+            size = float(np.mean(row[there])) if there.any() else -1.0
+            if size > worst:
+                worst, place = size, (t, frame)
+    t, frame = place
+    if t < 0:
+        return None
+    trajectory = case.trajectories[t]
+    press = trajectory.recording.press
+    to_base = trajectory.places.axes
+    load = CHANNELS["force"]
+    forces = [
+        (trajectory.observed - left)[frame, load] @ to_base
+        for left in (residuals.before[t], residuals.after[t])
+    ]
+    has_force = press.force_n is not None
+    skins = None if press.skin_position_m is None else skins_of(t)
+    return WorstFrame(
+        trajectory.recording.name,
+        frame,
+        float(press.stamp_s[frame]),
+        _rounded(rest_m) if skins is not None else [],
+        _rounded(press.skin_position_m[frame]) if press.skin_position_m is not None else [],
+        _rounded(skins[0][frame]) if skins is not None else [],
+        _rounded(skins[1][frame]) if skins is not None else [],
+        press.force_n[frame].tolist() if press.force_n is not None else [],
+        forces[0].tolist() if has_force else [],
+        forces[1].tolist() if has_force else [],
+    )
+
+
+def _rounded(points_m: Array) -> list[list[float]]:
+    rounded: list[list[float]] = np.round(points_m, 6).tolist()
+    return rounded

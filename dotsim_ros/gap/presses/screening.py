@@ -1,0 +1,144 @@
+"""Tries every effect of the library on the evidence, and says what chance would have given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.effects.effect import FORCE, SKIN
+from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
+from dotsim_ros.gap.presses.inference import Evidence, Fit, Products, fit, parts_of, settle
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """The best of an effect's variants on some evidence.
+
+    Attributes:
+        segment: of it.
+        size: of the effect.
+        gain: by how much it lowers the objective of nuisances alone.
+        fit: nuisances and weights with it.
+        change: (n,) whitened, what it does at that size.
+    """
+
+    segment: Segment
+    size: float
+    gain: float
+    fit: Fit
+    change: Array
+
+    @property
+    def variant(self) -> Variant:
+        """The effect's."""
+        return self.segment.variant
+
+
+def try_segment(evidence: Evidence, segment: Segment, base: float) -> Trial:
+    """Return the trial of one segment.
+
+    Args:
+        evidence: to explain.
+        segment: of an effect.
+        base: objective of nuisances alone.
+    """
+    left = evidence.with_residual(evidence.residual - segment.offset)
+    found = fit(left, segment.column[:, None], np.array([segment.low]), np.array([segment.high]))
+    step = float(found.size[0])
+    return Trial(
+        segment,
+        segment.begin + step,
+        base - found.objective,
+        found,
+        segment.offset + step * segment.column,
+    )
+
+
+def best_trial(evidence: Evidence, segments: Sequence[Segment], base: float) -> Trial:
+    """Return the segment that gains most."""
+    return max((try_segment(evidence, s, base) for s in segments), key=lambda trial: trial.gain)
+
+
+class Screen:
+    """Segments on one evidence, ready for many residuals: what does not depend on the residual is
+    computed once.
+
+    Args:
+        evidence: whose nuisances they stand beside.
+        segments: of any effects; there may be none.
+    """
+
+    def __init__(self, evidence: Evidence, segments: Sequence[Segment] = ()) -> None:
+        self._segments = tuple(segments)
+        self._parts = parts_of(evidence.trajectory)
+        self._nuisance = evidence.nuisance
+        # The column of each segment, then the offset of each.
+        both = [*(s.column for s in segments), *(s.offset for s in segments)]
+        self._moved = np.reshape(both, (-1, len(evidence.residual))).T
+        count = len(self._segments)
+        nuisance, moved = self._by_trajectory(self._nuisance), self._by_trajectory(self._moved)
+        self._gram = np.stack([n.T @ n for n in nuisance])
+        self._across = np.stack([n.T @ m for n, m in zip(nuisance, moved, strict=True)])
+        self._own = np.stack([np.sum(m**2, axis=0) for m in moved])
+        self._mixed = np.stack([np.sum(m[:, :count] * m[:, count:], axis=0) for m in moved])
+        self._count = np.array([float(len(rows)) for rows in self._parts])
+
+    def _by_trajectory(self, rows_of_all: Array) -> list[Array]:
+        return [rows_of_all[rows] for rows in self._parts]
+
+    def gains(self, residual: Array) -> tuple[float, Array]:
+        """Return the objective of the nuisances alone, and by how much each segment lowers it.
+
+        Args:
+            residual: (n,).
+        """
+        parts = self._by_trajectory(residual)
+        square = np.array([part @ part for part in parts])
+        right, moved = (
+            np.stack([part @ m for part, m in zip(parts, self._by_trajectory(of), strict=True)])
+            for of in (self._nuisance, self._moved)
+        )
+        nothing = np.zeros(0)
+        base = settle(Products(self._gram, right, square, self._count), nothing, nothing).objective
+        q, count = right.shape[1], len(self._segments)
+        gains = np.zeros(count)
+        gram = np.empty((len(parts), q + 1, q + 1))
+        gram[:, :q, :q] = self._gram
+        for k, segment in enumerate(self._segments):
+            gram[:, q, :q] = gram[:, :q, q] = self._across[:, :, k]
+            gram[:, q, q] = self._own[:, k]
+            column = moved[:, k] - self._mixed[:, k]
+            known = Products(
+                gram,
+                np.column_stack([right - self._across[:, :, count + k], column]),
+                square - 2.0 * moved[:, count + k] + self._own[:, count + k],
+                self._count,
+            )
+            found = settle(known, np.array([segment.low]), np.array([segment.high]))
+            gains[k] = base - found.objective
+        return base, gains
+
+
+def excited_variants(case: Case, candidates: Sequence[str] = ()) -> tuple[list[Variant], list[str]]:
+    """Return the variants of the effects that the data excite, and the names of the others.
+
+    Args:
+        case: the data.
+        candidates: names of the effects to look at; none for all.
+    """
+    variants, silent = [], []
+    for effect in case.library.values():
+        if candidates and effect.name not in candidates:
+            continue
+        if not ({SKIN, FORCE} & set(effect.channels)):
+            continue
+        if case.excited(effect):
+            variants += case.variants(effect)
+        else:
+            silent.append(effect.name)
+    return variants, silent

@@ -1,0 +1,155 @@
+"""The search for a gap, from a measured data set to findings (steps 1 to 9 of the method)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.calibration.parameters import values_of
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.overlay import Overlay
+from dotsim_ros.gap import decision
+from dotsim_ros.gap.findings import Findings
+from dotsim_ros.gap.presses.answer import answer_of, null_gains, screen
+from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, centred
+from dotsim_ros.gap.presses.certainty import estimates_of, stability_of
+from dotsim_ros.gap.presses.conclusions import findings_of
+from dotsim_ros.gap.presses.covariance import Noise, load_discrepancy, noise_from_idle
+from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
+from dotsim_ros.gap.presses.screening import excited_variants
+from dotsim_ros.gap.presses.search_state import Progress, Request, Search
+from dotsim_ros.gap.report import wording
+from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
+from dotsim_ros.sensor import skin_of
+from dotsim_ros.twin.solver import open_solver
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+
+def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
+    """Search a data set; return what was found, and the overlay if an effect was named.
+
+    Raises:
+        FileNotFoundError: a data set, an indenter or a file that is not there.
+        ValueError: data that cannot be used; the text says why and what to do.
+    """
+    begun_s = time.monotonic()
+    if not 0.0 < request.alpha < 1.0:
+        raise ValueError(f"alpha is {request.alpha}, expected between 0 and 1")
+    measurement, reference = _read(request)
+    library = load_effects(request.effects)
+    unknown = sorted(set(request.candidates) - set(library))
+    if unknown:
+        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
+    noise = noise_from_idle(measurement.recordings, measurement.skin.rest_position_m, Noise())
+    discrepancy = load_discrepancy(request.discrepancy)
+    values = values_of(request.sensor)
+    warnings = [
+        *measurement.warnings,
+        *wording.data_warnings(measurement, request.channels, reference is not None),
+    ]
+    if noise.source == "declared":
+        warnings.append("no frame is without contact: the declared noise is used")
+    random = np.random.default_rng(request.seed)
+    with open_solver(
+        request.sensor,
+        measurement.skin,
+        request.directory / "solves",
+        folders=request.effects,
+        workers=request.workers,
+    ) as solver:
+        nuisances = centred(ABSOLUTE if reference is None else DIFFERENTIAL, discrepancy.bias)
+        trajectories, left_out = make_trajectories(
+            measurement.recordings,
+            () if reference is None else reference.recordings,
+            values=values,
+            nuisances=nuisances,
+            library=library,
+            solver=solver,
+            skin=measurement.skin,
+            noise=noise,
+            discrepancy=discrepancy,
+            channels=request.channels,
+            progress=lambda done, total: progress("calibrate", done, total),
+        )
+        warnings += left_out
+        case = Case(
+            trajectories, nuisances, library, solver, values, measurement.skin.rest_position_m
+        )
+        chosen, locked = _lock(case, random)
+        if not locked:
+            warnings.append(
+                "no protocol was repeated: nothing could be kept locked, so the gain is shown on "
+                "the data that the effect was found in; repeat each protocol"
+            )
+        search = Search(
+            request, case, chosen, locked, noise, discrepancy, random, progress, warnings
+        )
+        findings, overlay = _run(search, measurement, reference)
+    seconds = time.monotonic() - begun_s
+    return replace(findings, solve_count=solver.solve_count, seconds=seconds), overlay
+
+
+def _read(request: Request) -> tuple[Measurement, Measurement | None]:
+    own = skin_of(request.sensor.gel)
+    measurement = read_measurement(request.measured, own_skin=own, indenters=request.indenters)
+    if request.reference is None:
+        return measurement, None
+    reference = read_measurement(request.reference, own_skin=own, indenters=request.indenters)
+    if reference.skin.vertex_count != measurement.skin.vertex_count:
+        raise ValueError(
+            f"{request.reference} lists {reference.skin.vertex_count} points of the skin, "
+            f"{request.measured} {measurement.skin.vertex_count}; record both in the same way"
+        )
+    return measurement, reference
+
+
+def _lock(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]]:
+    """Return trajectories to search, and to keep locked: one of each repeated protocol."""
+    measured = [n for n, t in enumerate(case.trajectories) if not t.is_reference]
+    places = one_of_each([protocol_of(case.trajectories[n].recording) for n in measured], random)
+    locked = [measured[place] for place in places]
+    return [n for n in range(len(case.trajectories)) if n not in locked], locked
+
+
+def _run(
+    search: Search, measurement: Measurement, reference: Measurement | None
+) -> tuple[Findings, Overlay | None]:
+    variants, silent = simulate_effects(search)
+    ranked = screen(search, variants)
+    gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
+    answer = answer_of(search, ranked, gains, pattern_gains)
+    named = answer.named
+    for entry in named:
+        others = [other for other in named if other is not entry]
+        entry.estimates = estimates_of(search, entry, others)
+    stability = stability_of(search, answer.ranked, named[0].effect.name) if named else None
+    return findings_of(
+        search, measurement, reference, answer=answer, silent=silent, stability=stability
+    )
+
+
+def simulate_effects(search: Search) -> tuple[list[Variant], list[str]]:
+    """Simulate every effect that is excited at its probes; return them, and the others' names.
+
+    Raises:
+        ValueError: nothing is excited.
+    """
+    variants, silent = excited_variants(search.case, search.request.candidates)
+    if not variants:
+        raise ValueError(
+            "no trajectory excites any effect of the library: nothing can be concluded; record "
+            "presses with force or skin, holds, slides and releases"
+        )
+    wanted = [
+        (variant, probe) for variant in variants for probe in variant.effect.parameters[0].probes
+    ]
+    failures = search.case.extend(
+        wanted, progress=lambda done, total: search.progress("screen", done, total)
+    )
+    search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
+    return variants, silent

@@ -1,0 +1,149 @@
+"""What is searched, how, and what the steps of a search share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.effects.effect import Effect
+from dotsim_ros.gap import decision
+from dotsim_ros.gap.findings import Estimate
+from dotsim_ros.gap.presses.covariance import Discrepancy, Noise
+from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
+from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
+from dotsim_ros.gap.presses.screening import Trial
+from dotsim_ros.specification import SensorSpecification
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+
+Progress = Callable[[str, int, int], None]
+"""Told a step's name, and how much of it is done, of how much."""
+PATTERN_DEVIATION = 20.0
+"""Prior of a pattern, in its percents of the press."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to search, and how.
+
+    Attributes:
+        measured: folder of the data set.
+        sensor: the calibrated twin.
+        directory: of the run: solves are kept there.
+        reference: folder of the commissioning; None for the absolute mode.
+        indenters: folder of the meshes; None looks beside the data.
+        effects: folders of the user's effects.
+        channels: that are used.
+        candidates: names of the effects to look for; empty for all of the library.
+        alpha: probability of a name on data without any effect.
+        budget: most solves of a trajectory; None for no limit.
+        seed: of all draws.
+        workers: processes.
+        discrepancy: file of the covariances; None for the shipped ones.
+        optical_noise: file of what images show where nothing is missing; None for the shipped one.
+    """
+
+    measured: Path
+    sensor: SensorSpecification
+    directory: Path
+    reference: Path | None = None
+    indenters: Path | None = None
+    effects: tuple[Path, ...] = ()
+    channels: tuple[str, ...] = ("skin", "force")
+    candidates: tuple[str, ...] = ()
+    alpha: float = 0.02
+    budget: int | None = None
+    seed: int = 0
+    workers: int = 2
+    discrepancy: Path | None = None
+    optical_noise: Path | None = None
+
+
+@dataclass
+class Ranked:
+    """An effect during the search."""
+
+    effect: Effect
+    variants: list[Variant]
+    trial: Trial
+    estimates: tuple[Estimate, ...] = ()
+    explained: float | None = None
+    held_out_gain: float | None = None
+    limit: float = np.inf
+
+    @property
+    def is_past_limit(self) -> bool:
+        """Whether it gains more than data without any effect let it gain."""
+        return self.trial.gain > self.limit
+
+
+@dataclass
+class Search:
+    """What the steps share."""
+
+    request: Request
+    case: Case
+    chosen: list[int]
+    locked: list[int]
+    noise: Noise
+    discrepancy: Discrepancy
+    random: np.random.Generator
+    progress: Progress
+    warnings: list[str] = field(default_factory=list)
+    pattern_chance: float = 0.0
+    _segments: dict[tuple[int, int], list[Segment]] = field(default_factory=dict)
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """What the chosen trajectories show."""
+        return self.case.evidence(self.chosen)
+
+    @cached_property
+    def base(self) -> Fit:
+        """The twin recalibrated, without any effect."""
+        return fit_nuisances(self.evidence)
+
+    @cached_property
+    def pattern_columns(self) -> Array:
+        """(n, K) what a pattern does when it moves by one deviation of its prior."""
+        return PATTERN_DEVIATION * self.case.pattern_columns(self.chosen)
+
+    @cached_property
+    def misfit_limit(self) -> float:
+        """Largest objective of an observable that data without any effect leave, as the
+        commissioning tells where there is one."""
+        reference = [
+            place for place, k in enumerate(self.chosen) if self.case.trajectories[k].is_reference
+        ]
+        if not reference:
+            return self.discrepancy.misfit_limit + decision.MISFIT_OF_UNITS
+        known = self.evidence.of(reference)
+        return fit_nuisances(known).objective / len(known.residual) + decision.MISFIT_SINCE
+
+    def segments(self, variants: Sequence[Variant]) -> list[Segment]:
+        """Return the segments of variants; they are whitened once for each set of nodes."""
+        result = []
+        for variant in variants:
+            key = id(variant), len(variant.node)
+            if key not in self._segments:
+                self._segments[key] = self.case.segments(variant, self.chosen)
+            result += self._segments[key]
+        return result
+
+    def has_budget(self, variants: int) -> bool:
+        """Return whether so many variants may be simulated along the measured trajectories."""
+        if self.request.budget is None:
+            return True
+        measured = sum(not t.is_reference for t in self.case.trajectories)
+        return self.case.solver.solve_count + variants * measured <= self.request.budget
+
+    def resampled(self) -> tuple[Evidence, IntArray]:
+        """Return the evidence of trajectories drawn with replacement, and which rows it takes."""
+        drawn = self.random.integers(len(self.chosen), size=len(self.chosen)).tolist()
+        return self.evidence.of(drawn), self.evidence.rows_of(drawn)

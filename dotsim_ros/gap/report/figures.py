@@ -1,0 +1,187 @@
+"""Pictures of a gap's report, each narrow enough for a phone."""
+
+from __future__ import annotations
+
+import matplotlib
+import numpy as np
+from matplotlib.colors import LogNorm
+from numpy.typing import ArrayLike, NDArray
+
+from dotsim_ros.gap.findings import ChannelGap, Findings, WorstFrame
+from dotsim_ros.gap.report.places import PlaceTable, strongest
+from dotsim_ros.gap.report.text import shown, shown_unit
+from dotsim_ros.page import LARGEST_WIDTH_INCHES, Picture, page_figure, picture_of
+from dotsim_ros.view.pictures import SKIN_COLOURS
+from dotsim_ros.view.skin_map import SkinMap
+
+Array = NDArray[np.float64]
+
+STAGE_COLOURS = {
+    "before": "#8b96a3",
+    "recalibrated": "#7fb2e5",
+    "after": "#1763b6",
+    "floor": "#3d9a5f",
+}
+NAMED_COLOUR, ALTERNATIVE_COLOUR, OTHER_COLOUR = "#1763b6", "#d98a1f", "#b9c2cc"
+MISFIT_COLOURS = "viridis"
+HEAT_COLOURS = "YlOrRd"
+MOST_CANDIDATES = 12
+MOST_ROWS = 30
+_MAP_PX = 320
+_MAP_INCHES = (1.75, 2.3)
+_LONGEST_LABEL = 22
+
+
+def gap_bars(gap: ChannelGap, stages: tuple[str, ...]) -> Picture:
+    """Return a channel's RMS at some stages, keys of `STAGE_COLOURS`."""
+    values = [shown(getattr(gap, stage), gap.unit) for stage in stages]
+    with page_figure(LARGEST_WIDTH_INCHES, 0.6 + 0.24 * len(stages)) as figure:
+        axes = figure.add_subplot()
+        bars = axes.barh(stages, values, color=[STAGE_COLOURS[stage] for stage in stages])
+        axes.bar_label(bars, [f"{value:.3g}" for value in values], padding=3)
+        axes.invert_yaxis()
+        axes.set_xlim(0.0, 1.2 * max(*values, 1e-12))
+        axes.set_title(f"{gap.channel}: RMS, {shown_unit(gap.unit)}", loc="left")
+        axes.tick_params(left=False)
+        alt = f"{gap.channel}, RMS in {shown_unit(gap.unit)}: " + ", ".join(
+            f"{stage} {value:.3g}" for stage, value in zip(stages, values, strict=True)
+        )
+        return picture_of(figure, name=f"gap_{gap.channel}", alt=alt)
+
+
+def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> Picture:
+    """Return a table of residuals as colours and numbers.
+
+    Args:
+        table: of at least one row and column.
+        stage: "before" or "after".
+        name: of the file.
+        title: above it.
+    """
+    if len(table.rows) > MOST_ROWS:
+        title = f"{title}: the {MOST_ROWS} strongest of {len(table.rows)}"
+        table = strongest(table, MOST_ROWS)
+    values = table.before if stage == "before" else table.after
+    rows = [_short(row) for row in table.rows]
+    largest = max(4.0, float(np.nanmax(table.before, initial=0.0)))
+    # The column labels hang below, as long as they are.
+    label_inches = 0.075 * max(len(column) for column in table.columns)
+    with page_figure(LARGEST_WIDTH_INCHES, 0.55 + 0.24 * len(rows) + label_inches) as figure:
+        axes = figure.add_subplot()
+        colours = matplotlib.colormaps[HEAT_COLOURS].with_extremes(bad="#eef1f4")
+        shade = LogNorm(0.7, largest, clip=True)
+        axes.imshow(np.ma.masked_invalid(values), cmap=colours, norm=shade, aspect="auto")
+        for (i, j), value in np.ndenumerate(values):
+            if np.isfinite(value):
+                dark = shade(value) > 0.6
+                text = f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
+                axes.text(j, i, text, ha="center", va="center", color="white" if dark else "black")
+        axes.set_xticks(range(len(table.columns)), table.columns, rotation=90)
+        axes.set_yticks(range(len(rows)), rows)
+        axes.tick_params(length=0)
+        axes.spines[:].set_visible(False)
+        figure.suptitle(title)
+        return picture_of(figure, name=name, alt=f"{title}: {_strongest(table, values)}")
+
+
+def ranking(findings: Findings) -> Picture | None:
+    """Return scores of the candidates over the threshold, or None where none was scored."""
+    scored = [c for c in findings.candidates if c.is_excited][:MOST_CANDIDATES]
+    if not scored:
+        return None
+    colour = {
+        **dict.fromkeys(findings.alternatives, ALTERNATIVE_COLOUR),
+        **dict.fromkeys(findings.named, NAMED_COLOUR),
+    }
+    scores = [candidate.score for candidate in scored]
+    with page_figure(LARGEST_WIDTH_INCHES, 0.8 + 0.24 * len(scored)) as figure:
+        axes = figure.add_subplot()
+        axes.barh(
+            range(len(scored)),
+            scores,
+            color=[colour.get(candidate.name, OTHER_COLOUR) for candidate in scored],
+        )
+        axes.set_yticks(range(len(scored)), [_short(candidate.name) for candidate in scored])
+        axes.tick_params(left=False)
+        axes.invert_yaxis()
+        axes.set_xscale("log")
+        ends = [value for value in (*scores, findings.threshold) if value > 0.0] or [1.0]
+        axes.set_xlim(max(min(0.5 * min(ends), 1.0), 1e-4 * max(ends)), 2.0 * max(ends))
+        if findings.threshold > 0.0:
+            axes.axvline(findings.threshold, color="#b3261e", linestyle="--", linewidth=1.2)
+            axes.set_title(f"threshold {findings.threshold:.3g}", color="#b3261e", loc="right")
+        axes.set_xlabel("score")
+        alt = f"Scores against the threshold {findings.threshold:.3g}: " + ", ".join(
+            f"{candidate.name} {candidate.score:.3g}" for candidate in scored
+        )
+        return picture_of(figure, name="ranking", alt=alt)
+
+
+def worst_frame(worst: WorstFrame, *, with_after: bool) -> tuple[Picture, ...]:
+    """Return the skin of the worst frame seen from above, and where each model misses it.
+
+    Args:
+        worst: with a skin.
+        with_after: whether an effect was added, so that after differs from before.
+    """
+    rest, measured = np.array(worst.rest_m), np.array(worst.measured_m)
+    skin_map = SkinMap(rest, size_px=_MAP_PX)
+    models = {"before": np.array(worst.before_m)}
+    if with_after:
+        models["after"] = np.array(worst.after_m)
+    motion = {"measured": _distance_mm(measured, rest)}
+    motion |= {name: _distance_mm(skin, rest) for name, skin in models.items()}
+    miss = {name: _distance_mm(skin, measured) for name, skin in models.items()}
+    largest_motion, largest_miss = _largest(motion), _largest(miss)
+    pictures = [
+        _skin(skin_map, values, largest_motion, SKIN_COLOURS, name, f"Motion, {name}")
+        for name, values in motion.items()
+    ]
+    pictures += [
+        _skin(skin_map, values, largest_miss, MISFIT_COLOURS, f"misfit_{name}", f"Misfit, {name}")
+        for name, values in miss.items()
+    ]
+    return tuple(pictures)
+
+
+def _skin(
+    skin_map: SkinMap, values_mm: Array, largest_mm: float, colours: str, name: str, title: str
+) -> Picture:
+    with page_figure(*_MAP_INCHES) as figure:
+        axes = figure.add_subplot()
+        picture = axes.imshow(
+            skin_map.raster(values_mm),
+            vmin=0.0,
+            vmax=largest_mm,
+            cmap=matplotlib.colormaps[colours],
+        )
+        axes.set_axis_off()
+        axes.set_title(title)
+        figure.colorbar(picture, ax=axes, orientation="horizontal", label="mm", shrink=0.9)
+        alt = (
+            f"{title} of the skin seen from above: up to {np.nanmax(values_mm):.3g} mm, RMS "
+            f"{np.sqrt(np.nanmean(values_mm**2)):.3g} mm"
+        )
+        return picture_of(figure, name=f"worst_{name}", alt=alt)
+
+
+def _distance_mm(one_m: ArrayLike, other_m: ArrayLike) -> Array:
+    between = np.asarray(one_m, dtype=np.float64) - np.asarray(other_m, dtype=np.float64)
+    return np.asarray(1e3 * np.linalg.norm(between, axis=1))
+
+
+def _largest(values: dict[str, Array]) -> float:
+    return max(1e-6, *(float(np.nanmax(one)) for one in values.values()))
+
+
+def _strongest(table: PlaceTable, values: Array) -> str:
+    if not np.isfinite(values).any():
+        return "nothing measured"
+    i, j = np.unravel_index(int(np.nanargmax(values)), values.shape)
+    return f"largest {values[i, j]:.2g} at {table.rows[i]}, {table.columns[j]}"
+
+
+def _short(label: str) -> str:
+    if len(label) <= _LONGEST_LABEL:
+        return label
+    return f"{label[: _LONGEST_LABEL - 6]}...{label[-3:]}"

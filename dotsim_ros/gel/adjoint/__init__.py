@@ -1,0 +1,1 @@
+"""Derivatives of skin and wrench by everything that the implicit gel depends on."""

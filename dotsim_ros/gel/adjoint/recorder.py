@@ -1,0 +1,202 @@
+"""Records an implicit gel's steps, settled to rounding, for the adjoint to go back through."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
+from dotsim_ros.gel.adjoint.equilibrium import Candidates, fine_part, settle
+from dotsim_ros.gel.implicit.contact import Lag
+from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel, Inertia, World
+from dotsim_ros.gel.implicit.newton import Point
+from dotsim_ros.gel.implicit.relaxation import StressMemory
+from dotsim_ros.geometry.pose import Pose
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class ContactRecord:
+    """The contact at the end of a substep.
+
+    Attributes:
+        pose: of the indenter.
+        marker: (A,) numbers of the markers in contact.
+        memory_m: (A, 3) their slip minus position at the end of the substep before, in the
+            indenter's frame.
+        is_fresh: whether the indenter came near only in this substep, so that the memory is minus
+            the position, at this pose, of the skin before it.
+    """
+
+    pose: Pose
+    marker: IntArray
+    memory_m: Array
+    is_fresh: bool
+
+
+@dataclass(frozen=True)
+class Substep:
+    """What the adjoint needs of a substep.
+
+    Attributes:
+        dt_s: its duration.
+        displacement_m: (N, 3) of the nodes at its end.
+        skin_position_m: (V, 3) at its end.
+        skin_before_m: (V, 3) at its start.
+        contact: None if the indenter was away.
+        relaxation: what relaxation remembered at its start.
+        inertia: None if quasi-static.
+    """
+
+    dt_s: float
+    displacement_m: Array
+    skin_position_m: Array
+    skin_before_m: Array
+    contact: ContactRecord | None
+    relaxation: StressMemory
+    inertia: Inertia | None
+
+
+@dataclass
+class Trajectory:
+    """The substeps of one environment since the recorder was made.
+
+    Attributes:
+        substeps: in the order of time.
+        step_end: for each step, how many substeps had been recorded at its end.
+        is_at_rest: for each step, whether the gel came to rest exactly in its last substep, which
+            is not recorded then.
+    """
+
+    substeps: list[Substep] = field(default_factory=list)
+    step_end: list[int] = field(default_factory=list)
+    is_at_rest: list[bool] = field(default_factory=list)
+
+
+class Recorder:
+    """Steps a gel and keeps what its adjoint needs.
+
+    Every substep is solved to rounding, with friction limited by the current pressure: about ten
+    times as slow as a plain step. Begin with a pose outside the gel: the way that the gel itself
+    chooses to a first pose inside depends on the skin's size, which derivatives leave out.
+
+    Args:
+        gel: is reset, and from then on to be stepped by `step` of this recorder alone.
+    """
+
+    def __init__(self, gel: ImplicitGel) -> None:
+        gel.reset()
+        self.gel = gel
+        self.trajectories = [Trajectory() for _ in range(gel.environment_count)]
+
+    def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
+        """Step the gel as `ImplicitGel.step` does.
+
+        Raises:
+            NoEquilibriumError: a substep did not settle; the gel is left as it was in it.
+            PressTooDeepError, ValueError: as `ImplicitGel.step`.
+        """
+        gel = self.gel
+        gel.observer = self._observe
+        try:
+            states = gel.step(poses, dt_s)
+        finally:
+            gel.observer = None
+        for trajectory, world in zip(self.trajectories, gel.worlds, strict=True):
+            trajectory.step_end.append(len(trajectory.substeps))
+            trajectory.is_at_rest.append(not gel._remembers() and world.response is None)
+        return states
+
+    def _observe(
+        self,
+        world: World,
+        pose: Pose | None,
+        point: Point,
+        inertia: Inertia | None,
+        dt_s: float,
+        environment: int,
+    ) -> Point:
+        gel = self.gel
+
+        def forces(displacement_m: Array) -> Array:
+            return gel.elastic(displacement_m, inertia, environment)[1]
+
+        def stiffness(displacement_m: Array) -> sparse.csr_matrix:
+            return elastic_stiffness(gel, displacement_m, inertia, environment)
+
+        candidates = None
+        if pose is not None and world.patch is not None and world.history is not None:
+            candidates = _candidates(gel, world, pose, point)
+        cell = gel.discretization.node_cell
+        settled = settle(point.displacement_m, cell, forces, stiffness, candidates)
+        displacement = settled.displacement_m
+        contact, lag = None, _present(np.zeros(0))
+        if pose is not None and candidates is not None:
+            active = np.flatnonzero(np.any(settled.force_n != 0.0, axis=1))
+            marker = candidates.marker[active]
+            contact = ContactRecord(pose, marker, _memory(world)[marker], world.response is None)
+            lag = _present(settled.pressure_pa)
+        self.trajectories[environment].substeps.append(
+            Substep(
+                dt_s,
+                displacement,
+                gel.skin_at(displacement, world.patch, settled.force_n),
+                world.skin_position_m,
+                contact,
+                gel._relaxation[environment].memory(gel.discretization.particle_count),
+                inertia,
+            )
+        )
+        problem = gel._problem(world, pose, inertia, environment)
+        return problem.at(displacement, settled.force_n, lag)
+
+
+def _present(pressure_pa: Array) -> Lag:
+    """Return what friction needs to use these pressures (C,) and the present normals."""
+    return Lag(pressure_pa, np.zeros((len(pressure_pa), 3)))
+
+
+def elastic_stiffness(
+    gel: ImplicitGel, displacement_m: Array, inertia: Inertia | None, environment: int
+) -> sparse.csr_matrix:
+    """Return the derivative (3 N, 3 N) of the forces of elasticity and inertia."""
+    result = gel.body.stiffness(displacement_m, environment)
+    if inertia is not None:
+        result = result + sparse.kron(inertia.stiffness, sparse.eye(3))
+    return result.tocsr()
+
+
+def _memory(world: World) -> Array:
+    """Return slip minus position (V, 3) at the end of the last substep, indenter's frame."""
+    assert world.history is not None
+    return world.history.slip_m - world.history.local_position_m
+
+
+def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: Point) -> Candidates:
+    assert world.patch is not None
+    marker = world.patch.marker
+    memory = _memory(world)[marker]
+    area = gel.skin.rest_area_m2[marker]
+    rotation = pose.rotation()
+
+    def respond(rows: NDArray[np.int64], position_m: Array) -> MarkerContact:
+        return MarkerContact(gel.contact, area[rows], position_m, pose, memory[rows])
+
+    def distance(position_m: Array) -> Array:
+        return gel.contact.indenter.signed_distance((position_m - pose.position_m) @ rotation)
+
+    return Candidates(
+        marker,
+        gel.skin.rest_position_m[marker],
+        gel.skin_at(point.displacement_m, world.patch, point.force_n)[marker],
+        gel.skin_weight[marker],
+        None if gel.refinement is None else fine_part(gel.refinement, marker),
+        respond,
+        distance,
+    )

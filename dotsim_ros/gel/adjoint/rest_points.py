@@ -1,0 +1,56 @@
+"""Nodal fields at particles, markers and bonded points, and how they vary with these points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.gel.discretization import bonded_points, interpolation_at
+from dotsim_ros.gel.implicit.gel import ImplicitGel
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class FieldGradient:
+    """Evaluates the gradient of a nodal field at fixed points."""
+
+    node_index: IntArray
+    weight_gradient: Array
+
+    def at(self, nodal: Array) -> Array:
+        """Return (P, 3, 3) of nodal values (N, 3), [point, component, direction]."""
+        # Node by node, so that no array of (P, 27, 3, 3) arises.
+        result = np.zeros((len(self.node_index), 3, 3))
+        for a in range(27):
+            result += (
+                nodal[self.node_index[:, a]][:, :, None] * self.weight_gradient[:, a][:, None, :]
+            )
+        return result
+
+
+def pulled(gradient: Array, by_value: Array) -> Array:
+    """Return the derivatives (P, 3) by positions, of a field's gradient (P, 3, 3) there and the
+    derivatives (P, 3) by its values."""
+    result: Array = np.einsum("pij,pi->pj", gradient, by_value)
+    return result
+
+
+class RestPoints:
+    """Weights at particles, markers and bonded points, and how they vary with the points."""
+
+    def __init__(self, gel: ImplicitGel) -> None:
+        d = gel.discretization
+        particles, gradient, self.particle_curvature = interpolation_at(d, d.particle_position_m)
+        self.particle_weight = particles.matrix(d.node_count)
+        self.particle_gradient = FieldGradient(particles.node_index, gradient)
+        inward = 1.0 - 1e-9
+        markers, gradient, _ = interpolation_at(d, gel.skin.rest_position_m * inward)
+        self.marker_gradient = FieldGradient(markers.node_index, gradient)
+        self.bonded_m, self.bonded_area_m2 = bonded_points(gel.shape, d.spacing_m)
+        bonded, gradient, _ = interpolation_at(d, self.bonded_m)
+        self.bonded_weight = bonded.matrix(d.node_count)
+        self.bonded_gradient = FieldGradient(bonded.node_index, gradient)

@@ -1,0 +1,1 @@
+"""The gel at equilibrium in every frame: grid, contact, solver, refinement."""

@@ -1,0 +1,589 @@
+"""The gel at equilibrium with the indenter, step by step: quasi-static or backward Euler.
+
+Each step minimises elastic energy + contact energy (+ inertia) over the nodal displacements, by
+Newton's method with a line search (Nocedal and Wright, "Numerical Optimization", 2006, chapter 3).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dotsim_ros.gel.body import Body
+from dotsim_ros.gel.discretization import discretize
+from dotsim_ros.gel.elasticity import ElasticBody
+from dotsim_ros.gel.implicit.contact import (
+    ONSET_M,
+    Contact,
+    ContactHistory,
+    ContactResponse,
+    Lag,
+    fresh_history,
+    wrench_on_indenter,
+)
+from dotsim_ros.gel.implicit.newton import (
+    CONTRACTION,
+    EquilibriumSearch,
+    Factor,
+    Point,
+    Problem,
+    Trace,
+    no_lag,
+)
+from dotsim_ros.gel.implicit.patch import NearMarkers, Patch, make_patch
+from dotsim_ros.gel.implicit.refinement import Refinement, refine
+from dotsim_ros.gel.implicit.relaxation import Relaxation
+from dotsim_ros.gel.implicit.tangent import ExactTangent, LocalTangent, Region
+from dotsim_ros.gel.material import Material
+from dotsim_ros.geometry.indenter import Indenter, way_m
+from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.specification import ContactSpecification, SolverSpecification
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int32]
+
+FORGOTTEN_N = 1.0e-9
+"""A marker's force below this is none: it moves the skin by less than 1e-11 m. What a marker leaves
+behind when it is let go would shrink for hundreds of steps, count as contact all the while, and end
+as subnormal numbers, with which a product takes ten times as long."""
+LARGEST_SUBSTEP_M = 0.6e-3
+"""The indenter moves no farther in a substep, so that no marker passes through it."""
+PATCH_MARGIN_M = 2.2e-3
+"""Markers closer to the indenter than this are in a new patch..."""
+PATCH_KEPT_M = 1.0e-3
+"""...which is kept while it holds all that are closer than this."""
+REGION_RADIUS_M = 3.5e-3
+"""Cells closer than this to a marker in contact are assembled anew..."""
+REGION_MARGIN_M = 0.8e-3
+"""...or to one this close to the indenter."""
+SNAP = 1.5
+"""Gel that moves by this much more than the indenter has snapped."""
+CORE_CLEARANCE_M = 1.5e-3
+"""The indenter must stay this far from whatever the gel is bonded to."""
+
+
+class PressTooDeepError(ValueError):
+    """The indenter would come too close to the rigid core or the base; nothing was changed."""
+
+
+@dataclass(frozen=True)
+class GelState:
+    """The gel after a step, in one environment.
+
+    Attributes:
+        displacement_m: (N, 3) of the grid's nodes.
+        skin_position_m: (V, 3) of the skin's markers, base frame.
+        wrench: of the gel on the indenter.
+        max_penetration_m: largest penetration of a marker into the indenter.
+        contact_count: markers in contact.
+        iterations: Newton iterations, all substeps together.
+        converged: whether every substep met the tolerance.
+        timings_s: seconds spent, by part.
+    """
+
+    displacement_m: Array
+    skin_position_m: Array
+    wrench: Wrench
+    max_penetration_m: float
+    contact_count: int
+    iterations: int
+    converged: bool
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Change:
+    """What the last substep changed: displacements (N, 3) of the nodes, forces (V, 3) on the
+    markers, the indenter's position (3,), pressures (V,), and how far it moved any marker."""
+
+    displacement_m: Array
+    marker_force_n: Array
+    move_m: Array
+    pressure_pa: Array
+    skin_m: float
+
+
+@dataclass
+class World:
+    """One environment's memory between steps."""
+
+    displacement_m: Array
+    velocity_m_s: Array
+    marker_force_n: Array
+    skin_position_m: Array
+    pose: Pose | None = None
+    history: ContactHistory | None = None
+    last_change: Change | None = None
+    patch: Patch | None = None
+    close: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    region: Region | None = None
+    contraction: float = CONTRACTION
+    response: ContactResponse | None = None
+
+
+@dataclass(frozen=True)
+class Inertia:
+    """Mass over the squared step (N, N), and where the nodes would go without forces (N, 3)."""
+
+    stiffness: sparse.csr_matrix
+    predicted_m: Array
+
+
+Observer = Callable[[World, Pose | None, Point, Inertia | None, float, int], Point]
+"""Told world, pose, solution, inertia, duration and environment of a substep before it is
+finished; returns the solution to go on with."""
+
+
+class ImplicitGel:
+    """The total-Lagrangian gel with a rigid indenter, for a batch of environments.
+
+    Args:
+        shape: where the gel is.
+        skin: the skin's markers.
+        material: law, relaxation, density.
+        contact: friction and stiffness of the contact.
+        solver: resolution and effort.
+        indenter: the rigid shape.
+        environment_count: number of independent worlds.
+        exact: factor the whole tangent in every iteration (a slow reference).
+        progress: told the finished share of a refinement that is not in the cache.
+
+    Attributes:
+        observer: called in every substep, None for none.
+        trace: how the last step's search went.
+    """
+
+    def __init__(
+        self,
+        shape: Body,
+        skin: SkinMesh,
+        material: Material,
+        *,
+        contact: ContactSpecification,
+        solver: SolverSpecification,
+        indenter: Indenter,
+        environment_count: int = 1,
+        device: str = "cpu",
+        exact: bool = False,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
+        self.shape, self.skin, self.material, self.solver = shape, skin, material, solver
+        self.contact_specification, self.device = contact, device
+        self.environment_count, self.exact = environment_count, exact
+        self.discretization = discretize(shape, skin.rest_position_m, solver.grid_spacing_m)
+        d = self.discretization
+        self.skin_weight = d.skin_interpolation.matrix(d.node_count)
+        self.body = ElasticBody(d, material.law, environment_count=environment_count, device=device)
+        self._single = ElasticBody(
+            d,
+            material.law,
+            environment_count=environment_count,
+            dtype=np.float32,
+            device=device,
+        )
+        self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
+        self._mass = d.mass_over_density * material.density_kg_m3
+        self._step_s = 0.0
+        self._exact_tangent = ExactTangent(self._single, self._mass * 0.0)
+        self._local_tangent: LocalTangent | None = None
+        self.refinement: Refinement | None = None
+        if not exact or solver.refined:
+            at_rest = LocalTangent(self._single, self._mass * 0.0)
+            if not exact:
+                self._local_tangent = at_rest
+            if solver.refined:
+                self.refinement = refine(
+                    shape,
+                    skin.rest_position_m,
+                    d,
+                    at_rest.compliance,
+                    material.law,
+                    progress=progress,
+                )
+        self._shape = shape
+        lower, upper = shape.bounds_m()
+        # So dense that no tip gets through between them.
+        count = int(np.ceil(np.ptp(shape.bounds_m(), axis=0)[:2].max() / CORE_CLEARANCE_M)) + 1
+        base = np.linspace(lower, upper, count)
+        plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
+        self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
+        self.trace = Trace()
+        self.observer: Observer | None = None
+        self.set_indenter(indenter)
+
+    def set_indenter(self, indenter: Indenter) -> None:
+        """Replace the indenter and forget the state."""
+        self.contact = Contact(
+            indenter,
+            self.skin.rest_area_m2,
+            self.body.youngs_modulus_pa,
+            self.contact_specification,
+            device=self.device,
+        )
+        self._inner_point_m = _inner_point_m(indenter)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return every environment to rest."""
+        self.worlds = [self._fresh_world() for _ in range(self.environment_count)]
+        for environment in range(self.environment_count):
+            self._relaxation[environment] = Relaxation(self.material.prony)
+
+    def _fresh_world(self) -> World:
+        shape = (self.discretization.node_count, 3)
+        rest = self.skin.rest_position_m
+        return World(np.zeros(shape), np.zeros(shape), np.zeros_like(rest), rest.copy())
+
+    def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
+        """Move the indenter of every environment to its pose (None: away) and find the gel.
+
+        Args:
+            poses: one pose of the indenter in the base frame per environment.
+            dt_s: duration of the step; without inertia or relaxation it does not matter.
+
+        Raises:
+            PressTooDeepError: a pose, or the way to it, brings the indenter too close to what the
+                gel is bonded to.
+            ValueError: as many poses as environments are needed, and a positive duration.
+        """
+        if len(poses) != self.environment_count:
+            raise ValueError(f"{len(poses)} poses for {self.environment_count} environments")
+        if not dt_s > 0.0:
+            raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
+        paths = [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
+        return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
+
+    def check_depth(self, pose: Pose) -> None:
+        """Refuse a pose that presses too deep, without moving there.
+
+        Raises:
+            PressTooDeepError: it comes too close to what the gel is bonded to.
+        """
+        clearance = self._nearest_m(self._rigid_points_m, pose, CORE_CLEARANCE_M)
+        if clearance < CORE_CLEARANCE_M:
+            raise PressTooDeepError(
+                f"the indenter at {np.round(pose.position_m * 1e3, 2).tolist()} mm comes within "
+                f"{clearance * 1e3:.2f} mm of the rigid core or base, expected at least "
+                f"{CORE_CLEARANCE_M * 1e3:.1f} mm; press less deep"
+            )
+
+    def _step_world(self, environment: int, path: Sequence[Pose | None], dt_s: float) -> GelState:
+        world = self.worlds[environment]
+        trace = self.trace = Trace()
+        iterations, converged = 0, True
+        for waypoint in path:
+            used, reached = self._substep(world, waypoint, dt_s / len(path), environment, trace)
+            iterations += used
+            converged = converged and reached
+        world.pose = path[-1]
+        response, patch = world.response, world.patch
+        wrench, penetration, count = Wrench(), 0.0, 0
+        if response is not None and patch is not None:
+            wrench = wrench_on_indenter(world.skin_position_m[patch.marker], response.force_n)
+            penetration = max(0.0, -float(response.distance_m.min(initial=np.inf)))
+            count = int(np.count_nonzero(response.pressure_pa))
+        return GelState(
+            world.displacement_m.copy(),
+            world.skin_position_m.copy(),
+            wrench,
+            penetration,
+            count,
+            iterations,
+            converged,
+            trace.timings_s,
+        )
+
+    def _path(self, world: World, pose: Pose | None) -> list[Pose | None]:
+        """Return the poses of the substeps: short moves, and from outside if the first one is in
+        the gel; moves that touch nothing are left out."""
+        if pose is None:
+            return [None]
+        start = world.pose
+        if start is None:
+            away = pose.rotation()[:, 2]
+            reach = float(np.ptp(self.skin.rest_position_m, axis=0).max())
+            start = Pose(pose.position_m + reach * away, pose.quaternion_xyzw)
+        count = max(1, int(np.ceil(self._way_m(world, start, pose) / LARGEST_SUBSTEP_M)))
+        path = [interpolate(start, pose, k / count) for k in range(1, count)] + [pose]
+        for waypoint in path:
+            self.check_depth(waypoint)
+        while len(path) > 1 and world.response is None and not self._touches_rest(path[0]):
+            path.pop(0)
+        return list(path)
+
+    def _way_m(self, world: World, start: Pose, end: Pose) -> float:
+        """Return how far the indenter moves at most where it is close to the skin."""
+        length = way_m(start, end, self.contact.indenter)
+        if world.patch is None or length > PATCH_MARGIN_M:
+            return length
+        # The rest of it is farther from the skin than it moves.
+        position = world.skin_position_m[world.patch.marker]
+        local = (position - start.position_m) @ start.rotation()
+        return float(np.linalg.norm(end.apply(local) - position, axis=1).max())
+
+    def _touches_rest(self, pose: Pose) -> bool:
+        """Return whether the indenter meets the gel at rest: its skin, or all of it within."""
+        if self._shape.contains(pose.apply(self._inner_point_m)):
+            return True
+        return self._nearest_m(self.skin.rest_position_m, pose, ONSET_M) < ONSET_M
+
+    def _nearest_m(self, points_m: Array, pose: Pose, reach_m: float) -> float:
+        """Return the least distance of points (N, 3) from the indenter, inf where all are farther
+        from the box around it than `reach_m`."""
+        local = (points_m - pose.position_m) @ pose.rotation()
+        lower, upper = self.contact.indenter.bounds_m()
+        near = np.all((local > lower - reach_m) & (local < upper + reach_m), axis=1)
+        if not near.any():
+            return np.inf
+        return float(self.contact.indenter.signed_distance(local[near]).min())
+
+    def _remembers(self) -> bool:
+        return self.solver.dynamic or bool(self.material.prony.shares)
+
+    def _substep(
+        self,
+        world: World,
+        pose: Pose | None,
+        dt_s: float,
+        environment: int,
+        trace: Trace,
+    ) -> tuple[int, bool]:
+        """Advance one substep; return the iterations used and whether the tolerance was met."""
+        touching = pose is not None and self._touches_rest(pose)
+        if not touching and not self._remembers():
+            self._come_to_rest(world)
+            return 0, True
+        inertia = self._prepare_memory(world, dt_s, environment)
+        if pose is None:
+            self._let_go(world)
+        else:
+            self._prepare_contact(world, pose, trace)
+        start_m = world.displacement_m
+        problem = self._problem(world, pose, inertia, environment)
+        search = EquilibriumSearch(problem, self.solver, trace, contraction=world.contraction)
+        unknowns = self._start(world, pose)
+        point, iterations, converged = search.run(*unknowns)
+        # One quick convergence is no promise.
+        world.contraction = max(search.contraction, 0.8 * world.contraction)
+        if self.observer is not None:
+            point = self.observer(world, pose, point, inertia, dt_s, environment)
+        clock = time.perf_counter()
+        self._finish(world, pose, point, start_m, dt_s, environment)
+        trace.add("skin", clock)
+        return iterations, converged
+
+    def _come_to_rest(self, world: World) -> None:
+        """Without contact, inertia and relaxation the equilibrium is rest, exactly."""
+        world.displacement_m = np.zeros_like(world.displacement_m)
+        world.velocity_m_s = np.zeros_like(world.velocity_m_s)
+        world.skin_position_m = self.skin.rest_position_m.copy()
+        self._let_go(world)
+
+    def _let_go(self, world: World) -> None:
+        """Forget the contact."""
+        world.marker_force_n = np.zeros_like(world.marker_force_n)
+        world.history = world.last_change = world.patch = world.response = world.region = None
+        world.contraction = CONTRACTION
+
+    def _prepare_memory(self, world: World, dt_s: float, environment: int) -> Inertia | None:
+        fast, history = self._relaxation[environment].step_terms(
+            dt_s, self.discretization.particle_count
+        )
+        if self.material.prony.shares:
+            for body in (self.body, self._single):
+                body.set_history(fast, history, environment)
+        if not self.solver.dynamic:
+            return None
+        stiffness = (self._mass / dt_s**2).tocsr()
+        if dt_s != self._step_s:
+            self._step_s = dt_s
+            self._exact_tangent = ExactTangent(self._single, stiffness)
+            if self._local_tangent is not None:
+                self._local_tangent = LocalTangent(self._single, stiffness)
+            for other in self.worlds:
+                other.region = None
+        return Inertia(stiffness, world.displacement_m + dt_s * world.velocity_m_s)
+
+    def _prepare_contact(self, world: World, pose: Pose, trace: Trace) -> None:
+        """Find the markers that may touch, and renew patch and region where they do not do."""
+        clock = time.perf_counter()
+        if world.history is None:
+            world.history = fresh_history(world.skin_position_m, pose)
+        every = np.arange(self.skin.vertex_count, dtype=np.int32)
+        distance = self.contact.respond(
+            every, world.skin_position_m, pose, world.history, no_lag(self.skin.vertex_count)
+        ).distance_m
+        free = ~self.skin.on_base
+        world.close = np.flatnonzero(free & (distance < REGION_MARGIN_M))
+        kept = free & (distance < PATCH_KEPT_M)
+        if world.patch is None or not np.all(np.isin(np.flatnonzero(kept), world.patch.marker)):
+            chosen = np.flatnonzero(free & (distance < PATCH_MARGIN_M)).astype(np.int32)
+            world.patch = make_patch(
+                chosen, self.skin.rest_position_m, self.skin_weight, self.refinement
+            )
+        trace.add("contact", clock)
+
+    def elastic(
+        self, displacement_m: Array, inertia: Inertia | None, environment: int
+    ) -> tuple[float, Array]:
+        """Return the energy of elasticity and inertia, J, and its gradient (N, 3) at displacements
+        (N, 3)."""
+        batch = np.zeros((self.environment_count, *displacement_m.shape))
+        batch[environment] = displacement_m
+        energies, gradients = self.body.force(batch)
+        energy, gradient = float(energies[environment]), gradients[environment]
+        if inertia is not None:
+            push = inertia.stiffness @ (displacement_m - inertia.predicted_m)
+            gradient = gradient + push
+            energy += 0.5 * float(np.vdot(displacement_m - inertia.predicted_m, push))
+        return energy, gradient
+
+    def _problem(
+        self, world: World, pose: Pose | None, inertia: Inertia | None, environment: int
+    ) -> Problem:
+        """Return what the search of a substep needs to know."""
+        local = self._local_tangent
+
+        def elastic(displacement_m: Array) -> tuple[float, Array]:
+            return self.elastic(displacement_m, inertia, environment)
+
+        def respond(marker: IntArray, position_m: Array, lag: Lag) -> ContactResponse:
+            assert pose is not None
+            assert world.history is not None
+            return self.contact.respond(marker, position_m, pose, world.history, lag)
+
+        def respond_now(marker: IntArray, position_m: Array) -> ContactResponse:
+            assert pose is not None
+            assert world.history is not None
+            return self.contact.respond_now(marker, position_m, pose, world.history)
+
+        start_m = world.displacement_m
+
+        def linearise(near: NearMarkers, at_m: Array | None) -> Factor:
+            # At the last equilibrium the stiffness is positive definite; at a guess it need not be.
+            displacement = start_m if at_m is None else at_m
+            if local is None:
+                return self._exact_tangent.factor(displacement, environment)
+            region = self._region(world, near, local)
+            return local.factor(region, local.assemble(region, displacement, environment))
+
+        def at_rest(force_n: Array) -> Array:
+            if local is None:
+                return self._exact_tangent.factor(start_m, environment).solve(force_n)
+            return local.solve_at_rest(force_n)
+
+        return Problem(world.patch, elastic, respond, respond_now, linearise, at_rest)
+
+    def _region(self, world: World, near: NearMarkers, local: LocalTangent) -> Region:
+        """Return the region around the near markers: the last one while it holds them."""
+        if world.region is None or np.any(world.region.number[near.node] < 0):
+            centre = self.skin.rest_position_m[np.union1d(near.marker, world.close)]
+            gap = np.min(
+                np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
+            )
+            cell = np.flatnonzero(gap < REGION_RADIUS_M).astype(np.int32)
+            world.region = local.region(cell, near.node)
+        return world.region
+
+    def _start(self, world: World, pose: Pose | None) -> tuple[Array, Array, Lag]:
+        """Return displacements (N, 3), forces on the patch's markers (C, 3) and their lag if all
+        goes on changing in proportion to the indenter's motion."""
+        share = self._share_of_last_move(world, pose)
+        change = world.last_change
+        displacement = world.displacement_m
+        if change is not None:
+            displacement = displacement + share * change.displacement_m
+        patch, history = world.patch, world.history
+        if patch is None or history is None:
+            return displacement, np.zeros((0, 3)), no_lag(0)
+        lag = no_lag(len(patch.marker))
+        force, pressure = world.marker_force_n, history.pressure_pa
+        if change is not None:
+            force = force + share * change.marker_force_n
+            _forget_traces(force)
+            pressure = np.maximum(0.0, pressure + share * change.pressure_pa)
+        lag.pressure_pa[:] = pressure[patch.marker]
+        return displacement, force[patch.marker], lag
+
+    def _share_of_last_move(self, world: World, pose: Pose | None) -> float:
+        """Return how much of the last step's motion this one repeats: 1 at constant velocity."""
+        if pose is None or world.last_change is None or world.pose is None:
+            return 0.0
+        move = world.last_change.move_m
+        length = float(move @ move)
+        # A gel that snapped, from sticking to slipping, does not snap on.
+        if world.last_change.skin_m**2 >= length * SNAP**2:
+            return 0.0
+        along = float((pose.position_m - world.pose.position_m) @ move) / length
+        return float(np.clip(along, -1.0, 2.0))
+
+    def skin_at(self, displacement_m: Array, patch: Patch | None, force_n: Array) -> Array:
+        """Return the skin (V, 3) at displacements (N, 3) under forces (C, 3) on a patch."""
+        skin: Array = self.skin.rest_position_m + self.skin_weight @ displacement_m
+        if self.refinement is not None and patch is not None:
+            fine_force = patch.fine_weight.T @ force_n
+            loaded = np.any(fine_force, axis=1)
+            added = self.refinement.displacement(patch.fine_node[loaded], fine_force[loaded])
+            skin += self.refinement.skin_weight @ added
+        return skin
+
+    def _finish(
+        self,
+        world: World,
+        pose: Pose | None,
+        point: Point,
+        start_m: Array,
+        dt_s: float,
+        environment: int,
+    ) -> None:
+        patch = world.patch
+        world.velocity_m_s = (point.displacement_m - start_m) / dt_s
+        world.displacement_m = point.displacement_m
+        skin_before_m = world.skin_position_m
+        world.skin_position_m = self.skin_at(point.displacement_m, patch, point.force_n)
+        if self.material.prony.shares:
+            stress = self.body.material_stress(point.displacement_m, environment).astype(np.float64)
+            self._relaxation[environment].finish_step(dt_s, stress)
+        if pose is None or patch is None or world.history is None:
+            world.pose = None
+            return
+        before, world.pose = world.pose, pose
+        world.response = point.response
+        history = fresh_history(world.skin_position_m, pose)
+        history.local_position_m[patch.marker] = point.response.local_position_m
+        history.slip_m[patch.marker] = point.response.slip_m
+        history.pressure_pa[patch.marker] = point.response.pressure_pa
+        marker_force = np.zeros_like(world.marker_force_n)
+        marker_force[patch.marker] = point.force_n
+        _forget_traces(marker_force)
+        if before is not None:
+            world.last_change = Change(
+                point.displacement_m - start_m,
+                marker_force - world.marker_force_n,
+                pose.position_m - before.position_m,
+                history.pressure_pa - world.history.pressure_pa,
+                float(np.abs(world.skin_position_m - skin_before_m).max()),
+            )
+        world.marker_force_n = marker_force
+        world.history = history
+
+
+def _forget_traces(force_n: Array) -> None:
+    """Set forces (V, 3) below `FORGOTTEN_N` to zero, in place."""
+    # Takes a sixth of the time of a maximum along three columns.
+    force_n[np.einsum("vi,vi->v", force_n, force_n) < FORGOTTEN_N**2] = 0.0
+
+
+def _inner_point_m(indenter: Indenter) -> Array:
+    """Return a point (3,) of the indenter's inside, in its frame: the innermost of a grid."""
+    lower, upper = indenter.bounds_m()
+    axes = np.linspace(lower, upper, 17)
+    points = np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    innermost: Array = points[np.argmin(indenter.signed_distance(points))]
+    return innermost

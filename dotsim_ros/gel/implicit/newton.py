@@ -1,0 +1,403 @@
+"""Equilibrium of the gel with the indenter in one substep.
+
+Elasticity is linearised, the contact of the linear gel is solved whole (`contact_problem`), and so
+on until neither moves: sequential quadratic programming with the contact as it is (Nocedal and
+Wright, "Numerical Optimization", 2006, chapter 18), with a line search on the whole energy.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactResponse, Lag
+from dotsim_ros.gel.implicit.contact_problem import (
+    Answers,
+    ContactSolution,
+    linear_contact,
+    solve_contact,
+)
+from dotsim_ros.gel.implicit.patch import NearMarkers, Patch
+from dotsim_ros.gel.implicit.tangent import ExactFactor, LocalFactor
+from dotsim_ros.specification import SolverSpecification
+
+Array = NDArray[np.float64]
+
+NEAR_M = 0.2e-3
+"""Markers closer than this to the indenter take part in the contact of an iteration."""
+SMALLEST_SCALE = 1.0e-3
+CONTRACTION = 0.25
+"""Until one is measured: the share of an iteration's step that the next one is expected to take."""
+SMALLEST_CONTRACTION = 0.15
+LEFT_SHARE = 0.3
+"""Share of the tolerance that an iteration may leave to the one after it."""
+CONTACT_SHARE = 0.3
+"""Share of the tolerance to which the contact of the linear gel is solved."""
+LARGEST_CONTACT_TOLERANCE_M = 3.0e-6
+"""A loose tolerance leaves out iterations of the gel; it must not make its contact wrong, since the
+force follows from the contact."""
+FAR_SHARE = 0.2
+"""Forces out of balance far away below this share of those near the contact move nothing there."""
+LARGEST_STEP_M = 0.3e-3
+"""A step from where the gel may be unstable goes no farther."""
+SLOW_CONVERGENCE = 0.5
+"""An iteration that moves farther than this share of the one before renews the linearisation."""
+
+Factor = ExactFactor | LocalFactor
+
+
+@dataclass(frozen=True)
+class Point:
+    """Where the search stands.
+
+    Attributes:
+        displacement_m: (N, 3) of the grid's nodes.
+        force_n: (C, 3) of the indenter on the patch's markers, as the refinement feels it.
+        position_m: (C, 3) of those markers.
+        energy_j, gradient_n: of elasticity and inertia, and its derivative (N, 3).
+        response: of the contact.
+    """
+
+    displacement_m: Array
+    force_n: Array
+    position_m: Array
+    energy_j: float
+    gradient_n: Array
+    response: ContactResponse
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One substep.
+
+    Attributes:
+        patch: the markers that may touch, None without an indenter.
+        elastic: energy and its gradient (N, 3) at displacements (N, 3).
+        respond: the indenter's answer to markers (their numbers (A,), positions (A, 3)), with
+            friction limited by a lag.
+        respond_now: the same with friction limited by the pressure that there is.
+        linearise: the factored stiffness near the listed markers: at the start of the substep, or
+            at the displacements (N, 3) given.
+        at_rest: the step (3 N,) that answers forces (3 N,) on a gel that nothing touches.
+    """
+
+    patch: Patch | None
+    elastic: Callable[[Array], tuple[float, Array]]
+    respond: Callable[[NDArray[np.int32], Array, Lag], ContactResponse]
+    respond_now: Callable[[NDArray[np.int32], Array], ContactResponse]
+    linearise: Callable[[NearMarkers, Array | None], Factor]
+    at_rest: Callable[[Array], Array]
+
+    def at(self, displacement_m: Array, force_n: Array, lag: Lag) -> Point:
+        """Return the point of displacements (N, 3) and forces (C, 3) on the patch's markers."""
+        energy, gradient = self.elastic(displacement_m)
+        if self.patch is None:
+            empty = np.zeros((0, 3))
+            return Point(displacement_m, empty, empty, energy, gradient, NO_RESPONSE)
+        position = self.patch.position(displacement_m, force_n)
+        response = self.respond(self.patch.marker, position, lag)
+        return Point(displacement_m, force_n, position, energy, gradient, response)
+
+
+@dataclass
+class Trace:
+    """How a search went.
+
+    Attributes:
+        moves: how far each iteration moved a marker (m) and its share of the whole step.
+        contact_iterations: of the contact problems, all together.
+        timings_s: seconds spent, by part.
+    """
+
+    moves: list[tuple[float, float]] = field(default_factory=list)
+    contact_iterations: int = 0
+    timings_s: dict[str, float] = field(default_factory=dict)
+
+    def add(self, part: str, since: float) -> None:
+        """Add the time since a reading of the clock to a part."""
+        self.timings_s[part] = self.timings_s.get(part, 0.0) + time.perf_counter() - since
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of the nodes (N, 3) and of the forces on the patch's markers (C, 3); where it takes
+    the markers (C, 3), how the indenter answers there under which lag; how far it moves any marker
+    that took part; the energy's slope along it."""
+
+    displacement_m: Array
+    force_n: Array
+    position_m: Array
+    response: ContactResponse
+    lag: Lag
+    largest_m: float
+    slope_j: float
+
+
+def no_lag(count: int) -> Lag:
+    """Return the lag of markers whose friction has no limit yet: none rubs."""
+    return Lag(np.zeros(count), np.zeros((count, 3)))
+
+
+class EquilibriumSearch:
+    """The search of one substep.
+
+    Args:
+        problem: the substep.
+        solver: tolerance and effort.
+        trace: to write to.
+        contraction: the share of an iteration's step that the next one is expected to take.
+
+    Attributes:
+        contraction: as measured, where there was more than one iteration.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        solver: SolverSpecification,
+        trace: Trace,
+        *,
+        contraction: float = CONTRACTION,
+    ) -> None:
+        self.problem, self.solver, self.trace = problem, solver, trace
+        self.contraction = contraction
+        self.near: NearMarkers | None = None
+        self.factor: Factor | None = None
+        self.compliance: NDArray[np.floating] | None = None
+        self.is_careful = self.is_slow = False
+
+    def run(self, displacement_m: Array, force_n: Array, lag: Lag) -> tuple[Point, int, bool]:
+        """Return the equilibrium, the iterations used, and whether the tolerance was met.
+
+        Args:
+            displacement_m: (N, 3) to begin with.
+            force_n: (C, 3) of the patch's markers, to begin with.
+            lag: the first limit of friction on the patch's markers.
+        """
+        point = self._at(displacement_m, force_n, lag)
+        last_m = np.inf
+        for iteration in range(1, self.solver.iterations + 1):
+            step = self._step(point, lag)
+            if step.slope_j >= 0.0 and not self.is_careful:
+                self._be_careful()
+                step = self._step(point, lag)
+            lag = step.lag
+            if last_m < np.inf:
+                measured = step.largest_m / last_m
+                self.contraction = float(np.clip(measured, SMALLEST_CONTRACTION, 1.0))
+            if step.largest_m * self.contraction < LEFT_SHARE * self.solver.tolerance_m:
+                self.trace.moves.append((step.largest_m, 1.0))
+                return self._ended(self._after(point, step)), iteration, True
+            trial, scale = self._search_line(point, step)
+            self.trace.moves.append((step.largest_m, scale))
+            if scale < SMALLEST_SCALE:
+                if self.is_careful:
+                    return self._ended(point), iteration, False
+                self._be_careful()
+                continue
+            if self.is_careful or step.largest_m > SLOW_CONVERGENCE * last_m:
+                self._relinearise(trial)
+            last_m = step.largest_m if scale == 1.0 else np.inf
+            point = trial
+        return self._ended(point), self.solver.iterations, False
+
+    def _at(self, displacement_m: Array, force_n: Array, lag: Lag) -> Point:
+        clock = time.perf_counter()
+        point = self.problem.at(displacement_m, force_n, lag)
+        self.trace.add("force", clock)
+        return point
+
+    def _energy_j(self, point: Point, response: ContactResponse) -> float:
+        patch = self.problem.patch
+        if patch is None:
+            return point.energy_j
+        added = patch.added_displacement(point.force_n)
+        return point.energy_j + response.energy_j + 0.5 * float(np.vdot(point.force_n, added))
+
+    def _step(self, point: Point, lag: Lag) -> _Step:
+        """Return the step to the equilibrium of the linearised gel with the true contact."""
+        patch = self.problem.patch
+        if patch is None:
+            return self._free_step(point, lag)
+        close = np.any(point.force_n != 0.0, axis=1) | (point.response.pressure_pa > 0.0)
+        if self.near is None:
+            close |= point.response.distance_m < ONSET_M + NEAR_M
+        else:
+            close[self.near.rows] = True
+        guess = point.force_n
+        while True:
+            if not close.any():
+                step = self._free_step(point, lag)
+            else:
+                step = self._loaded_step(point, lag, patch, np.flatnonzero(close), guess)
+            missed = (step.response.pressure_pa > 0.0) & ~close
+            if not missed.any():
+                return step
+            close |= step.response.distance_m < ONSET_M + NEAR_M
+            guess, lag = point.force_n + step.force_n, step.lag
+
+    def _free_step(self, point: Point, lag: Lag) -> _Step:
+        residual = -point.gradient_n
+        patch = self.problem.patch
+        if patch is not None:
+            residual = residual + patch.weight.T @ point.response.force_n
+        displacement = self.problem.at_rest(residual.ravel()).reshape(-1, 3)
+        largest, slope = float(np.abs(displacement).max()), -float(np.vdot(residual, displacement))
+        position, response = point.position_m, NO_RESPONSE
+        if patch is not None:
+            position = patch.position(
+                point.displacement_m + displacement, np.zeros_like(point.force_n)
+            )
+            response = self.problem.respond(patch.marker, position, lag)
+        return _Step(displacement, -point.force_n, position, response, lag, largest, slope)
+
+    def _loaded_step(
+        self, point: Point, lag: Lag, patch: Patch, rows: NDArray[np.int64], guess_n: Array
+    ) -> _Step:
+        """Return the step if the listed rows of the patch may touch."""
+        clock = time.perf_counter()
+        near, factor, compliance = self._linear(point, patch, rows)
+        balance = patch.weight.T @ point.force_n - point.gradient_n
+        free = self._free(factor, balance.ravel())
+        self.trace.add("solve", clock)
+        clock = time.perf_counter()
+        solution = self._contact(near, compliance, point, free, lag, guess_n)
+        self.trace.contact_iterations += solution.iterations
+        self.trace.add("touch", clock)
+        clock = time.perf_counter()
+        change = solution.force_n - point.force_n[rows]
+        load = (near.weight.T @ change).ravel()
+        displacement = (free + factor.solve_loads(load)).reshape(-1, 3)
+        force = np.zeros_like(point.force_n)
+        force[rows] = change
+        renewed = no_lag(len(patch.marker))
+        renewed.pressure_pa[rows] = solution.lag.pressure_pa
+        renewed.normal[rows] = solution.lag.normal
+        added = patch.added_displacement(force)
+        moved = patch.weight @ displacement + added
+        residual = patch.weight.T @ point.response.force_n - point.gradient_n
+        slope = -float(np.vdot(residual, displacement))
+        slope -= float(np.vdot(point.response.force_n - point.force_n, added))
+        position = point.position_m + moved
+        response = self.problem.respond(patch.marker, position, renewed)
+        self.trace.add("solve", clock)
+        largest = float(np.abs(moved[rows]).max())
+        return _Step(displacement, force, position, response, renewed, largest, slope)
+
+    def _linear(
+        self, point: Point, patch: Patch, rows: NDArray[np.int64]
+    ) -> tuple[NearMarkers, Factor, NDArray[np.floating]]:
+        if self.near is None or len(rows) != len(self.near.rows):
+            self.near, self.compliance = NearMarkers(patch, rows), None
+            if isinstance(self.factor, LocalFactor) and np.any(
+                self.factor.region.number[self.near.node] < 0
+            ):
+                self.factor = None
+        if self.factor is None:
+            self.factor = self._linearise(self.near, point)
+            self.compliance = None
+        if self.compliance is None:
+            self.compliance = self.near.compliance(self.factor.between(self.near.node))
+        return self.near, self.factor, self.compliance
+
+    def _contact(
+        self,
+        near: NearMarkers,
+        compliance: NDArray[np.floating],
+        point: Point,
+        free_m: Array,
+        lag: Lag,
+        guess_n: Array,
+    ) -> ContactSolution:
+        """Return the contact of the linear gel that would move freely by (3 N,)."""
+        rows, respond, respond_now = near.rows, self.problem.respond, self.problem.respond_now
+        free = near.weight @ free_m.reshape(-1, 3)
+        force = point.force_n[rows]
+        if self.is_careful:
+            now = Lag(point.response.pressure_pa[rows], point.response.normal[rows])
+            response = respond(near.marker, point.position_m[rows], now)
+            linear = linear_contact(compliance, free, force, response)
+            return ContactSolution(linear, response, now, 1)
+        answers = Answers(
+            lambda position, limit: respond(near.marker, position, limit),
+            lambda position: respond_now(near.marker, position),
+        )
+        tolerance = min(CONTACT_SHARE * self.solver.tolerance_m, LARGEST_CONTACT_TOLERANCE_M)
+        return solve_contact(
+            compliance,
+            point.position_m[rows] + free,
+            force,
+            answers,
+            Lag(lag.pressure_pa[rows], lag.normal[rows]),
+            guess_n=guess_n[rows],
+            passes=self.solver.friction_passes,
+            tolerance_m=tolerance,
+        )
+
+    def _free(self, factor: Factor, right: Array) -> Array:
+        """Return the step (3 N,) if the forces stayed; a little out of balance far away waits."""
+        if isinstance(factor, LocalFactor) and not self.is_slow:
+            inside = float(np.linalg.norm(right[factor.region.dof]))
+            outside = np.sqrt(max(0.0, float(right @ right) - inside * inside))
+            if outside < FAR_SHARE * inside:
+                return factor.solve_near(right)
+        return factor.solve(right)
+
+    def _after(self, point: Point, step: _Step) -> Point:
+        """Return the point after a whole step; energy and gradient are not renewed."""
+        return Point(
+            point.displacement_m + step.displacement_m,
+            point.force_n + step.force_n,
+            step.position_m,
+            point.energy_j,
+            point.gradient_n,
+            step.response,
+        )
+
+    def _search_line(self, point: Point, step: _Step) -> tuple[Point, float]:
+        """Return the point after as much of a step as lowers the energy, and its share."""
+        patch = self.problem.patch
+        response = NO_RESPONSE
+        if patch is not None:
+            response = self.problem.respond(patch.marker, point.position_m, step.lag)
+        energy = self._energy_j(point, response)
+        scale = 1.0
+        if self.is_careful:
+            scale = min(1.0, LARGEST_STEP_M / step.largest_m)
+        while True:
+            trial = self._at(
+                point.displacement_m + scale * step.displacement_m,
+                point.force_n + scale * step.force_n,
+                step.lag,
+            )
+            allowed = energy + 1e-4 * scale * min(step.slope_j, 0.0) + 1e-9 * abs(energy)
+            if self._energy_j(trial, trial.response) <= allowed or scale < SMALLEST_SCALE:
+                return trial, scale
+            scale *= 0.5
+
+    def _ended(self, point: Point) -> Point:
+        """Return the point with friction that obeys Coulomb's law with the pressure that it ends
+        with: what is reported and remembered."""
+        patch = self.problem.patch
+        if patch is None:
+            return point
+        response = self.problem.respond_now(patch.marker, point.position_m)
+        return replace(point, response=response)
+
+    def _linearise(self, near: NearMarkers, point: Point) -> Factor:
+        return self.problem.linearise(near, point.displacement_m if self.is_slow else None)
+
+    def _relinearise(self, point: Point) -> None:
+        self.is_slow = True
+        if self.near is not None:
+            self.factor, self.compliance = self._linearise(self.near, point), None
+
+    def _be_careful(self) -> None:
+        """From now on make the contact linear too, where the search stands: a deep press can make
+        a gel unstable that only the indenter holds."""
+        self.is_careful = self.is_slow = True
+        self.near = self.factor = self.compliance = None

@@ -1,0 +1,141 @@
+"""The part of the skin that the indenter can touch in a step, as contact sees it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dotsim_ros.gel.implicit.contact_problem import by_component, by_marker
+from dotsim_ros.gel.implicit.refinement import Refinement
+
+Array = NDArray[np.float64]
+FloatArray = NDArray[np.float32]
+AnyArray = NDArray[np.floating]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Patch:
+    """Markers that may come into contact, with their weights on the grid and on the refinement.
+
+    Attributes:
+        marker: (C,) numbers of the markers.
+        rest_position_m: (C, 3).
+        weight: (C, N) weights of the grid's nodes.
+        fine_node: (F,) nodes of the refinement beside the markers.
+        fine_weight: (C, F) weights of those.
+        added_compliance: (3 F, 3 F) of the refinement by component, m/N; empty without one.
+    """
+
+    marker: IntArray
+    rest_position_m: Array
+    weight: sparse.csr_matrix
+    fine_node: IntArray
+    fine_weight: sparse.csr_matrix
+    added_compliance: FloatArray
+
+    def added_displacement(self, force_n: Array) -> Array:
+        """Return what the refinement adds to the markers' displacement under forces (C, 3)."""
+        if len(self.fine_node) == 0:
+            return np.zeros_like(force_n)
+        load = by_component(self.fine_weight.T @ force_n)
+        flat = self.added_compliance @ load.astype(self.added_compliance.dtype)
+        moved: Array = self.fine_weight @ by_marker(flat)
+        return moved
+
+    def position(self, displacement_m: Array, force_n: Array) -> Array:
+        """Return the markers (C, 3) at displacements (N, 3) of the grid under forces (C, 3)."""
+        position: Array = (
+            self.rest_position_m + self.weight @ displacement_m + self.added_displacement(force_n)
+        )
+        return position
+
+
+def make_patch(
+    marker: IntArray,
+    skin_position_m: Array,
+    skin_weight: sparse.csr_matrix,
+    refinement: Refinement | None,
+) -> Patch:
+    """Return the patch of the given markers."""
+    if refinement is None:
+        fine_weight = sparse.csr_matrix((len(marker), 0))
+        nodes, compliance = np.zeros(0, dtype=np.int32), np.zeros((0, 0), dtype=np.float32)
+    else:
+        rows = refinement.skin_weight[marker]
+        nodes = np.unique(rows.indices).astype(np.int32)
+        fine_weight = sparse.csr_matrix(
+            (rows.data, np.searchsorted(nodes, rows.indices), rows.indptr),
+            shape=(len(marker), len(nodes)),
+        )
+        compliance = refinement.by_component(nodes)
+    return Patch(
+        marker, skin_position_m[marker], skin_weight[marker], nodes, fine_weight, compliance
+    )
+
+
+def _component_order(matrix: AnyArray) -> AnyArray:
+    """Return a (3 n, 3 n) matrix whose rows and columns go node by node, by component."""
+    count = len(matrix) // 3
+    blocks = matrix.reshape(count, 3, count, 3).transpose(1, 0, 3, 2)
+    return np.ascontiguousarray(blocks).reshape(3 * count, 3 * count)
+
+
+class NearMarkers:
+    """Markers in contact or close to it, and the grid's nodes beside them.
+
+    Args:
+        patch: the patch.
+        rows: (A,) its rows that may be in contact in this step.
+
+    Attributes:
+        rows: as given.
+        marker: (A,) their numbers.
+        weight: (A, N) their weights on the grid.
+        node: (n,) grid nodes beside them.
+    """
+
+    def __init__(self, patch: Patch, rows: NDArray[np.int64]) -> None:
+        self.rows = rows
+        self.marker = patch.marker[rows]
+        self.weight = patch.weight[rows]
+        self.node = np.unique(self.weight.indices).astype(np.int32)
+        self._dense = self.weight[:, self.node].toarray().astype(np.float32)
+        count = len(rows)
+        self._added = np.zeros((3 * count, 3 * count), dtype=np.float32)
+        if len(patch.fine_node):
+            fine_rows = patch.fine_weight[rows]
+            fine = np.unique(fine_rows.indices)
+            dof = (np.arange(3)[:, None] * len(patch.fine_node) + fine).ravel()
+            _add_between(
+                self._added,
+                fine_rows[:, fine].toarray().astype(np.float32),
+                patch.added_compliance[dof].take(dof, axis=1),
+            )
+
+    def compliance(self, of_nodes: AnyArray) -> AnyArray:
+        """Return (3 A, 3 A) of the gel between the markers by component, the refinement included.
+
+        Args:
+            of_nodes: (3 n, 3 n) of the grid between the nodes beside them, node by node.
+        """
+        result = self._added.astype(of_nodes.dtype)
+        _add_between(result, self._dense.astype(of_nodes.dtype), _component_order(of_nodes))
+        return result
+
+
+def _add_between(result: AnyArray, weight: AnyArray, between: AnyArray) -> None:
+    """Add W Z W^T to (3 A, 3 A), for weights (A, n) and Z (3 n, 3 n) symmetric, by component."""
+    count, nodes = weight.shape
+    for i in range(3):
+        rows = slice(i * count, (i + 1) * count)
+        half = weight @ between[i * nodes : (i + 1) * nodes, i * nodes :].reshape(nodes, -1)
+        for j in range(i, 3):
+            block = half[:, (j - i) * nodes : (j - i + 1) * nodes] @ weight.T
+            columns = slice(j * count, (j + 1) * count)
+            result[rows, columns] += block
+            if j > i:
+                result[columns, rows] += block.T

@@ -1,0 +1,311 @@
+"""What a finer grid adds to the skin's compliance at rest: fine contact at a coarse grid's cost.
+
+The coarse grid cannot follow a contact narrower than its spacing. Its error is local and, to first
+order, linear in the contact force: dG = G_fine - R G_coarse R^T, where R writes a coarse spline on
+the fine grid (knot insertion of quadratic B-splines, nodes at cell centres: weights 3/4 and 1/4).
+Contact then acts on positions x = X + S u + S_fine dG S_fine^T f. dG is computed once, kept for
+pairs of nodes near each other, and cached on disk; it scales as 1/E.
+"""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from dotsim_ros.gel.body import Body
+from dotsim_ros.gel.discretization import Discretization, discretize, images_of_cells
+from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
+from dotsim_ros.gel.implicit.block_solver import BlockCholesky
+from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
+from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
+
+Array = NDArray[np.float64]
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int32]
+
+REACH_M = 7.0e-3
+"""Pairs of nodes farther apart than this are left out of dG."""
+
+TAPER_M = 14.0e-3
+"""Length of the Gaussian that fades dG out towards its reach; a sharp end would make it indefinite
+for contacts as wide as the reach."""
+
+_FORMAT = 2
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """The added compliance at the fine grid's nodes beside the skin.
+
+    Attributes:
+        skin_weight: (V, F) weights of the fine nodes at the skin's markers.
+        indptr: (F + 1,), index: (B,), block: (B, 3, 3) rows of dG, m/N.
+    """
+
+    skin_weight: sparse.csr_matrix
+    indptr: IntArray
+    index: IntArray
+    block: FloatArray
+
+    @property
+    def node_count(self) -> int:
+        return len(self.indptr) - 1
+
+    def dense(self, nodes: IntArray) -> FloatArray:
+        """Return the (3 n, 3 n) block of dG between the given nodes (sorted)."""
+        number = np.full(self.node_count, -1, dtype=np.int32)
+        number[nodes] = np.arange(len(nodes), dtype=np.int32)
+        rows, entries = self._rows(nodes)
+        column = number[self.index[entries]]
+        keep = column >= 0
+        result = np.zeros((len(nodes), len(nodes), 3, 3), dtype=self.block.dtype)
+        result[rows[keep], column[keep]] = self.block[entries[keep]]
+        return np.ascontiguousarray(result.transpose(0, 2, 1, 3)).reshape(
+            3 * len(nodes), 3 * len(nodes)
+        )
+
+    def by_component(self, nodes: IntArray) -> FloatArray:
+        """Return the (3 n, 3 n) block of dG between the given nodes with all x first."""
+        number = np.full(self.node_count, -1, dtype=np.int32)
+        number[nodes] = np.arange(len(nodes), dtype=np.int32)
+        result = np.zeros((3 * len(nodes), 3 * len(nodes)), dtype=self.block.dtype)
+        scalar = wp.float64 if self.block.dtype == np.float64 else wp.float32
+        wp.launch(
+            gather_between,
+            dim=len(nodes),
+            inputs=[
+                wp.array(nodes, dtype=wp.int32, device="cpu"),
+                wp.array(number, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(self.indptr, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(self.index, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(
+                    self.block,
+                    dtype=wp.types.matrix((3, 3), scalar),
+                    device="cpu",
+                    copy=False,
+                ),
+            ],
+            outputs=[wp.array(result, dtype=scalar, device="cpu", copy=False)],
+            device="cpu",
+        )
+        return result
+
+    def displacement(self, nodes: IntArray, force_n: Array) -> Array:
+        """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some."""
+        single = self.block.astype(np.float32, copy=False)
+        result = wp.zeros(self.node_count, dtype=wp.vec3, device="cpu")
+        wp.launch(
+            add_columns,
+            dim=len(nodes),
+            inputs=[
+                wp.array(nodes, dtype=wp.int32, device="cpu"),
+                wp.array(force_n.astype(np.float32), dtype=wp.vec3, device="cpu"),
+                wp.array(self.indptr, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(self.index, dtype=wp.int32, device="cpu", copy=False),
+                wp.array(single, dtype=wp.mat33, device="cpu", copy=False),
+            ],
+            outputs=[result],
+            device="cpu",
+        )
+        return result.numpy().astype(np.float64)
+
+    def _rows(self, nodes: IntArray) -> tuple[IntArray, NDArray[np.int64]]:
+        start, stop = self.indptr[nodes], self.indptr[nodes + 1]
+        length = stop - start
+        rows = np.repeat(np.arange(len(nodes), dtype=np.int32), length)
+        offset = np.arange(len(rows)) - np.repeat(np.cumsum(length) - length, length)
+        return rows, np.repeat(start, length) + offset
+
+
+def knot_insertion(
+    coarse: Discretization, fine: Discretization, nodes: IntArray
+) -> sparse.csr_matrix:
+    """Return (n, N) weights that write a coarse spline at the given fine nodes.
+
+    The fine spacing must be half of the coarse one.
+    """
+    numbers = {tuple(cell): i for i, cell in enumerate(coarse.node_cell.tolist())}
+    rows, columns, values = [], [], []
+    for row, cell in enumerate(fine.node_cell[nodes].tolist()):
+        pairs = [((c // 2, 0.75), (c // 2 + (1 if c % 2 else -1), 0.25)) for c in cell]
+        for (i, wi), (j, wj), (k, wk) in (
+            (a, b, c) for a in pairs[0] for b in pairs[1] for c in pairs[2]
+        ):
+            sign = -1.0 if k < 0 else 1.0
+            number = numbers.get((i, j, -1 - k if k < 0 else k))
+            if number is not None:
+                rows.append(row)
+                columns.append(number)
+                values.append(sign * wi * wj * wk)
+    shape = (len(nodes), coarse.node_count)
+    return sparse.coo_matrix((values, (rows, columns)), shape=shape).tocsr()
+
+
+def refine(
+    body: Body,
+    skin_position_m: Array,
+    coarse: Discretization,
+    coarse_compliance: FloatArray,
+    law: ElasticLaw,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Refinement:
+    """Return dG between a coarse grid and one of half its spacing, from the cache if it is there.
+
+    Args:
+        body: the gel's shape.
+        skin_position_m: (V, 3) rest positions of the markers.
+        coarse: the coarse grid.
+        coarse_compliance: (3 N, 3 N) inverse of its stiffness at rest, m/N.
+        law: the material; only its Poisson's ratio matters for the cache.
+        progress: called with the finished share, 0 to 1.
+    """
+    youngs, bulk = small_strain_moduli_pa(law)
+    key = hashlib.sha256(
+        repr((_FORMAT, body, coarse.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY)).encode()
+        + np.ascontiguousarray(skin_position_m).tobytes()
+    ).hexdigest()[:24]
+    path = cache_directory() / f"refinement-{key}.npz"
+    # The fine grid is what takes long to make: what is needed of it lies beside dG.
+    table = _load(path)
+    if table is None:
+        fine = discretize(body, skin_position_m, coarse.spacing_m / 2.0)
+        table = _compute(body, fine, coarse, coarse_compliance * youngs, law, progress)
+        _store(path, table)
+    row = np.repeat(np.arange(len(table.node_position_m)), np.diff(table.indptr))
+    distance = np.linalg.norm(
+        table.node_position_m[row] - table.node_position_m[table.index], axis=1
+    )
+    block = table.block * np.exp(-((distance / TAPER_M) ** 2))[:, None, None]
+    return Refinement(
+        table.skin_weight, table.indptr, table.index, (block / youngs).astype(np.float32)
+    )
+
+
+@dataclass(frozen=True)
+class _Table:
+    """What is kept on disk: dG for E = 1 Pa without its taper.
+
+    Attributes:
+        skin_weight, indptr, index, block: as in `Refinement`.
+        node_position_m: (F, 3) rest positions of the fine nodes.
+    """
+
+    skin_weight: sparse.csr_matrix
+    indptr: IntArray
+    index: IntArray
+    block: FloatArray
+    node_position_m: Array
+
+
+def _compute(
+    body: Body,
+    fine: Discretization,
+    coarse: Discretization,
+    coarse_compliance: FloatArray,
+    law: ElasticLaw,
+    progress: Callable[[float], None] | None,
+) -> _Table:
+    weight = fine.skin_interpolation.matrix(fine.node_count)
+    supporting = images_of_cells(fine.node_cell[np.unique(weight.indices)], body).reshape(-1, 3)
+    wanted = {tuple(c) for c in supporting.tolist()}
+    nodes = np.array(
+        [i for i, c in enumerate(fine.node_cell.tolist()) if tuple(c) in wanted], dtype=np.int32
+    )
+    youngs, bulk = small_strain_moduli_pa(law)
+    elastic = ElasticBody(fine, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
+    stiffness = elastic.stiffness(np.zeros((fine.node_count, 3), dtype=np.float32), 0)
+    factor = BlockCholesky(stiffness.astype(np.float32), fine.node_cell)
+    insertion = knot_insertion(coarse, fine, nodes).astype(np.float32)
+    cell = fine.node_cell[nodes]
+    centre = cell + 0.5
+    number = {tuple(c): i for i, c in enumerate(cell.tolist())}
+    images = np.array(
+        [
+            [number[tuple(c)] for c in np.floor(centre @ s.T).astype(int).tolist()]
+            for s in body.symmetries
+        ]
+    )
+    leader = images.min(axis=0)
+    leaders = np.flatnonzero(leader == np.arange(len(nodes)))
+    tree = cKDTree(fine.node_position_m[nodes])
+    neighbours: list[IntArray] = [np.zeros(0, dtype=np.int32)] * len(nodes)
+    blocks: list[FloatArray] = [np.zeros((0, 3, 3), dtype=np.float32)] * len(nodes)
+    batch = 64
+    surface = (3 * nodes[:, None] + np.arange(3)).ravel()
+    spread = sparse.kron(insertion, sparse.eye(3, dtype=np.float32), format="csr")
+    for first in range(0, len(leaders), batch):
+        group = leaders[first : first + batch]
+        dof = (3 * nodes[group][:, None] + np.arange(3)).ravel()
+        right = np.zeros((3 * fine.node_count, len(dof)), dtype=np.float32)
+        right[dof, np.arange(len(dof))] = 1.0
+        local = (3 * group[:, None] + np.arange(3)).ravel()
+        column = factor.solve(right)[surface] - spread @ (
+            coarse_compliance @ spread[local].T.toarray()
+        )
+        column = column.reshape(len(nodes), 3, len(group), 3)
+        for position, leading in enumerate(group):
+            near = np.array(
+                tree.query_ball_point(fine.node_position_m[nodes[leading]], REACH_M), dtype=np.int32
+            )
+            # Rows of dG: block (leading, near) is the transpose of block (near, leading).
+            block = column[near, :, position, :].transpose(0, 2, 1)
+            for symmetry, image in zip(body.symmetries.astype(np.float32), images, strict=True):
+                neighbours[image[leading]] = image[near].astype(np.int32)
+                blocks[image[leading]] = symmetry @ block @ symmetry.T
+        if progress is not None:
+            progress(min(1.0, (first + batch) / len(leaders)))
+    indptr = np.concatenate([[0], np.cumsum([len(n) for n in neighbours])]).astype(np.int32)
+    return _Table(
+        weight[:, nodes],
+        indptr,
+        np.concatenate(neighbours),
+        np.concatenate(blocks),
+        fine.node_position_m[nodes],
+    )
+
+
+def cache_directory() -> Path:
+    """Return the folder of computed tables: `$DOTSIM_ROS_CACHE`, else below the user's cache."""
+    chosen = os.environ.get("DOTSIM_ROS_CACHE")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "dotsim_ros"
+
+
+def _load(path: Path) -> _Table | None:
+    try:
+        with np.load(path) as stored:
+            position = stored["node_position_m"]
+            weight = sparse.csr_matrix(
+                (stored["weight"], stored["weight_index"], stored["weight_indptr"]),
+                shape=(len(stored["weight_indptr"]) - 1, len(position)),
+            )
+            return _Table(weight, stored["indptr"], stored["index"], stored["block"], position)
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None
+
+
+def _store(path: Path, table: _Table) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as stream:
+        np.savez(
+            stream,
+            indptr=table.indptr,
+            index=table.index,
+            block=table.block,
+            node_position_m=table.node_position_m,
+            weight=table.skin_weight.data,
+            weight_index=table.skin_weight.indices,
+            weight_indptr=table.skin_weight.indptr,
+        )
+    os.replace(stream.name, path)

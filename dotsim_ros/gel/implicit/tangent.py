@@ -1,0 +1,269 @@
+"""Linear solves of Newton's method on the gel: exact and sparse, or fast and local.
+
+The fast one uses what a press looks like. Far from the indenter the gel barely strains, so its
+stiffness there is that of rest, whose inverse G is computed once. Near the indenter (the region R)
+the stiffness is assembled anew. The step of the region's unknowns solves the small dense system
+
+    (G_RR^-1 + K_RR(u) - K_RR(0)) du_R = G_RR^-1 (G r)_R
+
+and the rest of the gel follows: du = G r + G_R z, z = G_RR^-1 (du_R - (G r)_R). This is a block
+elimination (static condensation, Guyan 1965) of the far unknowns with their rest stiffness.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+
+from dotsim_ros.gel.elasticity import ElasticBody, region_base
+from dotsim_ros.gel.implicit.block_solver import BlockCholesky
+
+Array = NDArray[np.float64]
+FloatArray = NDArray[np.float32]
+IntArray = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of the grid around the contact.
+
+    Attributes:
+        node: (R,) its nodes, in the order of its unknowns.
+        number: (N,) the number of each node in it, -1 outside.
+        cell: (C,) the cells all of whose nodes are in it.
+        base: (C, 27, 27) positions of the cells' blocks in the region's matrix.
+        dof: (3 R,) its unknowns.
+        compliance_columns: (3 N, 3 R) columns of G.
+        condensed: (3 R, 3 R) inverse of G_RR.
+        rest: (3 R, 3 R) stiffness of the cells at rest.
+    """
+
+    node: IntArray
+    number: IntArray
+    cell: IntArray
+    base: IntArray
+    dof: IntArray
+    compliance_columns: FloatArray
+    condensed: FloatArray
+    rest: FloatArray
+
+
+def inverse_of_positive(matrix: FloatArray) -> FloatArray:
+    """Return the inverse of a symmetric positive definite matrix.
+
+    Raises:
+        numpy.linalg.LinAlgError: the matrix is not positive definite.
+    """
+    factor, info = linalg.lapack.spotrf(matrix, lower=1)
+    if info != 0:
+        raise np.linalg.LinAlgError(f"matrix of {len(matrix)} rows is not positive definite")
+    inverse, _ = linalg.lapack.spotri(factor, lower=1, overwrite_c=1)
+    lower = np.tril(inverse)
+    result: FloatArray = np.ascontiguousarray(lower + np.tril(inverse, -1).T)
+    return result
+
+
+SHIFTS = (0.0, 1.0e-3, 1.0e-2, 1.0e-1, 1.0)
+"""Shares of the mean diagonal that are added to a stiffness until it is positive definite (Nocedal
+and Wright, algorithm 3.3); far from equilibrium a compressed gel's need not be."""
+
+Factor = TypeVar("Factor")
+
+
+def factor_shifted(factor: Callable[[float], Factor]) -> Factor:
+    """Return `factor(share)` for the first of `SHIFTS` with which it succeeds.
+
+    Raises:
+        numpy.linalg.LinAlgError: it succeeds with none.
+    """
+    for share in SHIFTS[:-1]:
+        try:
+            return factor(share)
+        except np.linalg.LinAlgError:
+            continue
+    return factor(SHIFTS[-1])
+
+
+class ExactTangent:
+    """The whole stiffness, assembled and factored anew in every iteration: slow.
+
+    A single precision body halves the time; it limits the step's accuracy, not the solution's.
+    """
+
+    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
+        self.body, self.extra = body, sparse.kron(extra, sparse.eye(3), format="csr")
+
+    def factor(self, displacement_m: Array, environment: int) -> ExactFactor:
+        """Factor the stiffness at displacements (N, 3), made positive definite."""
+        matrix = self.body.stiffness(displacement_m, environment) + self.extra
+        matrix = matrix.astype(self.body.dtype).tocsr()
+        mean = float(matrix.diagonal().mean())
+        unit = sparse.eye(matrix.shape[0], dtype=matrix.dtype, format="csr")
+        cell = self.body.discretization.node_cell
+        return ExactFactor(
+            factor_shifted(
+                lambda share: BlockCholesky(
+                    matrix + (share * mean) * unit if share else matrix, cell
+                )
+            ).solve,
+            matrix.shape[0],
+            self.body.dtype,
+        )
+
+
+@dataclass(frozen=True)
+class ExactFactor:
+    """The factored stiffness of the whole gel: its solution, its size and its precision."""
+
+    inverse: Callable[[Any], Any]
+    size: int
+    dtype: type[np.floating]
+
+    def solve(self, right: Array) -> Array:
+        """Return the step (3 N,) for forces (3 N,) anywhere."""
+        return np.asarray(self.inverse(right.astype(self.dtype)), dtype=np.float64)
+
+    def solve_loads(self, right: Array) -> Array:
+        """Return the step (3 N,) for forces (3 N,) near the contact."""
+        return self.solve(right)
+
+    def between(self, node: IntArray) -> NDArray[np.floating]:
+        """Return (3 n, 3 n) of the inverse between nodes."""
+        dof = degrees_of_freedom(node)
+        unit = np.zeros((self.size, len(dof)), dtype=self.dtype)
+        unit[dof, np.arange(len(dof))] = 1.0
+        result: NDArray[np.floating] = np.asarray(self.inverse(unit), dtype=self.dtype)[dof]
+        return result
+
+
+def degrees_of_freedom(node: IntArray) -> IntArray:
+    """Return (3 n,) unknowns of nodes (n,)."""
+    dof: IntArray = (3 * node[:, None] + np.arange(3)).ravel().astype(np.int32)
+    return dof
+
+
+@dataclass(frozen=True)
+class LocalFactor:
+    """A factored region; `solve` returns the step of the whole gel."""
+
+    compliance: FloatArray
+    region: Region
+    factor: tuple[FloatArray, bool]
+
+    def solve(self, right: Array) -> Array:
+        """Return the step (3 N,) for residual forces (3 N,) anywhere."""
+        free = linalg.blas.ssymv(1.0, self.compliance.T, right.astype(np.float32))
+        region = self.region
+        free_here = free[region.dof]
+        local = region.condensed @ free_here
+        step = linalg.cho_solve(self.factor, local, check_finite=False)
+        change = region.condensed @ (step - free_here)
+        whole: Array = (free + region.compliance_columns @ change).astype(np.float64)
+        return whole
+
+    def solve_near(self, right: Array) -> Array:
+        """Return the step (3 N,) for residual forces (3 N,): in the region for all of them, outside
+        for those in the region."""
+        region = self.region
+        local = right[region.dof].astype(np.float32)
+        free_here = region.compliance_columns.T @ right.astype(np.float32)
+        step = linalg.cho_solve(self.factor, region.condensed @ free_here, check_finite=False)
+        change = local + region.condensed @ (step - free_here)
+        whole: Array = (region.compliance_columns @ change).astype(np.float64)
+        whole[region.dof] = step
+        return whole
+
+    def solve_loads(self, right: Array) -> Array:
+        """Return the step (3 N,) for forces (3 N,) that are all in the region."""
+        region = self.region
+        local = right[region.dof].astype(np.float32)
+        step = linalg.cho_solve(self.factor, local, check_finite=False)
+        whole: Array = (region.compliance_columns @ (region.condensed @ step)).astype(np.float64)
+        return whole
+
+    def between(self, node: IntArray) -> FloatArray:
+        """Return (3 n, 3 n) of the inverse between nodes of the region."""
+        lower, _ = self.factor
+        dof = degrees_of_freedom(self.region.number[node])
+        # Those before the first of them do not matter: the forward solution is zero there.
+        first = int(dof.min())
+        unit = np.zeros((len(lower) - first, len(dof)), dtype=np.float32, order="F")
+        unit[dof - first, np.arange(len(dof))] = 1.0
+        half = linalg.blas.strsm(1.0, lower[first:, first:], unit, lower=1, overwrite_b=1)
+        result: FloatArray = half.T @ half
+        return result
+
+
+class LocalTangent:
+    """The fast solve, in single precision (its error is one of the step, not of the solution).
+
+    Args:
+        body: the elastic body in single precision.
+        extra: (N, N) further stiffness of every direction, such as mass over the squared step.
+    """
+
+    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
+        self.body = body
+        discretization = body.discretization
+        self.rest = np.zeros((discretization.node_count, 3), dtype=np.float32)
+        stiffness = body.stiffness(self.rest, 0) + sparse.kron(extra, sparse.eye(3))
+        self.compliance = inverse_of_positive(
+            np.asfortranarray(stiffness.toarray().astype(np.float32))
+        )
+        self.cell_centre_m = discretization.node_position_m[body.cells.node].mean(axis=1)
+
+    def solve_at_rest(self, right: Array) -> Array:
+        """Return the step (3 N,) with the stiffness of rest and no contact."""
+        step = linalg.blas.ssymv(1.0, self.compliance.T, right.astype(np.float32))
+        whole: Array = step.astype(np.float64)
+        return whole
+
+    def region(self, cell: IntArray, needed_node: IntArray) -> Region:
+        """Return the region of the given cells, with further nodes that contact needs.
+
+        Its nodes go from the farthest to those in the middle of the needed ones, which
+        `LocalFactor.between` profits from.
+        """
+        node_of_cell = self.body.cells.node
+        node = np.union1d(node_of_cell[cell], needed_node).astype(np.int32)
+        position = self.body.discretization.node_position_m
+        middle = position[needed_node].mean(axis=0)
+        node = node[np.argsort(-np.linalg.norm(position[node] - middle, axis=1), kind="stable")]
+        number = np.full(self.body.discretization.node_count, -1, dtype=np.int32)
+        number[node] = np.arange(len(node), dtype=np.int32)
+        inside = np.flatnonzero(np.all(number[node_of_cell] >= 0, axis=1)).astype(np.int32)
+        dof = degrees_of_freedom(node)
+        base = region_base(node_of_cell[inside], number, len(dof))
+        rows = self.compliance[dof]
+        condensed = inverse_of_positive(np.asfortranarray(rows[:, dof]))
+        rest = self.body.region_stiffness(self.rest, inside, base, len(dof))
+        return Region(node, number, inside, base, dof, rows.T, condensed, rest)
+
+    def assemble(self, region: Region, displacement_m: Array, environment: int) -> FloatArray:
+        """Return the condensed stiffness (3 R, 3 R) of a region at displacements (N, 3)."""
+        now = self.body.region_stiffness(
+            displacement_m, region.cell, region.base, len(region.dof), environment
+        )
+        now += region.condensed
+        now -= region.rest
+        return now
+
+    def factor(self, region: Region, stiffness: FloatArray) -> LocalFactor:
+        """Factor an assembled stiffness."""
+        mean = float(np.trace(stiffness)) / len(stiffness)
+
+        def factor(share: float) -> tuple[FloatArray, bool]:
+            # The transpose is the same matrix in LAPACK's order.
+            matrix = stiffness.T.copy(order="F")
+            matrix[np.diag_indices(len(matrix))] += share * mean
+            result: tuple[FloatArray, bool] = linalg.cho_factor(
+                matrix, lower=True, overwrite_a=True, check_finite=False
+            )
+            return result
+
+        return LocalFactor(self.compliance, region, factor_shifted(factor))

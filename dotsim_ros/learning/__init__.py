@@ -1,0 +1,1 @@
+"""Networks that learn a sensor's images from measured presses."""

@@ -1,0 +1,173 @@
+"""A network fitted to measured presses, and its images for others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.learning.examples import inputs_of, make_examples, network_input
+from dotsim_ros.learning.networks import make_network
+from dotsim_ros.learning.training import RECIPES, Progress, Recipe, Trained, Training
+from dotsim_ros.optics.idle import ByteImage
+from dotsim_ros.optics.network.card import BASES
+from dotsim_ros.optics.network.input import Float32Array, NetworkInput, resized
+from dotsim_ros.twin.footage import OpticalPress, Rest
+
+PREDICTED_TOGETHER = 4
+"""Frames in one pass of a network that is not trained."""
+
+CPU_WIDTH = {"ours": 320, "paper": 160, "paper_direct": 160, "unet": 160}
+"""Largest width of a network's images, in pixels, where there is no CUDA."""
+
+
+@dataclass(frozen=True)
+class FittedNetwork:
+    """A network and the camera that it was trained for: a model of images.
+
+    Attributes:
+        kind: of the network.
+        trained: the network, and how its training went.
+        camera: of the images.
+        size: width and height of the network's images.
+    """
+
+    kind: str
+    trained: Trained
+    camera: FisheyeCamera
+    size: tuple[int, int]
+
+    @property
+    def name(self) -> str:
+        """How tables call it."""
+        return self.kind
+
+    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+        """Return the images (F, H, W, 3) of a press; its measured images are not read."""
+        given = network_input(self.kind, rest, self.camera, self.size)
+        added = added_images(self.trained.network, given, *inputs_of(press, given))
+        full = (self.camera.width, self.camera.height)
+        images = []
+        for residual, carried in zip(added, press.carried, strict=True):
+            match BASES[self.kind]:
+                case "carried":
+                    base = carried.astype(np.float32)
+                case "idle":
+                    base = rest.idle.astype(np.float32)
+                case _:
+                    base = np.zeros(carried.shape, dtype=np.float32)
+            image = base + resized(residual, full)
+            images.append(np.clip(np.rint(image), 0.0, 255.0).astype(np.uint8))
+        return np.stack(images)
+
+
+def added_images(
+    network: nn.Module, given: NetworkInput, frames: Tensor, images: Tensor
+) -> Float32Array:
+    """Return what a network adds (F, f h, f w, 3), in grey levels."""
+    rest = torch.from_numpy(given.rest)[None]
+    together = zip(frames.split(PREDICTED_TOGETHER), images.split(PREDICTED_TOGETHER), strict=True)
+    with torch.inference_mode():
+        parts = [network(frame, rest, image) for frame, image in together]
+    return np.ascontiguousarray(255.0 * torch.cat(parts).permute(0, 2, 3, 1).numpy())
+
+
+def network_size(
+    kind: str, camera: FisheyeCamera, size: int | None, device: torch.device
+) -> tuple[int, int]:
+    """Return width and height of a network's images.
+
+    Args:
+        kind: of the network.
+        camera: of the measured images.
+        size: the width asked for; None for the measured one on CUDA, a smaller one on a CPU.
+        device: where it is trained.
+
+    Raises:
+        ValueError: the width is no multiple of 16 from 64 up to the measured one, or its height
+            no multiple of 8.
+    """
+    width = size
+    if width is None:
+        width = camera.width if device.type == "cuda" else min(camera.width, CPU_WIDTH[kind])
+    if not 64 <= width <= camera.width or width % 16:
+        raise ValueError(
+            f"size is {width}, expected the width of the network's images in pixels: a multiple "
+            f"of 16 from 64 to {camera.width}, the width measured"
+        )
+    height = round(camera.height * width / camera.width)
+    if height % 8:
+        raise ValueError(
+            f"size {width} gives images of {width}x{height}, expected a height that is a multiple "
+            "of 8; choose another width"
+        )
+    return width, height
+
+
+def fit_network(
+    kind: str,
+    train: Sequence[OpticalPress],
+    rest: Rest,
+    camera: FisheyeCamera,
+    *,
+    seed: int = 0,
+    budget_minutes: float | None = None,
+    size: int | None = None,
+    directory: Path | None = None,
+    recipe: Recipe | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> FittedNetwork:
+    """Train a network on measured presses.
+
+    The same seed on the same machine and number of threads gives the same network, unless the
+    budget ends its training.
+
+    Args:
+        kind: one of `networks.KINDS`.
+        train: presses, restricted to the frames to train on.
+        rest: what the camera sees of the gel untouched.
+        camera: of the measured images.
+        seed: of the first weights and of the order of the frames.
+        budget_minutes: CPU time after which training ends, resumed runs included; None for none.
+        size: width of the network's images in pixels; None for the measured one on CUDA and
+            `CPU_WIDTH` at most on a CPU.
+        directory: where the training leaves its state and resumes from; None for nowhere.
+        recipe: how it is trained; None for the kind's own.
+        progress: told after every epoch.
+
+    Raises:
+        ValueError: no such kind, a size or budget out of range, fewer than ten frames, images of
+            another size than the camera's, or a folder with another training's state.
+        FloatingPointError: the training diverged.
+    """
+    if budget_minutes is not None and not budget_minutes > 0.0:
+        raise ValueError(f"budget_minutes is {budget_minutes}, expected a positive number")
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        network = make_network(kind)
+    pixels = network_size(kind, camera, size, device)
+    examples = make_examples(kind, train, rest, camera, pixels)
+    if BASES[kind] == "carried":
+        # Its output is zero at rest whatever its weights are.
+        examples = examples.only_touched()
+        if not len(examples.frame):
+            raise ValueError(
+                f"the gel has moved in none of {len(train)} presses; record presses that touch it"
+            )
+    training = Training(
+        kind,
+        network,
+        examples,
+        recipe or RECIPES[kind],
+        seed=seed,
+        budget_s=None if budget_minutes is None else 60.0 * budget_minutes,
+        device=device,
+        directory=directory,
+    )
+    return FittedNetwork(kind, training.run(progress), camera, pixels)

@@ -1,0 +1,220 @@
+"""Reads a measured data set for the gap finder, and says what of it cannot be used."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.check import BadBagError, check_bag
+from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, read_data_set
+from dotsim_ros.measured.presses import press_of
+from dotsim_ros.measured.recording import Recording, phases_of
+from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.metrics.presses import tip_depth_m
+
+CHANNELS = ("pose", "wrench", "skin")
+LOCKED_SHARE = 0.4
+"""At most this share of the trajectories is kept for the figures after the search."""
+IGNORED = ("truth.json", "truth.yaml")
+"""Files that say what was done to a data set: never read, and their presence is told."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """A data set, as far as it can be used.
+
+    Attributes:
+        directory: its folder.
+        skin: the skin that its clouds list, or the sensor's own where no clouds are.
+        recordings: those that can be used, in the order of the index.
+        warnings: what was left out, and why.
+        digest: of all that was read.
+    """
+
+    directory: Path
+    skin: SkinMesh
+    recordings: tuple[Recording, ...]
+    warnings: tuple[str, ...]
+    digest: str
+
+
+def read_measurement(
+    directory: str | Path,
+    *,
+    own_skin: SkinMesh,
+    indenters: str | Path | None = None,
+    topics: Topics = MEASURED_TOPICS,
+) -> Measurement:
+    """Read a data set.
+
+    Args:
+        directory: the folder that holds dataset.yaml.
+        own_skin: of the sensor's file, used where the data set has no mesh of its own.
+        indenters: folder of the indenters' meshes; None looks in the data set, then in the data
+            sets beside it.
+        topics: where the channels lie.
+
+    Raises:
+        FileNotFoundError: no data set there.
+        ValueError: no trajectory of it can be used; the text lists why.
+    """
+    data_set = read_data_set(directory)
+    folder = data_set.directory
+    warnings = [
+        f"{name} lies in the data set: it was not read"
+        for name in IGNORED
+        if _lies_in(folder, name)
+    ]
+    skin, vertex_count = own_skin, None
+    if (folder / "skin_mesh.npz").is_file():
+        skin = data_set.skin_mesh()
+        vertex_count = skin.vertex_count
+    digest = hashlib.sha256((folder / INDEX).read_bytes())
+    recordings: list[Recording] = []
+    session_s = 0.0
+    for entry in data_set.entries:
+        try:
+            recording = _read(data_set, entry, skin, vertex_count, session_s, indenters, topics)
+        except (BadBagError, FileNotFoundError, ValueError) as error:
+            warnings.append(f"{entry.name} was left out: {error}")
+            continue
+        recordings.append(recording)
+        stamp_s = recording.press.stamp_s
+        session_s += float(stamp_s[-1] - stamp_s[0])
+        _add(digest, recording)
+    if not recordings:
+        raise ValueError(
+            f"{folder}: no trajectory can be used.\n" + "\n".join(f"- {text}" for text in warnings)
+        )
+    return Measurement(folder, skin, tuple(recordings), tuple(warnings), digest.hexdigest()[:16])
+
+
+def read_poses(
+    directory: str | Path,
+    *,
+    skin: SkinMesh,
+    indenters: str | Path | None = None,
+    topics: Topics = MEASURED_TOPICS,
+) -> tuple[tuple[Recording, ...], tuple[str, ...]]:
+    """Return the motions of a data set, measured or only planned, and what was left out.
+
+    The recordings have force and skin of zeros, so that their observables are those that would be
+    measured.
+
+    Raises:
+        FileNotFoundError: no data set there.
+        ValueError: no trajectory of it has poses.
+    """
+    data_set = read_data_set(directory)
+    recordings: list[Recording] = []
+    warnings = []
+    session_s = 0.0
+    for entry in data_set.entries:
+        try:
+            trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
+            press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
+            indenter = find_indenter(data_set, entry.indenter, indenters)
+        except (FileNotFoundError, ValueError) as error:
+            warnings.append(f"{entry.name} was left out: {error}")
+            continue
+        count = press.frame_count
+        planned = replace(
+            press,
+            skin_position_m=np.repeat(skin.rest_position_m[None], count, axis=0),
+            force_n=np.zeros((count, 3)),
+        )
+        depth_m = np.asarray(tip_depth_m(skin, press.poses))
+        phase = phases_of(press.poses, press.stamp_s, depth_m)
+        recordings.append(Recording(planned, indenter, session_s, depth_m, phase))
+        session_s += float(press.stamp_s[-1] - press.stamp_s[0])
+    if not recordings:
+        raise ValueError(f"{directory}: no poses.\n" + "\n".join(warnings))
+    return tuple(recordings), tuple(warnings)
+
+
+def _lies_in(folder: Path, name: str) -> bool:
+    return any(folder.rglob(name))
+
+
+def _read(
+    data_set: DataSet,
+    entry: DataSetEntry,
+    skin: SkinMesh,
+    vertex_count: int | None,
+    session_s: float,
+    indenters: str | Path | None,
+    topics: Topics,
+) -> Recording:
+    check_bag(entry, vertex_count=vertex_count, topics=topics)
+    trajectory = read_trajectory(entry.bag, topics=topics, channels=CHANNELS)
+    press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
+    if press.skin_position_m is None and press.force_n is None:
+        raise BadBagError(
+            f"neither {topics.skin} nor {topics.wrench} in the bag; record one of them"
+        )
+    indenter = find_indenter(data_set, entry.indenter, indenters)
+    depth_m = np.asarray(tip_depth_m(skin, press.poses))
+    phase = phases_of(press.poses, press.stamp_s, depth_m)
+    return Recording(press, indenter, session_s, depth_m, phase)
+
+
+def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None) -> Indenter:
+    """Return an indenter by its name.
+
+    Args:
+        data_set: that names it.
+        name: of the indenter.
+        indenters: folder of meshes; None looks in the data set, then in those beside it.
+
+    Raises:
+        FileNotFoundError: no mesh of this name; the text lists where it was looked for.
+    """
+    if indenters is not None:
+        places = [Path(indenters)]
+    else:
+        beside = sorted(data_set.directory.resolve().parent.glob("*/indenters"))
+        places = [data_set.directory / "indenters", *beside]
+    for place in places:
+        if (place / f"{name}.stl").is_file():
+            return load_mesh(place / f"{name}.stl")
+    raise FileNotFoundError(
+        f"no mesh {name}.stl in {', '.join(map(str, places)) or 'any folder'}; name the folder of "
+        "the indenters with --indenters"
+    )
+
+
+def protocol_of(recording: Recording) -> str:
+    """Return a key that trajectories of one kind share: the indenter and its phases in order."""
+    steps: Sequence[str] = [phase.value for phase in recording.phase]
+    changes = [step for k, step in enumerate(steps) if k == 0 or step != steps[k - 1]]
+    return " ".join([recording.press.indenter, *(step for step in changes if step != "idle")])
+
+
+def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[int]:
+    """Return the places of the trajectories to keep locked: one of each protocol that is repeated,
+    those repeated most first, and at most `LOCKED_SHARE` of all.
+
+    Args:
+        protocols: of each trajectory, by `protocol_of`.
+        random: draws the one.
+    """
+    groups: dict[str, list[int]] = {}
+    for place, protocol in enumerate(protocols):
+        groups.setdefault(protocol, []).append(place)
+    repeated = sorted((m for m in groups.values() if len(m) > 1), key=len, reverse=True)
+    most = int(LOCKED_SHARE * len(protocols) + 0.5)
+    return sorted(int(random.choice(members)) for members in repeated[:most])
+
+
+def _add(digest: hashlib._Hash, recording: Recording) -> None:
+    press = recording.press
+    for pose in press.poses:
+        digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
+    for array in (press.stamp_s, press.skin_position_m, press.force_n):
+        digest.update(b"-" if array is None else np.ascontiguousarray(array).tobytes())

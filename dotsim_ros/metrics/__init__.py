@@ -1,0 +1,1 @@
+"""What two surfaces, images and forces differ by."""

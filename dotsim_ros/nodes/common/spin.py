@@ -1,0 +1,189 @@
+"""How every node of this package starts, spins and stops."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from threading import Event, Thread
+from types import FrameType
+
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.logging import get_logger
+from rclpy.node import Node
+
+from dotsim_ros.nodes.common.pace import FramePace
+
+REFUSED = 2
+"""Exit status of a node that could not start from what its user gave it."""
+
+
+class WorkingNode(Node):
+    """A node that owns threads or files: it opens them in `begin`, not while it is made.
+
+    Making a node may take minutes, so a SIGINT cuts it short wherever it is; what is opened then
+    would stay open.
+
+    Args:
+        name: of the node.
+
+    Attributes:
+        exit_status: other than 0 where something went wrong in a thread or while closing.
+        stopping: set when the threads are to return.
+    """
+
+    exit_status = 0
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.stopping = Event()
+        self._threads: list[Thread] = []
+
+    def begin(self) -> None:
+        """Open what `destroy_node` closes; a signal waits until it is done.
+
+        Raises:
+            ValueError, OSError: what the user gave does not work; nothing has been opened.
+        """
+        raise NotImplementedError
+
+    def destroy_node(self) -> None:
+        """Wait until the threads have returned, and take the node down."""
+        self.stopping.set()
+        for thread in self._threads:
+            thread.join()
+        super().destroy_node()
+
+    def start_thread(self, name: str, run: Callable[[], None], broken: str) -> None:
+        """Start a thread without which the node must not live on; it returns once it is `stopping`.
+
+        Args:
+            name: of the thread.
+            run: its work. An exception of it is logged with `broken` and ends the node with exit
+                status 1, unless a signal has shut the context down: to publish there is how a run
+                ends.
+            broken: what has happened then.
+        """
+        thread = Thread(target=self._watch, args=(run, broken), name=name, daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def start_paced(
+        self, name: str, pace: Callable[[], FramePace], tick: Callable[[], None], broken: str
+    ) -> None:
+        """Start a thread that calls `tick` at each deadline until the node stops.
+
+        Args:
+            name, broken: as of `start_thread`.
+            pace: gives the deadlines; asked each time, since a parameter may change the rate.
+            tick: the work of one period.
+        """
+
+        def run() -> None:
+            while not self.stopping.wait(max(0.0, pace().deadline_s() - time.monotonic())):
+                pace().begin(time.monotonic())
+                tick()
+
+        self.start_thread(name, run, broken)
+
+    def report_every(self, period_s: float, report: Callable[[], None]) -> None:
+        """Call `report` every `period_s` of a steady clock: also without /clock somebody must be
+        told what is wrong."""
+        self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _watch(self, run: Callable[[], None], broken: str) -> None:
+        try:
+            run()
+        except Exception:
+            if self.context.ok():
+                self.get_logger().fatal(broken)
+                self.exit_status = 1
+                rclpy.try_shutdown()
+                raise
+
+
+class _Interruption:
+    """What Python does at SIGINT: an exception while one is allowed, else nothing.
+
+    ROS has a handler of its own in front of this one, which shuts its context down: that ends
+    whatever spins. An exception there would fall anywhere into ROS's own code, which leaves objects
+    half made.
+    """
+
+    def __init__(self) -> None:
+        self._has_come = False
+        self._is_allowed = False
+
+    def __call__(self, _number: int, _frame: FrameType | None) -> None:
+        self._has_come = True
+        if self._is_allowed:
+            # `ros2 launch` and a terminal both signal the process: one exception is enough.
+            self._is_allowed = False
+            raise KeyboardInterrupt
+
+    @contextmanager
+    def allowed(self) -> Iterator[None]:
+        """Raise KeyboardInterrupt at a SIGINT in the block, or at once if one has come before."""
+        self._is_allowed = True
+        try:
+            if self._has_come:
+                raise KeyboardInterrupt
+            yield
+        finally:
+            self._is_allowed = False
+
+
+def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = None) -> int:
+    """Start ROS, make the node, spin it until it is told to stop, and take everything down.
+
+    Stops on SIGINT (once or more), on SIGTERM, and when any thread calls `rclpy.try_shutdown()`,
+    which is how a node ends itself. A callback that runs then runs to its end. `destroy_node` runs,
+    after a signal, with the ROS context already shut down: it must not publish there.
+
+    Args:
+        factory: makes the node; called after `rclpy.init`.
+        arguments: the command line, `sys.argv` by default.
+
+    Returns:
+        The exit status: 0 (or the `exit_status` of a `WorkingNode`) after a stop, `REFUSED` where
+        ROS refused its arguments, or factory or `begin` the parameters or files (ValueError,
+        OSError or a ROS parameter's exception), with one line that says why.
+    """
+    interruption = _Interruption()
+    signal.signal(signal.SIGINT, interruption)
+    node: Node | None = None
+    try:
+        rclpy.init(args=None if arguments is None else list(arguments))
+    except (RCLError, UnknownROSArgsError) as error:
+        get_logger("dotsim_ros").fatal(f"cannot start: {error}")
+        return REFUSED
+    try:
+        # Before the node: it cannot be made any more once a signal has shut the context down.
+        executor = SingleThreadedExecutor()
+        try:
+            with interruption.allowed():
+                node = factory()
+            if isinstance(node, WorkingNode):
+                node.begin()
+        except (ValueError, OSError, ParameterException) as error:
+            get_logger("dotsim_ros").fatal(f"cannot start: {error}")
+            return REFUSED
+        rclpy.spin(node, executor)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except RCLError:
+        # What meets the shutdown half-way fails: a wait, a publisher, a node that is being made.
+        if rclpy.ok():
+            raise
+    finally:
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+        # From here on Python takes its handlers down, and the default one would kill the process.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return int(getattr(node, "exit_status", 0))

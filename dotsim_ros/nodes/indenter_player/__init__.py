@@ -1,0 +1,1 @@
+"""indenter_player: plays presses as poses of the indenter."""

@@ -1,0 +1,275 @@
+"""What `indenter_player` plays, as parameters, and the motion that they ask for. Needs no ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dotsim_ros.measured.motion import Motion, joined
+from dotsim_ros.measured.scripted import (
+    Site,
+    in_sequence,
+    press_hold_release,
+    slide,
+    travel,
+    twist,
+)
+from dotsim_ros.measured.shipped_presses import Press, read_presses
+from dotsim_ros.measured.trajectory import BASE_FRAME, Topics, read_trajectory
+from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.resources import parameter_path
+
+SHIPPED_PRESSES = "presses/densetact_presses.npz"
+DEFAULT_RATE_HZ = 100.0
+
+
+@dataclass(frozen=True)
+class PlayerParameters:
+    """Parameters of `indenter_player`.
+
+    Raises:
+        ValueError: a value out of its range, or parameters that do not go together.
+    """
+
+    source: str = option(
+        "press",
+        "what to play: a scripted press-hold-release, slide or twist, recorded real presses, or "
+        "the poses of a bag",
+        choices=("press", "slide", "twist", "presses", "bag"),
+        read_only=True,
+    )
+    path: str = option(
+        "",
+        "folder of the bag, or the .npz of real presses (empty: the dozen shipped ones)",
+        read_only=True,
+    )
+    bag_topic: str = option("/indenter/pose", "PoseStamped topic to play of a bag", read_only=True)
+    frame_id: str = option(
+        BASE_FRAME, "frame of the published poses; those of a bag keep their own", read_only=True
+    )
+    rate_hz: float = option(
+        0.0,
+        "poses a second; 0: the recording's own stamps for a bag, 100 Hz otherwise",
+        minimum=0.0,
+        maximum=1000.0,
+        read_only=True,
+    )
+    loop: bool = option(False, "begin again at the end", read_only=True)
+    exit_at_end: bool = option(
+        False, "end the process with status 0 once all is played", read_only=True
+    )
+    wait_for_subscriber_s: float = option(
+        10.0,
+        "longest wait for subscribers before the first pose",
+        minimum=0.0,
+        maximum=3600.0,
+        read_only=True,
+    )
+    subscriber_count: int = option(
+        1,
+        "how many subscribers to wait for: 2 where a recorder listens beside the sensor",
+        minimum=1,
+        maximum=100,
+        read_only=True,
+    )
+    wait_for_answer: bool = option(
+        False,
+        "hold each pose back until a wrench carries the stamp of the one before (lockstep)",
+        read_only=True,
+    )
+    answer_timeout_s: float = option(
+        10.0,
+        "longest wait for an answer before the next pose",
+        minimum=0.01,
+        maximum=3600.0,
+        read_only=True,
+    )
+    outer_radius_m: float = option(
+        0.01575, "radius of the dome's skin at rest", minimum=1e-3, maximum=1.0, read_only=True
+    )
+    tilt_deg: float = option(
+        0.0, "place: angle from the apex", minimum=0.0, maximum=90.0, read_only=True
+    )
+    azimuth_deg: float = option(
+        0.0, "place: angle about +z, from +x", minimum=-360.0, maximum=360.0, read_only=True
+    )
+    spin_deg: float = option(
+        0.0,
+        "turn of the indenter about its own axis",
+        minimum=-360.0,
+        maximum=360.0,
+        read_only=True,
+    )
+    clearance_m: float = option(
+        0.002,
+        "gap between skin and tip at both ends of a press",
+        minimum=1e-5,
+        maximum=0.1,
+        read_only=True,
+    )
+    depth_m: float = option(
+        0.002, "depth of a scripted press", minimum=1e-6, maximum=0.1, read_only=True
+    )
+    speed_m_s: float = option(0.005, "speed of presses", minimum=1e-5, maximum=1.0, read_only=True)
+    hold_s: float = option(
+        0.5, "hold at the deepest point", minimum=0.0, maximum=3600.0, read_only=True
+    )
+    slide_distance_m: float = option(
+        0.006, "length of a slide on the skin", minimum=1e-5, maximum=0.1, read_only=True
+    )
+    slide_heading_deg: float = option(
+        0.0,
+        "heading of a slide, from the indenter's +x towards its +y",
+        minimum=-360.0,
+        maximum=360.0,
+        read_only=True,
+    )
+    slide_speed_m_s: float = option(
+        0.01, "speed of a slide", minimum=1e-5, maximum=1.0, read_only=True
+    )
+    twist_angle_deg: float = option(
+        30.0, "how far a twist turns, and back", minimum=-180.0, maximum=180.0, read_only=True
+    )
+    twist_rate_deg_s: float = option(
+        30.0, "rate of a twist", minimum=0.01, maximum=3600.0, read_only=True
+    )
+    press_numbers: tuple[int, ...] = option(
+        (-1,),
+        "which recorded presses to play, in this order; [-1]: all",
+        minimum=-1,
+        read_only=True,
+    )
+    indenter_radius_m: float = option(
+        0.004,
+        "from the indenter's tip to the point that recorded presses place: a sphere's radius",
+        minimum=0.0,
+        maximum=0.1,
+        read_only=True,
+    )
+    depth_limit_m: float = option(
+        0.0,
+        "recorded presses turn at this depth; 0: as deep as they went",
+        minimum=0.0,
+        maximum=0.1,
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.loop and self.exit_at_end:
+            raise ValueError("loop and exit_at_end exclude each other: a loop has no end")
+        if self.source == "bag" and not self.path:
+            raise ValueError("source 'bag' needs path: the folder of a ROS 2 bag")
+
+
+@dataclass(frozen=True)
+class Program:
+    """What is played: a motion, the frame of its poses, and at which times.
+
+    Attributes:
+        motion: the poses of one pass, and of the way back to the start where it is looped.
+        frame_id: of the published poses.
+        rate_hz: steady rate, or 0 for the motion's own times.
+    """
+
+    motion: Motion
+    frame_id: str
+    rate_hz: float
+
+
+def _site(parameters: PlayerParameters) -> Site:
+    return Site(
+        outer_radius_m=parameters.outer_radius_m,
+        tilt_rad=float(np.deg2rad(parameters.tilt_deg)),
+        azimuth_rad=float(np.deg2rad(parameters.azimuth_deg)),
+        spin_rad=float(np.deg2rad(parameters.spin_deg)),
+        clearance_m=parameters.clearance_m,
+    )
+
+
+def _press(parameters: PlayerParameters) -> Motion:
+    return press_hold_release(
+        _site(parameters),
+        depth_m=parameters.depth_m,
+        hold_s=parameters.hold_s,
+        speed_m_s=parameters.speed_m_s,
+    )
+
+
+def _slide(parameters: PlayerParameters) -> Motion:
+    return slide(
+        _site(parameters),
+        depth_m=parameters.depth_m,
+        distance_m=parameters.slide_distance_m,
+        heading_rad=float(np.deg2rad(parameters.slide_heading_deg)),
+        speed_m_s=parameters.speed_m_s,
+        slide_speed_m_s=parameters.slide_speed_m_s,
+    )
+
+
+def _twist(parameters: PlayerParameters) -> Motion:
+    return twist(
+        _site(parameters),
+        depth_m=parameters.depth_m,
+        angle_rad=float(np.deg2rad(parameters.twist_angle_deg)),
+        speed_m_s=parameters.speed_m_s,
+        rotation_rate_rad_s=float(np.deg2rad(parameters.twist_rate_deg_s)),
+    )
+
+
+def _chosen(presses: tuple[Press, ...], numbers: tuple[int, ...]) -> list[Press]:
+    if numbers == (-1,):
+        return list(presses)
+    wrong = [number for number in numbers if not 0 <= number < len(presses)]
+    if wrong or not numbers:
+        raise ValueError(
+            f"press_numbers holds {list(numbers)}; the recording has presses 0 to "
+            f"{len(presses) - 1}"
+        )
+    return [presses[number] for number in numbers]
+
+
+def _presses(parameters: PlayerParameters) -> Motion:
+    path = parameters.path or parameter_path(SHIPPED_PRESSES)
+    motions = [
+        press.motion(
+            outer_radius_m=parameters.outer_radius_m,
+            indenter_radius_m=parameters.indenter_radius_m,
+            speed_m_s=parameters.speed_m_s,
+            hold_s=parameters.hold_s,
+            depth_limit_m=parameters.depth_limit_m or np.inf,
+            clearance_m=parameters.clearance_m,
+        )
+        for press in _chosen(read_presses(path), parameters.press_numbers)
+    ]
+    return in_sequence(motions)
+
+
+SCRIPTS = {"press": _press, "slide": _slide, "twist": _twist, "presses": _presses}
+
+
+def _bag(parameters: PlayerParameters) -> tuple[Motion, str]:
+    topics = Topics(pose=parameters.bag_topic)
+    channel = read_trajectory(parameters.path, topics=topics, channels=["pose"]).pose
+    assert channel is not None  # read_trajectory refuses a bag with none of the topics asked for
+    times_s = (channel.stamp_ns - channel.stamp_ns[0]) * 1e-9
+    return Motion(times_s, tuple(channel.poses())), channel.frame_id
+
+
+def program_of(parameters: PlayerParameters) -> Program:
+    """Return what the parameters ask to play.
+
+    Raises:
+        FileNotFoundError: no file or bag at `path`.
+        ValueError: it cannot be read, or the motion is impossible.
+    """
+    if parameters.source == "bag":
+        motion, frame_id = _bag(parameters)
+        rate_hz = parameters.rate_hz
+    else:
+        motion, frame_id = SCRIPTS[parameters.source](parameters), parameters.frame_id
+        rate_hz = parameters.rate_hz or DEFAULT_RATE_HZ
+    if parameters.loop:
+        motion = joined(motion, travel(motion.poses[-1], motion.poses[0]))
+    return Program(motion, frame_id, rate_hz)

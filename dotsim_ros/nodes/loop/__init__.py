@@ -1,0 +1,1 @@
+"""Closed loops of several nodes, for programs that start and judge them."""

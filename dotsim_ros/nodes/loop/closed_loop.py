@@ -1,0 +1,386 @@
+"""The nodes of the closed loop as processes, led through one trial after the other.
+
+The sensor, the policy and the arm are the executables that a user starts, with the parameters of
+`params/closed_loop.yaml`; everything goes over DDS.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
+from std_srvs.srv import SetBool, Trigger
+
+import msg_adapters
+from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.nodes.common.processes import NodeProcess
+from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
+from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
+from dotsim_ros.resources import parameter_path
+from dotsim_ros.tasks.policy.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.policy.paths import DomeContact
+from dotsim_ros.tasks.policy.safety import SafetyLimits
+
+SENSOR, ARM, POLICY, RECORDER = "tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"
+START_TIMEOUT_S = 300.0
+"""A first start compiles the gel's kernels and computes its tables."""
+DIAGNOSTICS_PERIOD_S = 0.2
+FAR_M = np.array([0.0, 0.0, 0.06])
+"""Where the indenter is while the sensor is at rest: so far from anywhere else that it counts as a
+new start, which brings the gel to rest."""
+LIFTED_DEPTH_M = -0.5e-3
+APPROACH_POINTS = 4
+SETTLE_FRAMES = 4
+ENABLE_TIMEOUT_S = 15.0
+
+
+@dataclass(frozen=True)
+class LoopSetup:
+    """What the nodes of a loop are told beside `params/closed_loop.yaml`.
+
+    Attributes:
+        policy: folder of the policy, or a name below params/policies.
+        sensor: name or file of the simulated sensor.
+        policy_parameters, sensor_parameters, arm_parameters: of the nodes.
+        policy_code: Python code to run in place of the policy's module.
+    """
+
+    policy: str
+    sensor: str = "densetact2"
+    policy_parameters: Mapping[str, Any] = field(default_factory=dict)
+    sensor_parameters: Mapping[str, Any] = field(default_factory=dict)
+    arm_parameters: Mapping[str, Any] = field(default_factory=dict)
+    policy_code: str = ""
+
+    def limits(self) -> SafetyLimits:
+        """Return what the policy's node lets the arm do."""
+        given = loop_parameters(POLICY) | dict(self.policy_parameters)
+        return TactilePolicyParameters(**given).limits()
+
+    def places(self) -> LoopPlaces:
+        """Return where the arm starts."""
+        settings = XarmSimParameters(**loop_parameters(ARM) | dict(self.arm_parameters))
+        return LoopPlaces(
+            pose_of(settings.start_pose, "start_pose"),
+            pose_of(settings.tool_from_sensor, "tool_from_sensor"),
+        )
+
+
+def loop_parameters(executable: str) -> dict[str, Any]:
+    """Return the parameters of a node in `params/closed_loop.yaml`."""
+    content = yaml.safe_load(parameter_path("closed_loop.yaml").read_text(encoding="utf-8"))
+    given = content[f"/**/{executable}"]["ros__parameters"]
+    return {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
+
+
+class RefusedError(OSError):
+    """A node answers that it will not do what it was asked to."""
+
+
+class ClosedLoop:
+    """The processes of a loop and what they are observed by; a context manager.
+
+    Args:
+        setup: what the nodes are told.
+        topics: what to keep of what they say.
+
+    Attributes:
+        setup: the present one.
+        observer: hears and calls.
+        contact: of the ball on the dome.
+    """
+
+    def __init__(
+        self,
+        setup: LoopSetup,
+        *,
+        contact: DomeContact | None = None,
+        topics: Mapping[str, type] = LOOP_TOPICS,
+    ) -> None:
+        self.setup = setup
+        self.contact = contact or DomeContact()
+        self.places = setup.places()
+        self._processes: dict[str, NodeProcess] = {}
+        self._indenter = self.places.indenter(FAR_M)
+        self.observer = LoopObserver(topics)
+
+    def __enter__(self) -> ClosedLoop:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self.close()
+
+    def close(self) -> dict[str, int]:
+        """Stop everything; return the nodes' exit statuses."""
+        statuses = {name: node.stop() for name, node in reversed(self._processes.items())}
+        self._processes.clear()
+        self.observer.close()
+        return statuses
+
+    def process(self, executable: str) -> NodeProcess:
+        """Return a node's process."""
+        return self._processes[executable]
+
+    def start_sensor(self) -> None:
+        """Start the sensor, or another one in place of the one that runs."""
+        self._launch_sensor()
+        self._await(SENSOR)
+
+    def start_policy(self, path: str) -> None:
+        """Start the policy for a path, in place of the one that runs, and show it the sensor at
+        rest."""
+        self._launch_policy(path)
+        self._await(POLICY)
+        self.rest()
+        self.calibrate_idle()
+
+    def start(self, path: str) -> None:
+        """Start all nodes at once, and show the policy the sensor at rest."""
+        self._launch(ARM, self.setup.arm_parameters)
+        self._launch_sensor()
+        self._launch_policy(path)
+        for executable in (ARM, SENSOR, POLICY):
+            self._await(executable)
+        self.rest()
+        self.calibrate_idle()
+
+    def _launch_sensor(self) -> None:
+        self._launch(SENSOR, {"sensor": self.setup.sensor, **self.setup.sensor_parameters})
+
+    def _launch_policy(self, path: str) -> None:
+        given = {
+            "policy": self.setup.policy,
+            "path": path,
+            "diagnostics_period_s": DIAGNOSTICS_PERIOD_S,
+            **self.setup.policy_parameters,
+        }
+        remap = ("-r", "~/cmd_vel:=cmd_vel")
+        self._launch(POLICY, given, remap=remap, code=self.setup.policy_code)
+
+    def _launch(
+        self,
+        executable: str,
+        parameters: Mapping[str, Any],
+        *,
+        remap: tuple[str, ...] = (),
+        code: str = "",
+    ) -> None:
+        self.stop(executable)
+        self.observer.diagnostics.clear()
+        self._processes[executable] = NodeProcess(
+            executable,
+            parameters,
+            arguments=("--params-file", str(parameter_path("closed_loop.yaml")), *remap),
+            code=code,
+        )
+
+    def _await(self, executable: str, line: str = "ready:") -> None:
+        """Wait until a node has said so."""
+        self._processes[executable].wait_for_line(line, timeout_s=START_TIMEOUT_S)
+
+    def stop(self, executable: str) -> None:
+        """Stop a node, if it runs."""
+        node = self._processes.pop(executable, None)
+        if node is not None:
+            node.stop()
+
+    def place_indenter(self, pose: Pose) -> None:
+        """Put the indenter somewhere in the base.
+
+        Raises:
+            OSError: the arm's node refuses.
+        """
+        numbers = [*pose.position_m.tolist(), *pose.quaternion_xyzw.tolist()]
+        self.set_arm(indenter_pose=numbers)
+        self._indenter = pose
+
+    def set_arm(self, **values: Any) -> None:
+        """Change parameters of the arm.
+
+        Raises:
+            OSError: the node refuses.
+        """
+        parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
+        answer = self.observer.call(
+            SetParametersAtomically, f"{ARM}/set_parameters_atomically", parameters=parameters
+        )
+        if not answer.result.successful:
+            raise OSError(f"{ARM}: {answer.result.reason}")
+
+    def rest(self) -> None:
+        """Stop the arm, bring it to its start, and take the indenter away from the sensor."""
+        self.disable()
+        self.place_indenter(self.places.indenter(FAR_M))
+        self._trigger(f"{ARM}/reset")
+        self.wait_frames(SETTLE_FRAMES)
+
+    def wait_frames(self, count: int) -> None:
+        """Wait for frames of the sensor."""
+        before = self.observer.count("wrench")
+        self.observer.wait(
+            lambda: self.observer.count("wrench") >= before + count, f"{count} frames"
+        )
+
+    def calibrate_idle(self) -> None:
+        """Show the policy the sensor at rest."""
+        self._retry(lambda: self.observer.call(Trigger, f"{POLICY}/calibrate_idle"))
+
+    def touch(self, start_m: FloatArray) -> None:
+        """Bring sensor and indenter together.
+
+        Args:
+            start_m: (3,) where the indenter shall be in the sensor's frame; the way there leads
+                along the dome's normal.
+        """
+        tilt, depth = self.contact.tilt_and_depth(start_m)
+        for point in np.linspace(LIFTED_DEPTH_M, float(depth), APPROACH_POINTS):
+            self.place_indenter(self.places.indenter(self.contact.position_m(tilt, point)))
+            self.wait_frames(SETTLE_FRAMES)
+
+    def enable(self) -> None:
+        """Let the policy lead.
+
+        Raises:
+            RefusedError: it refuses for a long time; with its reason.
+            OSError: it does not answer.
+        """
+        self._retry(lambda: self.observer.call(SetBool, f"{POLICY}/set_enabled", data=True))
+
+    def disable(self) -> None:
+        """Stop the arm, where there is a policy."""
+        if POLICY in self._processes:
+            self.observer.call(SetBool, f"{POLICY}/set_enabled", data=False)
+
+    def state(self) -> tuple[str, str]:
+        """Return the policy's state and its reason, empty where nothing has been heard."""
+        values = self.observer.values(f"{POLICY}: control")
+        return values.get("state", ""), values.get("reason", "")
+
+    def stops(self) -> dict[str, int]:
+        """Return how often the policy's node stopped the arm since it started, by reason."""
+        text = self.observer.values(f"{POLICY}: control").get("stops", "none")
+        if text == "none":
+            return {}
+        pairs = (entry.rsplit(" ", 1) for entry in text.split(", "))
+        return {reason: int(count) for reason, count in pairs}
+
+    def trial(
+        self, start_m: FloatArray, seconds: float, *, bag: Path | None = None
+    ) -> LoopRecording:
+        """Return what the loop does from a place on, for a time or until it is latched; nothing
+        where the policy refuses to lead, which the notes say.
+
+        Args:
+            start_m: (3,) of the indenter in the sensor's frame.
+            seconds: how long the policy leads.
+            bag: folder for a bag of it by `tactile_record`; None for none.
+        """
+        self.rest()
+        self.touch(start_m)
+        if bag is not None:
+            self._launch(RECORDER, {"output": bag})
+            self._await(RECORDER, "receiving /cmd_vel")
+            self.observer.wait(lambda: self.state()[0], "diagnostics of the policy")
+        self.wait_diagnostics()
+        before = self.stops()
+        self.observer.forget()
+        try:
+            self.enable()
+        except RefusedError as error:
+            state, reason, detail = "refused", "refused", str(error)
+        else:
+            state, reason, detail = self._watch(seconds)
+        self.disable()
+        self.wait_diagnostics()
+        after = self.stops()
+        if bag is not None:
+            self._finish_bag()
+        return self.recording(
+            {
+                "stops": {
+                    k: n - before.get(k, 0) for k, n in after.items() if n > before.get(k, 0)
+                },
+                "state": state,
+                "reason": reason,
+                "detail": detail,
+                "seconds": seconds,
+            }
+        )
+
+    def _watch(self, seconds: float) -> tuple[str, str, str]:
+        """Return state, reason and what is told of it after a time, or when it is latched."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and self.state()[0] != "latched":
+            time.sleep(0.02)
+        state, reason = self.state()
+        told = self.observer.diagnostics.get(f"{POLICY}: control")
+        return state, reason, told.message if told is not None and state == "latched" else ""
+
+    def _finish_bag(self) -> None:
+        status = self._processes.pop(RECORDER).stop()
+        if status:
+            raise OSError(f"{RECORDER} ended with status {status}")
+
+    def recording(self, notes: Mapping[str, Any]) -> LoopRecording:
+        """Return what has been heard since it was last forgotten."""
+        heard = {name: self.observer.heard(name) for name in LOOP_TOPICS}
+        times = {
+            name: np.array(
+                [1e-9 * msg_adapters.message_stamp_ns(each.message) for each in messages]
+            )
+            for name, messages in heard.items()
+        }
+
+        def rows(name: str, decode: Callable[[Any], Any], width: int) -> FloatArray:
+            return np.reshape(
+                [np.concatenate(decode(each.message)) for each in heard[name]], (-1, width)
+            )
+
+        return LoopRecording(
+            pose_s=times["ee_pose"],
+            pose=rows("ee_pose", msg_adapters.decode_pose_stamped, 7),
+            twist_s=times["ee_twist"],
+            twist=rows("ee_twist", msg_adapters.decode_twist_stamped, 6),
+            command_s=times["cmd_vel"],
+            command=rows("cmd_vel", msg_adapters.decode_twist_stamped, 6),
+            frame_s=times["wrench"],
+            force_n=rows("wrench", msg_adapters.decode_wrench_stamped, 6)[:, :3],
+            indenter=self._indenter,
+            tool_from_sensor=self.places.tool_from_sensor,
+            notes=notes,
+        )
+
+    def wait_diagnostics(self) -> None:
+        """Wait for diagnostics that are newer than now."""
+        name = f"{POLICY}: control"
+        before = self.observer.diagnostics.get(name)
+        self.observer.wait(
+            lambda: self.observer.diagnostics.get(name) is not before, "diagnostics of the policy"
+        )
+
+    def _trigger(self, name: str) -> None:
+        answer = self.observer.call(Trigger, name)
+        if not answer.success:
+            raise OSError(f"{name}: {answer.message}")
+
+    def _retry(self, call: Callable[[], Any]) -> None:
+        """Call a service until it does what it should; streams may need a moment to come."""
+        end_s = time.monotonic() + ENABLE_TIMEOUT_S
+        while not (answer := call()).success:
+            if time.monotonic() > end_s:
+                raise RefusedError(str(answer.message))
+            time.sleep(0.1)
+
+
+def policy_name(folder: Path | str) -> str:
+    """Return how a policy's node is told of a policy: an absolute folder, or a name."""
+    path = Path(folder)
+    return str(path.absolute()) if path.is_dir() else str(folder)

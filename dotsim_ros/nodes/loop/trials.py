@@ -1,0 +1,66 @@
+"""Trials of a policy on one sensor after the other; starts only what must be started anew."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from dotsim_ros.evaluation.trajectory.trials import Setting
+from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
+from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+
+
+class TrialLoop:
+    """A closed loop that changes sensor and path as it is asked to; a context manager.
+
+    Args:
+        policy: folder of the policy.
+
+    Attributes:
+        limits: that the policy's node keeps.
+    """
+
+    def __init__(self, policy: Path) -> None:
+        self._policy = policy_name(policy)
+        self.limits = LoopSetup(self._policy).limits()
+        self._loop: ClosedLoop | None = None
+        self._setting: Setting | None = None
+        self._path = ""
+
+    def __enter__(self) -> TrialLoop:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        self._end()
+
+    def __call__(
+        self, setting: Setting, path: str, start_m: FloatArray, seconds: float
+    ) -> LoopRecording:
+        """Return what the loop does; see `dotsim_ros.evaluation.trajectory.trials.Loop`."""
+        try:
+            if self._loop is None or setting != self._setting:
+                self._end()
+                self._loop = ClosedLoop(
+                    LoopSetup(
+                        self._policy,
+                        sensor=setting.sensor,
+                        sensor_parameters={"image_noise_levels": setting.noise_levels},
+                    )
+                )
+                self._loop.start(path)
+                self._setting, self._path = setting, path
+            if path != self._path:
+                self._loop.start_policy(path)
+                self._path = path
+            return self._loop.trial(start_m, seconds)
+        except OSError:
+            # What does not answer is not asked again.
+            self._end()
+            raise
+
+    def _end(self) -> None:
+        if self._loop is not None:
+            with suppress(OSError):
+                self._loop.close()
+        self._loop, self._setting, self._path = None, None, ""

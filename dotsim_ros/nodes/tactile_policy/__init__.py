@@ -1,0 +1,1 @@
+"""tactile_policy: moves an arm along a path by touch."""

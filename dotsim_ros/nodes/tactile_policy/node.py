@@ -1,0 +1,263 @@
+"""`tactile_policy`: leads an arm by touch.
+
+Tactile images and the arm's pose go in, velocity commands come out. Three threads: the executor's
+hears, one asks the policy 25 times a second, one controls the arm 100 times a second.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TwistStamped
+from numpy.typing import NDArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from std_srvs.srv import SetBool, Trigger
+
+import msg_adapters
+from dotsim_ros.nodes.common.beat import Beat
+from dotsim_ros.nodes.common.declare import declare
+from dotsim_ros.nodes.common.priority import take_priority
+from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.tactile_policy.counters import Miss
+from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_picture
+from dotsim_ros.nodes.tactile_policy.health import statuses
+from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
+from dotsim_ros.nodes.tactile_policy.loops import ControlLoop, InferenceLoop
+from dotsim_ros.nodes.tactile_policy.parameters import (
+    CONTROL_RATE_HZ,
+    POLICY_RATE_HZ,
+    TICKS,
+    TactilePolicyParameters,
+)
+from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR, Twist, zero_twist
+from dotsim_ros.tasks.arm.control import ArmControl, Order
+from dotsim_ros.tasks.policy.network import load_policy
+from dotsim_ros.tasks.policy.safety import Reason, State
+
+if TYPE_CHECKING:
+    from dotsim_ros.tasks.policy.network import Policy
+
+COMMAND_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+IMAGE_MARGIN_S = 0.005
+TOUCHED_N = 0.1
+"""A force above this means that the sensor is not at rest."""
+LOG_PERIOD_S = 1.0
+SWITCH_INTERVAL_S = 0.0005
+"""How long Python lets a thread run before another one that waits: the control loop has little time
+to wait for the interpreter; the default is 5 ms."""
+
+Loader = Callable[[Path, str], "Policy"]
+
+
+class TactilePolicy(WorkingNode):
+    """The node; parameters, topics and services as the README lists them.
+
+    Args:
+        load: opens the policy of a folder and one of its paths.
+    """
+
+    def __init__(self, load: Loader = load_policy) -> None:
+        super().__init__("tactile_policy")
+        self._settings = declare(self, TactilePolicyParameters)
+        self._policy = load(policy_folder(self._settings.policy), self._settings.path)
+        if abs(self._policy.rate_hz - POLICY_RATE_HZ) > 0.01:
+            raise ValueError(
+                f"the policy {self._policy.name!r} was trained for {self._policy.rate_hz} Hz, "
+                f"expected {POLICY_RATE_HZ:g} Hz"
+            )
+        self._control = ArmControl(self._settings.limits(), self._settings.control())
+        self._inputs = PolicyInputs(
+            self,
+            self._settings,
+            latch=self._control.latch,
+        )
+        self._commands = self.create_publisher(
+            TwistStamped,
+            "~/cmd_vel",
+            COMMAND_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        beat = Beat(
+            1.0 / POLICY_RATE_HZ, ticks=TICKS, start_s=time.monotonic(), margin_s=IMAGE_MARGIN_S
+        )
+        self._inference = InferenceLoop(
+            self._policy,
+            largest_distance=self._settings.maximum_image_distance or self._policy.largest_distance,
+            inputs=self._inputs,
+            control=self._control,
+            beat=beat,
+            tell=self._tell_miss,
+        )
+        self._loop = ControlLoop(
+            self._control,
+            inputs=self._inputs,
+            inference=self._inference,
+            beat=beat,
+            every_tick=self._settings.command_rate_hz == CONTROL_RATE_HZ,
+            clock_ns=lambda: int(self.get_clock().now().nanoseconds),
+            publish=self._publish,
+            changed=self._tell_change,
+            tell=self._tell_miss,
+        )
+        if self._settings.idle_image:
+            idle = read_picture(Path(self._settings.idle_image))
+            # Refuses one that the policy cannot use.
+            self._policy(idle, idle)
+            self._inference.idle = idle
+        self._logged_s: dict[tuple[State, Reason], float] = {}
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.report_every(self._settings.diagnostics_period_s, self._report)
+        self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
+        self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
+
+    def begin(self) -> None:
+        """Do once what takes longest the first time, then start the loops.
+
+        Raises:
+            ValueError: the system does not give the priority that is asked for.
+        """
+        take_priority(self._settings.realtime_priority)
+        blank = np.zeros((*self._policy.image_shape, 3), dtype=np.uint8)
+        self._policy.image_distance(blank, blank)
+        self._policy(blank, blank)
+        self._publish(zero_twist(), int(self.get_clock().now().nanoseconds))
+        # Before the loops: the first line of a log takes its time as well.
+        self.get_logger().info(
+            f"ready: {self._policy.name}, path {self._policy.path}, "
+            f"{self._settings.command_rate_hz:g} commands a second on {self._commands.topic_name}; "
+            "disabled until set_enabled is called"
+        )
+        for name, loop in (("inference", self._inference), ("control", self._loop)):
+            self.start_thread(
+                name,
+                partial(loop.run, self.stopping),
+                f"{name} broke off: the arm stops when no command comes",
+            )
+
+    def _publish(self, twist: Twist, stamp_ns: int) -> None:
+        self._commands.publish(
+            msg_adapters.encode_twist_stamped(
+                twist[LINEAR],
+                twist[ANGULAR],
+                stamp_ns=stamp_ns,
+                frame_id=self._settings.command_frame,
+            )
+        )
+
+    def _tell_change(self, order: Order) -> None:
+        now_s = time.monotonic()
+        key = (order.state, order.reason)
+        is_throttled = order.state is not State.LATCHED
+        if is_throttled and now_s - self._logged_s.get(key, -np.inf) < LOG_PERIOD_S:
+            return
+        self._logged_s[key] = now_s
+        text = f"{order.state.value}: {order.detail}" if order.detail else order.state.value
+        if order.state is State.LATCHED:
+            self.get_logger().error(f"{text} [{order.reason}]; call set_enabled once it is safe")
+        elif order.detail:
+            self.get_logger().warning(f"{text} [{order.reason}]")
+        else:
+            self.get_logger().info(text)
+
+    def _tell_miss(self, miss: Miss) -> None:
+        before = f"; {miss.unlogged} more since the last such line" if miss.unlogged else ""
+        self.get_logger().warning(
+            f"{miss.loop}: a deadline was missed by {1e3 * miss.late_s:.0f} ms{before}"
+        )
+
+    def _report(self) -> None:
+        if self.get_clock().now().nanoseconds == 0:
+            self.get_logger().warning(
+                "use_sim_time is set and /clock is silent: no stamp can be compared with it",
+                throttle_duration_sec=5.0,
+            )
+        states = statuses(
+            self.get_fully_qualified_name().lstrip("/"),
+            self._policy.name,
+            inputs=self._inputs,
+            inference=self._inference,
+            control=self._loop,
+            warnings=self._crowds(),
+            now_s=time.monotonic(),
+        )
+        self._diagnostics.publish(
+            msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
+        )
+
+    def _crowds(self) -> dict[str, str]:
+        """Return which topics have more than one publisher, by part of the diagnostics."""
+        crowds = {}
+        for part, topics in (
+            ("control", [self._commands.topic_name]),
+            ("input", self._inputs.topics),
+        ):
+            for topic in topics:
+                count = self.count_publishers(topic)
+                if count > 1:
+                    crowds[part] = f"{topic} has {count} publishers, expected one"
+        return crowds
+
+    def _on_set_enabled(self, request: Any, response: Any) -> Any:
+        if not request.data:
+            self._control.disable()
+            response.success, response.message = True, "disabled: the commands are zero"
+            return response
+        try:
+            self._check_start()
+            self._control.enable(self._inputs.readings(time.monotonic()))
+        except ValueError as error:
+            response.success, response.message = False, f"not enabled: {error}"
+        else:
+            response.success, response.message = True, "enabled: the arm moves"
+        return response
+
+    def _check_start(self) -> None:
+        if self._control.state not in (State.DISABLED, State.LATCHED):
+            raise ValueError("it is enabled already")
+        if self._inference.idle is None:
+            raise ValueError("no idle image: call calibrate_idle with the sensor untouched")
+        for crowd in self._crowds().values():
+            raise ValueError(f"{crowd}: two senders would mix")
+
+    def _on_calibrate_idle(self, _request: Any, response: Any) -> Any:
+        try:
+            self._inference.idle = self._picture_at_rest()
+        except ValueError as error:
+            response.success, response.message = False, f"no idle image taken: {error}"
+        else:
+            response.success, response.message = True, "the newest image is the idle image now"
+        return response
+
+    def _picture_at_rest(self) -> NDArray[np.uint8]:
+        if self._control.wants_commands():
+            raise ValueError("the arm may be moving: disable first")
+        readings, image = self._inputs.readings(time.monotonic()), self._inputs.newest_image()
+        if image is None or readings.image.age_s > 1.0:
+            raise ValueError(
+                f"no image has come within the last second on {self._inputs.topics[0]}"
+            )
+        if readings.force_n > TOUCHED_N:
+            raise ValueError(
+                f"the force is {readings.force_n:.2f} N: lift the sensor, or tare its force"
+            )
+        picture = image.pixels().copy()
+        self._policy(picture, picture)
+        return picture
+
+
+def main() -> int:
+    """Run the node until it is stopped; return the exit status."""
+    sys.setswitchinterval(SWITCH_INTERVAL_S)
+    return run_node(TactilePolicy)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,1 @@
+"""tactile_record: writes what the sensor publishes to a bag."""

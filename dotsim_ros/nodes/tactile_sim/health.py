@@ -1,0 +1,166 @@
+"""What `tactile_sim` says of itself on /diagnostics. Needs no ROS."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from threading import Lock
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dotsim_ros.nodes.common.ingest import FaultLog
+from msg_adapters import Level, Status
+
+if TYPE_CHECKING:
+    from dotsim_ros.sensor import GelFrame
+
+RATE_WINDOW_S = 5.0
+SPENT_FRAME_COUNT = 1500
+GROUPS = {"gel": ("contact", "solve"), "optics": ("depth", "image")}
+FAULT_MEMORY_S = 5.0
+
+
+class FrameCounter:
+    """Counts frames, their rate over the last seconds, and where their time went.
+
+    One thread may count while another one reads.
+
+    Attributes:
+        count: frames since the start.
+        unconverged: those of them whose gel had not converged.
+        last_unconverged_s: when the last of these was.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.unconverged = 0
+        self.last_unconverged_s = -np.inf
+        self._lock = Lock()
+        self._times_s: deque[float] = deque()
+        self._spent_s: deque[Mapping[str, float]] = deque(maxlen=SPENT_FRAME_COUNT)
+
+    def note(self, now_s: float, spent_s: Mapping[str, float], *, converged: bool) -> None:
+        """Count a frame that took `spent_s` by part."""
+        with self._lock:
+            self.count += 1
+            if not converged:
+                self.unconverged += 1
+                self.last_unconverged_s = now_s
+            self._times_s.append(now_s)
+            self._spent_s.append(spent_s)
+
+    def rate_hz(self, now_s: float) -> float:
+        """Return frames per second over the last seconds."""
+        with self._lock:
+            while self._times_s and now_s - self._times_s[0] > RATE_WINDOW_S:
+                self._times_s.popleft()
+            if len(self._times_s) < 2:
+                return 0.0
+            return (len(self._times_s) - 1) / max(now_s - self._times_s[0], 1e-9)
+
+    def p95_ms(self) -> dict[str, float]:
+        """Return the 95th percentile of each part and group over the last minute at 25 Hz."""
+        with self._lock:
+            frames = list(self._spent_s)
+        parts = sorted({part for spent in frames for part in spent})
+        table_ms = np.array(
+            [[1e3 * spent.get(part, 0.0) for part in parts] for spent in frames]
+        ).reshape(len(frames), len(parts))
+        columns = dict(zip(parts, table_ms.T, strict=True))
+        for name, members in GROUPS.items():
+            if set(members) <= set(columns):
+                columns[name] = np.sum([columns[member] for member in members], axis=0)
+        return {name: float(np.percentile(column, 95)) for name, column in columns.items()}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What the node knows at one moment, beside its counters.
+
+    Attributes:
+        is_enabled: frames are made.
+        silence_s: seconds since the last input, or None before the first.
+        timeout_s: how long a silence is normal.
+        is_realtime: the clock.
+        late: frames that started late, or show the indenter on its way to the newest pose.
+        dropped: frames that were left out.
+    """
+
+    is_enabled: bool
+    silence_s: float | None
+    timeout_s: float
+    is_realtime: bool
+    late: int
+    dropped: int
+
+
+def statuses(
+    node_name: str,
+    hardware_id: str,
+    *,
+    condition: Condition,
+    counter: FrameCounter,
+    faults: FaultLog,
+    gel: GelFrame,
+    effects: Sequence[str],
+    now_s: float,
+) -> list[Status]:
+    """Return the states of the frames, the input and the gel."""
+    named = [
+        ("frames", _frames(condition, counter, now_s)),
+        ("input", _input(condition, faults, now_s)),
+        ("gel", _gel(gel, effects, counter, now_s)),
+    ]
+    return [
+        Status(f"{node_name}: {part}", level, message, hardware_id, values)
+        for part, (level, message, values) in named
+    ]
+
+
+Report = tuple[Level, str, dict[str, str]]
+
+
+def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report:
+    values = {
+        "frames": str(counter.count),
+        "rate_hz": f"{counter.rate_hz(now_s):.2f}",
+        "dropped": str(condition.dropped),
+        "late": str(condition.late),
+        **{f"{part}_p95_ms": f"{value:.2f}" for part, value in counter.p95_ms().items()},
+    }
+    if not condition.is_enabled:
+        return Level.WARN, "disabled: call set_enabled to go on", values
+    if condition.is_realtime and counter.count and condition.dropped > 0.01 * counter.count:
+        return Level.WARN, "frames are dropped: the machine is too slow for this rate", values
+    return Level.OK, "running", values
+
+
+def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
+    values = {
+        "silence_s": "never heard" if condition.silence_s is None else f"{condition.silence_s:.2f}",
+        **{fault.value: str(count) for fault, count in faults.counts().items()},
+        "last_fault": faults.last_reason,
+    }
+    if condition.silence_s is None:
+        return Level.OK, "no input so far", values
+    if condition.silence_s > condition.timeout_s:
+        return Level.WARN, f"no input for {condition.silence_s:.1f} s: the last frame holds", values
+    if now_s - faults.last_s < FAULT_MEMORY_S:
+        return Level.WARN, faults.last_reason, values
+    return Level.OK, "input is valid", values
+
+
+def _gel(gel: GelFrame, effects: Sequence[str], counter: FrameCounter, now_s: float) -> Report:
+    values = {
+        "max_penetration_um": f"{1e6 * gel.max_penetration_m:.2f}",
+        "converged": str(gel.converged).lower(),
+        "unconverged": str(counter.unconverged),
+        "force_n": f"{float(np.linalg.norm(gel.wrench.force_n)):.4f}",
+        "effects": ", ".join(effects) or "none",
+    }
+    # One frame among the many between two reports must not pass unseen.
+    if not gel.converged or now_s - counter.last_unconverged_s < FAULT_MEMORY_S:
+        return Level.WARN, "the equilibrium of a frame has not converged", values
+    return Level.OK, "in equilibrium", values

@@ -1,0 +1,146 @@
+"""From poses and velocities to motions that the sensor can be asked to follow. Needs no ROS."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from threading import Lock
+
+import numpy as np
+
+from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.twist import TwistFrame, advance
+from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+
+NANOSECONDS_PER_SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A checked pose of the indenter.
+
+    Attributes:
+        pose: in the base frame.
+        stamp_ns: its time.
+        new_start: why what came before does not lead here, or None where it does.
+    """
+
+    pose: Pose
+    stamp_ns: int
+    new_start: Fault | None
+
+
+class MotionGate:
+    """Decides of each pose whether it goes on from the last one, starts anew, or is refused.
+
+    Args:
+        base_frame: the only frame that poses may be in.
+        maximum_jump_m: poses further apart are a new start.
+        maximum_step_s: stamps that go back further are a new start.
+    """
+
+    def __init__(self, *, base_frame: str, maximum_jump_m: float, maximum_step_s: float) -> None:
+        self._base_frame = base_frame
+        self.maximum_jump_m = maximum_jump_m
+        self.maximum_step_s = maximum_step_s
+        self._last: Motion | None = None
+
+    @property
+    def last_pose(self) -> Pose | None:
+        """Return the pose that was heard last."""
+        return None if self._last is None else self._last.pose
+
+    def forget(self) -> None:
+        """Let the next pose be a start, wherever and whenever it is."""
+        self._last = None
+
+    def hear(self, pose: Pose, stamp_ns: int, *, frame_id: str) -> Motion:
+        """Return the motion to a pose.
+
+        Raises:
+            RefusedInputError: another frame, or a stamp that is not after the last one. What was
+                heard before stays in force.
+        """
+        if frame_id != self._base_frame:
+            raise RefusedInputError(
+                Fault.FRAME,
+                f"frame_id of the pose is {frame_id!r}, expected {self._base_frame!r}: transform "
+                "poses into the sensor's base frame, or set the parameter base_frame",
+            )
+        self._last = Motion(pose, stamp_ns, self._new_start(pose, stamp_ns))
+        return self._last
+
+    def _new_start(self, pose: Pose, stamp_ns: int) -> Fault | None:
+        last = self._last
+        if last is None:
+            return None
+        step_s = (stamp_ns - last.stamp_ns) / NANOSECONDS_PER_SECOND
+        if step_s < -self.maximum_step_s:
+            return Fault.RESTART
+        if step_s <= 0.0:
+            raise RefusedInputError(
+                Fault.ORDER,
+                f"the pose is stamped {-step_s:.6f} s before the last one, expected after it"
+                if step_s
+                else "the pose has the stamp of the last one, expected a later one: stamp each",
+            )
+        jump_m = float(np.linalg.norm(pose.position_m - last.pose.position_m))
+        return Fault.JUMP if jump_m > self.maximum_jump_m else None
+
+
+class NewestMotion:
+    """Holds the newest motion between the thread that hears and the one that simulates."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._motion: Motion | None = None
+
+    def put(self, motion: Motion) -> None:
+        """Replace what is held; a new start that was not simulated yet stays one."""
+        with self._lock:
+            held = self._motion
+            if motion.new_start is None and held is not None:
+                motion = replace(motion, new_start=held.new_start)
+            self._motion = motion
+
+    def take(self) -> Motion | None:
+        """Return what is held, once."""
+        with self._lock:
+            motion, self._motion = self._motion, None
+        return motion
+
+
+@dataclass(frozen=True)
+class Velocity:
+    """A velocity of the indenter's origin.
+
+    Attributes:
+        linear_m_s: (3,).
+        angular_rad_s: (3,).
+        along: the axes of both.
+    """
+
+    linear_m_s: FloatArray
+    angular_rad_s: FloatArray
+    along: TwistFrame
+
+    def moved(self, pose: Pose, duration_s: float) -> Pose:
+        """Return the pose after some time at this velocity."""
+        return advance(
+            pose, self.linear_m_s, self.angular_rad_s, duration_s=duration_s, along=self.along
+        )
+
+
+def velocity_axes(frame_id: str, *, base_frame: str, indenter_frame: str) -> TwistFrame:
+    """Return the axes that a velocity's frame_id means.
+
+    Raises:
+        RefusedInputError: neither the base frame nor the indenter's.
+    """
+    if frame_id == base_frame:
+        return TwistFrame.PARENT
+    if frame_id == indenter_frame:
+        return TwistFrame.OWN
+    raise RefusedInputError(
+        Fault.FRAME,
+        f"frame_id of the velocity is {frame_id!r}, expected {base_frame!r} or {indenter_frame!r}",
+    )

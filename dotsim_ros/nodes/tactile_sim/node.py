@@ -1,0 +1,295 @@
+"""`tactile_sim`: stands where an optical tactile sensor's driver would.
+
+An indenter's pose or velocity goes in; images, depth, the skin and the wrench come out.
+
+The real-time clock has one thread that presses, renders and publishes. Two, one for the gel and one
+for the camera, were measured: on two cores, which the readers of the images need as well, they slow
+each other down, and every picture comes later.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+import numpy as np
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from std_srvs.srv import SetBool, Trigger
+
+import msg_adapters
+from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.live import specification_with_effects
+from dotsim_ros.effects.overlay import described, load_active
+from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.nodes.common.declare import declare, follow
+from dotsim_ros.nodes.common.ingest import FaultLog
+from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.common.static_frame import publish_static_frame
+from dotsim_ros.nodes.common.transport import carry_images
+from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
+from dotsim_ros.nodes.tactile_sim.motion import Motion, NewestMotion
+from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
+from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
+from dotsim_ros.nodes.tactile_sim.session import Moment, SensorSession
+from dotsim_ros.sensor import TactileSensor
+from dotsim_ros.specification import SensorSpecification, load_sensor
+
+REALTIME_ITERATIONS = 2
+"""A frame that stalls is late, has a longer way to go next time, and stalls again: better one that
+misses the tolerance and says so."""
+REALTIME_TOLERANCE_M = 100.0e-6
+"""Newton's method ends where it expects to be right to a third of this. Against the converged gel a
+ball that slides along a figure eight at 5 mm/s is off by 0.1 mm of skin at most, and by 0.2 % of
+force on average; the next frame goes on from there. It saves the second solve of most frames."""
+REALTIME_MOVE_M = LARGEST_SUBSTEP_M
+"""A frame that took long must not make the next one take longer. With two substeps a slide had two
+steady states, one frame of 50 ms and 0.5 mm or one of 100 ms and 1 mm, and stayed in the second."""
+
+
+class TactileSim(WorkingNode):
+    """The node; parameters, topics and services as the README lists them."""
+
+    def __init__(self) -> None:
+        super().__init__("tactile_sim")
+        self._settings = declare(self, TactileSimParameters)
+        self._lock = RLock()
+        self._is_enabled = True
+        self._is_realtime = self._settings.clock == REALTIME
+        specification = load_sensor(self._settings.sensor)
+        effects = self._load_effects(specification.name)
+        self._effect_names = described(effects)
+        sensor = self._make_sensor(specification_with_effects(specification, effects))
+        self._session = SensorSession(
+            sensor,
+            first_dt_s=1.0 / self._settings.rate_hz,
+            limit_m=REALTIME_MOVE_M if self._is_realtime else np.inf,
+            effects=effects,
+        )
+        self.get_logger().info("warming up: the first start compiles the kernels")
+        self._warm_up_s = self._session.warm_up()
+        self._counter = FrameCounter()
+        self._faults = FaultLog()
+        self._newest = NewestMotion()
+        self._pace = self._new_pace()
+        self._outputs = FramePublishers(self, sensor, self._settings)
+        self._input = MotionInput(
+            self,
+            self._settings,
+            faults=self._faults,
+            on_motion=self._newest.put if self._is_realtime else self._lockstep_frame,
+        )
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.report_every(self._settings.diagnostics_period_s, self._report)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
+        self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
+        follow(self, lambda: self._settings, self._change_parameters)
+        if self._settings.publish_tf:
+            self._static_frame = publish_static_frame(
+                self,
+                sensor.camera.pose,
+                parent=self._settings.base_frame,
+                child=self._settings.optical_frame,
+            )
+
+    def begin(self) -> None:
+        """Start the frames."""
+        if self._is_realtime:
+            self.start_paced(
+                "frames", lambda: self._pace, self._realtime_frame, "the frames broke off"
+            )
+        self.get_logger().info(
+            f"ready: {self._settings.sensor}, {self._settings.indenter}, "
+            f"{self._settings.clock}, warmed up in {self._warm_up_s:.1f} s"
+        )
+
+    def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
+        if not self._settings.effects:
+            return ()
+        folder = self._settings.effects_folder
+        library = load_effects((folder,) if folder else ())
+        overlay, effects = load_active(self._settings.effects, library)
+        if overlay.sensor != sensor_name:
+            self.get_logger().warning(
+                f"{self._settings.effects} was found on the sensor {overlay.sensor!r}, this one is "
+                f"{sensor_name!r}: search its own data"
+            )
+        self.get_logger().info(f"effects: {', '.join(described(effects)) or 'none'}")
+        return effects
+
+    def _make_sensor(self, specification: SensorSpecification) -> TactileSensor:
+        if self._settings.idle_image:
+            camera = replace(
+                specification.camera, idle_image=str(Path(self._settings.idle_image).absolute())
+            )
+            specification = replace(specification, camera=camera)
+        if self._settings.grid_spacing_m:
+            solver = replace(specification.solver, grid_spacing_m=self._settings.grid_spacing_m)
+            specification = replace(specification, solver=solver)
+        if self._is_realtime:
+            exact = specification.solver
+            solver = replace(
+                exact,
+                iterations=min(REALTIME_ITERATIONS, exact.iterations),
+                tolerance_m=max(REALTIME_TOLERANCE_M, exact.tolerance_m),
+            )
+            specification = replace(specification, solver=solver)
+        sensor = TactileSensor(
+            specification,
+            indenter=indenter_of(self._settings.indenter),
+            device=self._settings.device,
+            progress=self._tell_progress,
+        )
+        return sensor
+
+    def _tell_progress(self, share: float) -> None:
+        self.get_logger().info(
+            f"computing the gel's tables, once for each sensor: {100.0 * share:.0f} %",
+            throttle_duration_sec=2.0,
+        )
+
+    def _new_pace(self) -> FramePace:
+        return FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
+
+    def _realtime_frame(self) -> None:
+        stamp_ns = self.get_clock().now().nanoseconds
+        if stamp_ns == 0:
+            return
+        with self._lock:
+            if not self._is_enabled:
+                return
+            self._input.integrate(stamp_ns, 1.0 / self._settings.rate_hz)
+            motion = self._newest.take()
+            if motion is not None:
+                self._input.guard(lambda: self._session.follow(motion))
+            else:
+                self._input.guard(self._session.catch_up)
+            self._publish(self._session.moment, stamp_ns)
+
+    def _lockstep_frame(self, motion: Motion) -> None:
+        with self._lock:
+            if self._is_enabled:
+                self._publish(self._session.follow(motion), motion.stamp_ns)
+
+    def _publish(self, moment: Moment, stamp_ns: int) -> None:
+        if self._outputs.shows_picture():
+            moment.render()
+        begun_s = time.monotonic()
+        self._outputs.publish(moment, stamp_ns)
+        now_s = time.monotonic()
+        self._counter.note(
+            now_s,
+            {**moment.timings_s, "publish": now_s - begun_s},
+            converged=moment.gel.converged,
+        )
+
+    def _report(self) -> None:
+        if self.get_clock().now().nanoseconds == 0:
+            self.get_logger().warning(
+                "use_sim_time is set and /clock is silent: there is no time to stamp frames with",
+                throttle_duration_sec=5.0,
+            )
+        # Not under the lock: poses would wait here until a frame ends, and the next frame would
+        # begin with an old one.
+        states = statuses(
+            self.get_name(),
+            self._settings.sensor,
+            condition=Condition(
+                is_enabled=self._is_enabled,
+                silence_s=self._input.silence_s(),
+                timeout_s=self._settings.input_timeout_s if self._is_realtime else np.inf,
+                is_realtime=self._is_realtime,
+                late=self._pace.late + self._session.behind,
+                dropped=self._pace.dropped,
+            ),
+            counter=self._counter,
+            faults=self._faults,
+            gel=self._session.moment.gel,
+            effects=self._effect_names,
+            now_s=time.monotonic(),
+        )
+        self._diagnostics.publish(
+            msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
+        )
+
+    def _start_anew(self) -> None:
+        self._newest.take()
+        self._input.forget()
+        self._session.reset()
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            self._start_anew()
+        response.success, response.message = True, "the gel is at rest"
+        return response
+
+    def _on_calibrate_idle(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            if self._session.is_touched():
+                response.success = False
+                response.message = "the indenter touches the gel: lift it, then calibrate"
+                return response
+            self._session.reset()
+            self._outputs.publish_idle(
+                self._session.moment.render(), self.get_clock().now().nanoseconds
+            )
+        response.success = True
+        response.message = f"the image at rest is on {self.get_fully_qualified_name()}/idle_image"
+        return response
+
+    def _on_set_enabled(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            self._is_enabled = request.data
+            self._start_anew()
+        response.success = True
+        response.message = "enabled" if request.data else "disabled: no frames"
+        return response
+
+    def _change_parameters(self, changed: TactileSimParameters) -> None:
+        indenter = (
+            None if changed.indenter == self._settings.indenter else indenter_of(changed.indenter)
+        )
+        with self._lock:
+            self._outputs.configure(changed)
+            if indenter is not None:
+                self._session.change_indenter(indenter)
+                self._input.forget()
+            self._input.configure(changed)
+            has_new_rate = changed.rate_hz != self._settings.rate_hz
+            self._settings = changed
+            if has_new_rate:
+                self._pace = self._new_pace()
+
+
+def indenter_of(text: str) -> Indenter:
+    """Return the indenter of a name, a path, or a definition in braces.
+
+    Raises:
+        ValueError: no valid indenter.
+        FileNotFoundError: no such file or name.
+    """
+    if not text.lstrip().startswith("{"):
+        return load_indenter(text)
+    try:
+        definition = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise ValueError(f"indenter {text!r} is no definition in braces: {error}") from error
+    return load_indenter(definition)
+
+
+def main() -> int:
+    """Run the node until it is stopped; return the exit status."""
+    carry_images()
+    return run_node(TactileSim)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

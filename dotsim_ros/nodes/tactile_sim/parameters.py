@@ -1,0 +1,205 @@
+"""The parameters of `tactile_sim`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.nodes.common.options import check_options, option
+
+REALTIME, LOCKSTEP = "realtime", "lockstep"
+POSE, TWIST, ANY = "pose", "twist", "any"
+TWIST_STAMPED, TWIST_PLAIN = "TwistStamped", "Twist"
+SMALLEST_GRID_M = 1.0e-3
+
+
+@dataclass(frozen=True)
+class TactileSimParameters:
+    """Parameters of `tactile_sim`; each field says what it is.
+
+    Raises:
+        ValueError: a value out of its range, or two that contradict each other.
+    """
+
+    sensor: str = option(
+        "densetact2",
+        "Sensor to simulate: a name below params/sensors, or the path of a YAML file.",
+        read_only=True,
+    )
+    device: str = option("cpu", "Where the gel is computed: cpu, or cuda:0.", read_only=True)
+    indenter: str = option(
+        "sphere_4mm",
+        "What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML file, "
+        "or a definition such as '{kind: sphere, radius_m: 0.003}' or "
+        "'{kind: mesh, path: screw.stl, scale: 0.001}'.",
+    )
+    clock: str = option(
+        REALTIME,
+        "realtime: frames at rate_hz from the newest pose; lockstep: one frame for each pose, "
+        "with its stamp.",
+        choices=(REALTIME, LOCKSTEP),
+        read_only=True,
+    )
+    grid_spacing_m: float = option(
+        0.0,
+        "Spacing of the gel's grid in place of the sensor's own, for a rate that this machine does "
+        "not reach otherwise; 0: as in the sensor's file. docs/gel.md tells what it costs.",
+        minimum=0.0,
+        maximum=0.01,
+        read_only=True,
+    )
+    rate_hz: float = option(
+        25.0, "Frames per second of the real-time clock.", minimum=0.5, maximum=240.0
+    )
+    input: str = option(
+        ANY,
+        "Which input moves the indenter; any: whichever speaks first, the other one is refused "
+        "while it goes on.",
+        choices=(POSE, TWIST, ANY),
+        read_only=True,
+    )
+    twist_message: str = option(
+        TWIST_STAMPED,
+        "Type of indenter/twist.",
+        choices=(TWIST_STAMPED, TWIST_PLAIN),
+        read_only=True,
+    )
+    input_timeout_s: float = option(
+        0.5,
+        "After this long without a message a velocity counts as zero, the other input may take "
+        "over, and the diagnostics warn.",
+        minimum=0.02,
+        maximum=3600.0,
+    )
+    maximum_jump_m: float = option(
+        0.01,
+        "A pose further than this from the one before is a new start, not a motion through what "
+        "lies between.",
+        minimum=1e-4,
+        maximum=10.0,
+    )
+    maximum_step_s: float = option(
+        1.0,
+        "Stamps that step back by more than this are a new start (a bag played again); by less, "
+        "the pose is out of order and refused.",
+        minimum=1e-3,
+        maximum=1e6,
+    )
+    start_position_m: tuple[float, float, float] = option(
+        (0.0, 0.0, 0.03),
+        "Where the indenter starts under velocity input.",
+        minimum=-10.0,
+        maximum=10.0,
+    )
+    start_quaternion_xyzw: tuple[float, float, float, float] = option(
+        (0.0, 0.0, 0.0, 1.0), "How it is turned there.", minimum=-1.0, maximum=1.0
+    )
+    base_frame: str = option("densetact_base", "Frame of poses, skin and wrench.", read_only=True)
+    optical_frame: str = option(
+        "densetact_optical_frame", "Frame of the images and the depth.", read_only=True
+    )
+    indenter_frame: str = option(
+        "indenter",
+        "A velocity stamped with this frame is along the indenter's axes.",
+        read_only=True,
+    )
+    encoding: str = option("rgb8", "Encoding of image_raw.", choices=("rgb8", "bgr8", "mono8"))
+    crop_px: tuple[int, int, int, int] = option(
+        (0, 0, 0, 0),
+        "Part of the sensor's image that is published: x, y, width, height; zeros: all of it.",
+        minimum=0,
+        maximum=16384,
+    )
+    image_size_px: tuple[int, int] = option(
+        (0, 0),
+        "Width and height that the part is resized to; zeros: as it is.",
+        minimum=0,
+        maximum=16384,
+    )
+    idle_image: str = option(
+        "",
+        "Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
+        "beside it may describe it. Empty: the sensor's own.",
+        read_only=True,
+    )
+    image_noise_levels: float = option(
+        0.0,
+        "Standard deviation of the camera's noise, in grey levels of 255.",
+        minimum=0.0,
+        maximum=50.0,
+    )
+    effects: str = option(
+        "",
+        "Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: none.",
+        read_only=True,
+    )
+    effects_folder: str = option(
+        "",
+        "Folder of effects of your own that the overlay may name, one a Python file. Empty: those "
+        "shipped.",
+        read_only=True,
+    )
+    compression: str = option("jpeg", "Format of image_raw/compressed.", choices=("jpeg", "png"))
+    jpeg_quality: int = option(95, "Quality of JPEG.", minimum=1, maximum=100)
+    diagnostics_period_s: float = option(
+        1.0, "Time between diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+    )
+    publish_tf: bool = option(
+        True,
+        "Publish the camera's place in the base frame on /tf_static, where tf2_ros is installed.",
+        read_only=True,
+    )
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        for name, length in (
+            ("start_position_m", 3),
+            ("start_quaternion_xyzw", 4),
+            ("crop_px", 4),
+            ("image_size_px", 2),
+        ):
+            if len(getattr(self, name)) != length:
+                raise ValueError(f"{name} needs {length} numbers, got {len(getattr(self, name))}")
+        self.start_pose()
+        if 0.0 < self.grid_spacing_m < SMALLEST_GRID_M:
+            raise ValueError(
+                f"grid_spacing_m is {self.grid_spacing_m}, expected {SMALLEST_GRID_M} or more, or "
+                "0 for the sensor's own: a finer grid has too many nodes to be solved"
+            )
+        if (self.image_size_px[0] == 0) != (self.image_size_px[1] == 0):
+            raise ValueError(
+                f"image_size_px is {list(self.image_size_px)}: give both width and height, or two "
+                "zeros for the size of the crop"
+            )
+        if (self.crop_px[2] == 0) != (self.crop_px[3] == 0) or (
+            self.crop_px[2] == 0 and any(self.crop_px)
+        ):
+            raise ValueError(
+                f"crop_px is {list(self.crop_px)}: give x, y, width and height, or four zeros"
+            )
+        frames = (self.base_frame, self.optical_frame, self.indenter_frame)
+        if "" in frames or len(set(frames)) < 3:
+            raise ValueError(
+                f"base_frame, optical_frame and indenter_frame are {frames}: they must differ and "
+                "must not be empty"
+            )
+        if self.effects_folder and not self.effects:
+            raise ValueError(
+                f"effects_folder is {self.effects_folder!r}, but no overlay names an effect of it: "
+                "set the parameter effects, too"
+            )
+        if self.clock == REALTIME and self.input_timeout_s < 1.0 / self.rate_hz:
+            raise ValueError(
+                f"input_timeout_s is {self.input_timeout_s}, shorter than a frame at "
+                f"{self.rate_hz} Hz; raise one of the two"
+            )
+        if self.clock == LOCKSTEP and self.input == TWIST and self.twist_message == TWIST_PLAIN:
+            raise ValueError(
+                "lockstep needs stamps: set twist_message to TwistStamped, or clock to realtime"
+            )
+
+    def start_pose(self) -> Pose:
+        """Return where the indenter starts under velocity input."""
+        return Pose(np.array(self.start_position_m), np.array(self.start_quaternion_xyzw))

@@ -1,0 +1,221 @@
+"""One sensor under a stream of motions: new starts, refusals, and the last valid frame.
+
+Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from dotsim_ros.effects.live import LiveEffects
+from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.skin_mesh import vertex_normals
+from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.motion import NANOSECONDS_PER_SECOND, Motion
+from dotsim_ros.nodes.tactile_sim.pursuit import pursue
+from dotsim_ros.sensor import GelFailureError
+
+if TYPE_CHECKING:
+    from dotsim_ros.effects.effect import Active
+    from dotsim_ros.geometry.indenter import Indenter
+    from dotsim_ros.sensor import Frame, GelFrame, TactileSensor
+
+WARM_UP_DEPTH_M = 0.0005
+
+
+class Moment:
+    """The gel under an indenter, and what the camera sees of it once somebody asks.
+
+    Args:
+        sensor: which sees.
+        gel: what it sees.
+        pose: of the indenter.
+        camera: what it makes of the frame, beside what it sees; None for nothing.
+    """
+
+    def __init__(
+        self,
+        sensor: TactileSensor,
+        gel: GelFrame,
+        pose: Pose | None,
+        camera: Callable[[Frame], Frame] | None = None,
+    ) -> None:
+        self._sensor, self.gel, self.pose, self._camera = sensor, gel, pose, camera
+        self._frame: Frame | None = None
+
+    def render(self) -> Frame:
+        """Return the whole frame; it is rendered the first time."""
+        if self._frame is None:
+            frame = self._sensor.see(self.gel, self.pose)
+            self._frame = frame if self._camera is None else self._camera(frame)
+        return self._frame
+
+    def skin_normal(self) -> FloatArray:
+        """Return (V, 3) unit normals of the skin, out of the gel, base frame."""
+        if self._frame is not None:
+            return self._frame.skin_normal
+        return vertex_normals(self.gel.skin_position_m, self._sensor.skin.triangles)
+
+    @property
+    def timings_s(self) -> dict[str, float]:
+        """Seconds spent so far, by part."""
+        return self.gel.timings_s if self._frame is None else self._frame.timings_s
+
+
+class SensorSession:
+    """Runs a sensor; after anything that breaks the motion it goes on as a fresh one would.
+
+    Args:
+        sensor: the sensor, at rest.
+        first_dt_s: the time step of a motion that nothing leads to.
+        limit_m: how far the indenter may move in contact in one frame; a longer motion takes
+            several frames. Infinite for none.
+        effects: at work between what is told and what is measured; the sensor's gel has them.
+
+    Attributes:
+        moment: the last valid one.
+        behind: how many frames did not reach the newest pose.
+    """
+
+    def __init__(
+        self,
+        sensor: TactileSensor,
+        *,
+        first_dt_s: float,
+        limit_m: float = np.inf,
+        effects: Sequence[Active] = (),
+    ) -> None:
+        self._sensor = sensor
+        self._first_dt_s = first_dt_s
+        self._limit_m = limit_m
+        self._effects = LiveEffects(effects, sensor)
+        self._told: Pose | None = None
+        self._at: Pose | None = None
+        self._is_behind = False
+        self.behind = 0
+        self._last_stamp_ns: int | None = None
+        self._is_broken = False
+        self._force_n = np.zeros(3)
+        self.moment = self._pressed(None, first_dt_s)
+
+    def warm_up(self) -> float:
+        """Press once and forget it, so that no frame waits for a compiler; return the seconds."""
+        start_s = time.monotonic()
+        apex_m = self._sensor.skin.rest_position_m[:, 2].max()
+        self._sensor.step(Pose(np.array([0.0, 0.0, apex_m - WARM_UP_DEPTH_M])), self._first_dt_s)
+        self.reset()
+        return time.monotonic() - start_s
+
+    def follow(self, motion: Motion) -> Moment:
+        """Simulate a motion, or as much of it as one frame may.
+
+        Raises:
+            RefusedInputError: the gel refuses the pose or cannot be solved; the last frame stays,
+                and the next motion starts from rest.
+        """
+        if motion.new_start is not None or self._is_broken:
+            self._sensor.reset()
+            self._effects.begin()
+            self._last_stamp_ns = None
+            self._at = None
+            self._force_n = np.zeros(3)
+        step_s = self._step_s(motion.stamp_ns)
+        self._last_stamp_ns = motion.stamp_ns
+        return self._move(motion.pose, step_s)
+
+    def is_behind(self) -> bool:
+        """Return whether the last frame shows the indenter on its way, not at its newest pose."""
+        return self._is_behind
+
+    def catch_up(self) -> Moment:
+        """Go on to the newest pose, which `follow` did not reach; where it did, let a gel that
+        remembers, or an effect, go on under the held indenter.
+
+        Raises:
+            RefusedInputError: as `follow`.
+        """
+        goes_on = self._is_behind or self._sensor.remembers or self._effects.act_in_time
+        if self._told is None or self._is_broken or not goes_on:
+            return self.moment
+        if self._last_stamp_ns is not None:
+            self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
+        return self._move(self._told, self._first_dt_s)
+
+    def _move(self, told: Pose, step_s: float) -> Moment:
+        self._told, self._is_behind = told, False
+        pose = self._effects.moved(told, self._force_n, step_s)
+        try:
+            reached = self._within_reach(pose)
+            self.moment = self._pressed(reached, step_s)
+        except ValueError as error:
+            self._is_broken = True
+            fault = Fault.FAILURE if isinstance(error, GelFailureError) else Fault.GEL
+            raise RefusedInputError(fault, str(error)) from error
+        self._is_broken = False
+        self._at = reached
+        if reached is not pose:
+            self._is_behind = True
+            self.behind += 1
+        return self.moment
+
+    def _pressed(self, pose: Pose | None, step_s: float) -> Moment:
+        before_m = None if self._at is None else self.moment.gel.skin_position_m
+        gel = self._sensor.press(pose, step_s)
+        self._force_n = gel.wrench.force_n
+        return Moment(
+            self._sensor,
+            self._effects.answered(gel, pose),
+            pose,
+            self._effects.camera(before_m, step_s),
+        )
+
+    def _within_reach(self, pose: Pose) -> Pose:
+        if np.isinf(self._limit_m):
+            return pose
+        # Now, not when the indenter gets there: a press that is refused must not begin.
+        self._sensor.check_depth(pose)
+        rest_m = self._sensor.skin.rest_position_m
+        start, skin_m = self._at, self.moment.gel.skin_position_m
+        if start is None:
+            # The sensor comes to a first pose along the indenter's axis.
+            away_m = float(np.ptp(rest_m, axis=0).max()) * pose.rotation()[:, 2]
+            start, skin_m = Pose(pose.position_m + away_m, pose.quaternion_xyzw), rest_m
+        return pursue(
+            start,
+            pose,
+            indenter=self._sensor.indenter,
+            skin_position_m=skin_m,
+            limit_m=self._limit_m,
+        )
+
+    def _step_s(self, stamp_ns: int) -> float:
+        if self._last_stamp_ns is None or stamp_ns <= self._last_stamp_ns:
+            return self._first_dt_s
+        return (stamp_ns - self._last_stamp_ns) / NANOSECONDS_PER_SECOND
+
+    def reset(self) -> None:
+        """Bring the gel to rest, with no indenter near it; a session of effects begins anew."""
+        self._sensor.reset()
+        self._effects.restart()
+        self._last_stamp_ns = None
+        self._is_broken = self._is_behind = False
+        self._at = self._told = None
+        self.moment = self._pressed(None, self._first_dt_s)
+        self._sensor.reset()
+
+    def change_indenter(self, indenter: Indenter) -> None:
+        """Press with another indenter from now on, from rest.
+
+        Raises:
+            ValueError: the sensor refuses it; the one before stays.
+        """
+        self._sensor.set_indenter(indenter)
+        self.reset()
+
+    def is_touched(self) -> bool:
+        """Return whether the last frame shows a contact."""
+        return bool(np.any(self.moment.gel.wrench.force_n != 0.0))

@@ -1,0 +1,1 @@
+"""xarm_adapter: between standard messages and the driver of a real xArm."""

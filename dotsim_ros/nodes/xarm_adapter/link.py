@@ -1,0 +1,206 @@
+"""What is sent to a real arm that takes velocities by service, and when nothing may be.
+
+Needs no ROS and no clock: times are handed in.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from dotsim_ros.tasks.arm.command import Twist, within_speed, zero_twist
+from msg_adapters import RobotState
+
+VELOCITY_MODE = 5
+READY_STATES = (0, 1, 2)
+STATE_NAMES = {3: "paused", 4: "stopped", 5: "set up anew and not ready"}
+
+
+class Hindrance(StrEnum):
+    """Why the arm is not commanded; the value names its counter."""
+
+    NONE = "none"
+    SILENT = "robot_silent"
+    ERROR = "robot_error"
+    MODE = "wrong_mode"
+    STATE = "wrong_state"
+    NO_SERVICE = "no_service"
+
+
+@dataclass(frozen=True)
+class LinkLimits:
+    """What may be sent.
+
+    Attributes:
+        linear_m_s: fastest the tool is told to move; faster commands are shortened.
+        angular_rad_s: fastest it is told to turn.
+        stale_s: a command that is older counts as zero.
+        silence_s: after this long without the arm's state it is not commanded.
+        answer_s: longest wait for the answer of a call.
+    """
+
+    linear_m_s: float = 0.1
+    angular_rad_s: float = 0.5
+    stale_s: float = 0.1
+    silence_s: float = 0.5
+    answer_s: float = 0.5
+
+
+@dataclass(frozen=True)
+class Call:
+    """A velocity to send.
+
+    Attributes:
+        twist: (6,) m/s and rad/s.
+        along_tool: its axes are the tool's, else the base's.
+    """
+
+    twist: Twist
+    along_tool: bool
+
+
+class VelocityLink:
+    """Decides at each moment what to call the arm with: the newest command, zero, or nothing.
+
+    One call is under way at most. A command that is stale is followed by calls of zero until one
+    has been answered, then by nothing. Not for several threads at once.
+
+    Args:
+        limits: what may be sent.
+
+    Attributes:
+        hindrance: why the arm was not commanded when it was asked for last.
+        detail: the same in words.
+        counts: calls by what became of them.
+        last_refusal: the newest answer other than success, in words.
+    """
+
+    def __init__(self, limits: LinkLimits) -> None:
+        self.limits = limits
+        self.hindrance = Hindrance.SILENT
+        self.detail = "the arm's state has not been heard"
+        self.counts: Counter[str] = Counter()
+        self.last_refusal = ""
+        self._call = Call(zero_twist(), along_tool=False)
+        self._command_s = -np.inf
+        self._robot: RobotState | None = None
+        self._robot_s = -np.inf
+        self._sent: Call | None = None
+        self._sent_s = -np.inf
+        self._moves = False
+
+    @property
+    def robot(self) -> RobotState | None:
+        """Return the arm's newest state, or None before the first."""
+        return self._robot
+
+    def command(self, twist: Twist, now_s: float, *, along_tool: bool) -> None:
+        """Take a velocity, the newest replaces all before.
+
+        Args:
+            twist: (6,) m/s and rad/s.
+            now_s: when it came.
+            along_tool: its axes are the tool's, else the base's.
+
+        Raises:
+            ValueError: a number that is not finite; the command counts as zero.
+        """
+        if not np.isfinite(twist).all():
+            self.drop()
+            raise ValueError(f"the velocity holds a number that is not finite: {twist.tolist()}")
+        limits = self.limits
+        limited = within_speed(
+            twist, linear_m_s=limits.linear_m_s, angular_rad_s=limits.angular_rad_s
+        )
+        self._call, self._command_s = Call(limited, along_tool), now_s
+
+    def drop(self) -> None:
+        """Let the newest command count as zero at once."""
+        self._command_s = -np.inf
+
+    def is_commanded(self, now_s: float) -> bool:
+        """Return whether there is a command that is not stale."""
+        return now_s - self._command_s <= self.limits.stale_s
+
+    def hear(self, robot: RobotState, now_s: float) -> None:
+        """Note the arm's state."""
+        self._robot, self._robot_s = robot, now_s
+
+    def next_call(self, now_s: float, *, has_service: bool) -> Call | None:
+        """Return what to send now, or None; a call that is returned must be sent.
+
+        Args:
+            now_s: the steady clock.
+            has_service: somebody offers the service.
+        """
+        self._give_up(now_s)
+        self.hindrance, self.detail = self._obstacle(now_s, has_service)
+        if self.hindrance is not Hindrance.NONE:
+            return None
+        if self._sent is not None:
+            self.counts["held_back"] += 1
+            return None
+        if self.is_commanded(now_s):
+            call = self._call
+        elif self._moves:
+            call = Call(zero_twist(), self._call.along_tool)
+        else:
+            return None
+        self._sent, self._sent_s = call, now_s
+        self._moves = True
+        self.counts["calls"] += 1
+        return call
+
+    def answered(self, code: int, message: str) -> None:
+        """Note the driver's answer to the call under way; 0 is success."""
+        sent, self._sent = self._sent, None
+        if code:
+            self.counts["refused"] += 1
+            self.last_refusal = f"the driver answers {code}: {message or 'without a reason'}"
+        elif sent is not None and not sent.twist.any():
+            self._moves = False
+
+    def failed(self, reason: str) -> None:
+        """Note that the call under way came to nothing."""
+        self._sent = None
+        self.counts["failed"] += 1
+        self.last_refusal = reason
+
+    def is_waiting(self) -> bool:
+        """Return whether a call is under way."""
+        return self._sent is not None
+
+    def _give_up(self, now_s: float) -> None:
+        if self._sent is not None and now_s - self._sent_s > self.limits.answer_s:
+            self.failed(f"no answer within {self.limits.answer_s:g} s")
+
+    def _obstacle(self, now_s: float, has_service: bool) -> tuple[Hindrance, str]:
+        robot, silence_s = self._robot, now_s - self._robot_s
+        if robot is None:
+            return Hindrance.SILENT, "the arm's state has not been heard"
+        if silence_s > self.limits.silence_s:
+            return Hindrance.SILENT, f"the arm's state was heard {silence_s:.2f} s ago"
+        if robot.error:
+            return (
+                Hindrance.ERROR,
+                f"the arm reports error {robot.error}: find out why, then clean_error, "
+                "motion_enable, set_mode 5, set_state 0",
+            )
+        if robot.mode != VELOCITY_MODE:
+            return (
+                Hindrance.MODE,
+                f"the arm is in mode {robot.mode}, expected {VELOCITY_MODE} (Cartesian velocity): "
+                "call set_mode 5, then set_state 0",
+            )
+        if robot.state not in READY_STATES:
+            name = STATE_NAMES.get(robot.state, "unknown")
+            return (
+                Hindrance.STATE,
+                f"the arm is in state {robot.state} ({name}): call set_state 0",
+            )
+        if not has_service:
+            return Hindrance.NO_SERVICE, "nobody offers vc_set_cartesian_velocity"
+        return Hindrance.NONE, ""

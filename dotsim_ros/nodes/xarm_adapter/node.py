@@ -1,0 +1,204 @@
+"""`xarm_adapter`: between standard messages and the driver of a real xArm (xarm_msgs).
+
+Velocities become calls of `vc_set_cartesian_velocity`; the arm's state becomes a pose.
+"""
+
+from __future__ import annotations
+
+import time
+from threading import RLock
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+import msg_adapters
+from dotsim_ros.nodes.common.arm_health import link_statuses
+from dotsim_ros.nodes.common.declare import declare, follow
+from dotsim_ros.nodes.common.ingest import Fault, FaultLog
+from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.xarm_adapter.link import Call, Hindrance, VelocityLink
+from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
+from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
+from msg_adapters.xarm import move_velocity_service, robot_state_message
+
+COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+# The driver publishes reliably; best effort hears it either way, and only the newest counts.
+STATE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+WARN_EVERY_S = 2.0
+
+
+class XarmAdapter(WorkingNode):
+    """The node; parameters and topics as docs/arm.md lists them."""
+
+    def __init__(self) -> None:
+        super().__init__("xarm_adapter")
+        self._settings = declare(self, XarmAdapterParameters)
+        service, state = _driver_types()
+        self._lock = RLock()
+        self._faults = FaultLog()
+        self._link = VelocityLink(self._settings.limits())
+        self._future: Any = None
+        self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
+        self._client = self.create_client(service, self._settings.service)
+        self._poses = self.create_publisher(
+            PoseStamped,
+            "ee_pose",
+            POSE_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self.create_subscription(
+            TwistStamped,
+            "cmd_vel",
+            self._on_command,
+            COMMAND_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self.create_subscription(state, self._settings.robot_states, self._on_state, STATE_QOS)
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.report_every(self._settings.diagnostics_period_s, self._report)
+        follow(self, lambda: self._settings, self._change_parameters)
+
+    def begin(self) -> None:
+        """Start to command the arm."""
+        self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
+        self.start_paced("calls", lambda: self._pace, self._tick, "the calls broke off")
+        self.get_logger().info(
+            f"ready: {self._settings.service}, at most {self._settings.speed_limit_m_s:g} m/s, "
+            f"watchdog {self._settings.duration_s:g} s"
+        )
+
+    def _tick(self) -> None:
+        has_service = self._client.service_is_ready()
+        with self._lock:
+            call = self._link.next_call(time.monotonic(), has_service=has_service)
+            if self._future is not None and not self._link.is_waiting():
+                # Nobody waits for that answer any more.
+                self._client.remove_pending_request(self._future)
+                self._future = None
+            if call is not None:
+                self._send(call)
+            hindrance, detail = self._link.hindrance, self._link.detail
+            wants = self._link.is_commanded(time.monotonic())
+        if wants and hindrance is not Hindrance.NONE:
+            self.get_logger().warning(
+                f"not commanding: {detail}", throttle_duration_sec=WARN_EVERY_S
+            )
+
+    def _send(self, call: Call) -> None:
+        linear, angular = call.twist[LINEAR], call.twist[ANGULAR]
+        request = msg_adapters.encode_move_velocity(
+            linear, angular, along_tool=call.along_tool, duration_s=self._settings.duration_s
+        )
+        self._future = self._client.call_async(request)
+        self._future.add_done_callback(self._on_answer)
+
+    def _on_answer(self, future: Any) -> None:
+        with self._lock:
+            # The answer of a call that was given up is not that of the one under way.
+            if future is not self._future:
+                return
+            self._future = None
+            if future.exception() is not None:
+                self._link.failed(f"the call failed: {future.exception()}")
+            else:
+                answer = future.result()
+                self._link.answered(answer.ret, answer.message)
+                if not answer.ret:
+                    return
+            refusal = self._link.last_refusal
+        self.get_logger().warning(refusal, throttle_duration_sec=WARN_EVERY_S)
+
+    def _on_command(self, message: TwistStamped) -> None:
+        frame, settings = message.header.frame_id, self._settings
+        if frame not in (settings.base_frame, settings.tool_frame):
+            self._refuse(
+                Fault.FRAME,
+                f"frame_id of the velocity is {frame!r}, expected {settings.base_frame!r} or "
+                f"{settings.tool_frame!r}: stamp it with the frame whose axes it is along",
+            )
+            return
+        try:
+            linear, angular = msg_adapters.decode_twist_stamped(message)
+        except ValueError as error:
+            with self._lock:
+                self._link.drop()
+            self._refuse(Fault.NUMBERS, f"{error}: the arm is stopped")
+            return
+        with self._lock:
+            self._link.command(
+                np.concatenate([linear, angular]),
+                time.monotonic(),
+                along_tool=frame == settings.tool_frame,
+            )
+
+    def _refuse(self, fault: Fault, reason: str) -> None:
+        if self._faults.note(fault, reason, time.monotonic()):
+            self.get_logger().warning(f"cmd_vel: {reason}")
+
+    def _on_state(self, message: Any) -> None:
+        try:
+            robot = msg_adapters.decode_robot_state(message)
+        except ValueError as error:
+            self._refuse_state(str(error))
+            return
+        with self._lock:
+            self._link.hear(robot, time.monotonic())
+        now_ns = self.get_clock().now().nanoseconds
+        stamp_ns = msg_adapters.message_stamp_ns(message) or now_ns
+        self._poses.publish(
+            msg_adapters.encode_pose_stamped(
+                robot.position_m,
+                robot.quaternion_xyzw,
+                stamp_ns=stamp_ns,
+                frame_id=self._settings.base_frame,
+            )
+        )
+
+    def _refuse_state(self, reason: str) -> None:
+        self.get_logger().warning(
+            f"the arm's state is refused: {reason}", throttle_duration_sec=WARN_EVERY_S
+        )
+
+    def _report(self) -> None:
+        now_s = time.monotonic()
+        with self._lock:
+            states = link_statuses(self.get_name(), self._link, self._faults, now_s=now_s)
+        self._diagnostics.publish(
+            msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
+        )
+
+    def _change_parameters(self, changed: XarmAdapterParameters) -> None:
+        with self._lock:
+            self._settings = changed
+            self._link.limits = changed.limits()
+
+
+def _driver_types() -> tuple[type, type]:
+    """Return the service and the message of the arm's driver.
+
+    Raises:
+        ValueError: xarm_msgs is not installed.
+    """
+    try:
+        return move_velocity_service(), robot_state_message()
+    except ImportError as error:
+        raise ValueError(
+            f"{error}. xarm_msgs comes with UFACTORY's driver: build "
+            "https://github.com/xArm-Developer/xarm_ros2 in a workspace and source it; without an "
+            "arm use xarm_sim"
+        ) from None
+
+
+def main() -> int:
+    """Run the node until it is stopped; return the exit status."""
+    return run_node(XarmAdapter)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,276 @@
+"""`xarm_sim`: stands where the driver of an xArm 7 would.
+
+A velocity of the tool goes in; its pose, its velocity and the joints come out, and the pose of a
+fixed indenter as the sensor on the tool sees it.
+"""
+
+from __future__ import annotations
+
+import time
+from threading import RLock
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+import msg_adapters
+from dotsim_ros.geometry.pose import Pose, compose, inverse
+from dotsim_ros.nodes.common.arm_health import ArmCondition, arm_statuses
+from dotsim_ros.nodes.common.declare import declare, follow
+from dotsim_ros.nodes.common.ingest import Fault, FaultLog
+from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
+from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
+from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
+from dotsim_ros.tasks.arm.simulated import ArmState, SimulatedArm
+
+COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+FEEDBACK_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+
+CLOCK_TOLERANCE_S = 1e-4
+CLOCK_TRIES = 4
+
+
+class XarmSim(WorkingNode):
+    """The node; parameters, topics and services as docs/arm.md lists them."""
+
+    def __init__(self) -> None:
+        super().__init__("xarm_sim")
+        self._settings = declare(self, XarmSimParameters)
+        self._lock = RLock()
+        self._faults = FaultLog()
+        self._heard_s = -np.inf
+        self._published = 0
+        self._ahead_ns: int | None = None
+        self._start_s = time.monotonic()
+        self._arm = self._make_arm(self._start_s)
+        self._pace = self._new_pace()
+        self._place_indenter()
+        self._poses = self._publisher(PoseStamped, "ee_pose")
+        self._twists = self._publisher(TwistStamped, "ee_twist")
+        self._joints = self._publisher(JointState, "joint_states")
+        self._indenters = self._publisher(PoseStamped, "indenter/pose")
+        self.create_subscription(
+            TwistStamped,
+            "cmd_vel",
+            self._on_command,
+            COMMAND_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.report_every(self._settings.diagnostics_period_s, self._report)
+        self.create_service(Trigger, "~/emergency_stop", self._on_emergency_stop)
+        self.create_service(Trigger, "~/reset", self._on_reset)
+        follow(self, lambda: self._settings, self._change_parameters)
+
+    def begin(self) -> None:
+        """Start the arm."""
+        self._pace = self._new_pace()
+        self.start_paced("arm", lambda: self._pace, self._tick, "the arm broke off")
+        self.get_logger().info(
+            f"ready: tool at {np.round(self._arm.state.pose.position_m, 4).tolist()} m in "
+            f"{self._settings.base_frame}"
+        )
+
+    def _publisher(self, kind: type, topic: str) -> Any:
+        return self.create_publisher(
+            kind,
+            topic,
+            FEEDBACK_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _new_pace(self) -> FramePace:
+        """Return deadlines from now on that fall on the grid of the arm's states."""
+        rate_hz = self._settings.rate_hz
+        passed = np.ceil((time.monotonic() - self._start_s) * rate_hz)
+        return FramePace(rate_hz=rate_hz, start_s=self._start_s + passed / rate_hz)
+
+    def _make_arm(self, start_s: float) -> SimulatedArm:
+        settings = self._settings
+        kinematics = ArmKinematics(joint_speed_rad_s=settings.joint_speed_limit_rad_s)
+        try:
+            joints = kinematics.joints_at(pose_of(settings.start_pose, "start_pose"))
+        except ValueError as error:
+            raise ValueError(f"start_pose: {error}") from None
+        kinematics.posture_rad = joints
+        arm = SimulatedArm(
+            kinematics,
+            joints,
+            limits=settings.limits(),
+            response=settings.response(),
+            start_s=start_s,
+            seed=settings.seed,
+        )
+        arm.fail(settings.faults(), start_s)
+        return arm
+
+    def _place_indenter(self) -> None:
+        settings = self._settings
+        self._indenter = pose_of(settings.indenter_pose, "indenter_pose")
+        self._sensor = pose_of(settings.tool_from_sensor, "tool_from_sensor")
+
+    def _tick(self) -> None:
+        now_s, ahead_ns = self._clocks()
+        with self._lock:
+            state, heard = self._arm.advance(now_s), self._arm.feedback(now_s)
+            sensor, indenter = self._sensor, self._indenter
+            shows_indenter = self._settings.publish_indenter
+        # use_sim_time without /clock: there is no time to stamp anything with.
+        if ahead_ns is None:
+            return
+        if shows_indenter and self._indenters.get_subscription_count():
+            seen = compose(inverse(compose(state.pose, sensor)), indenter)
+            self._publish_pose(
+                self._indenters,
+                seen,
+                stamp_ns=_stamp_of(state, ahead_ns),
+                frame_id=self._settings.sensor_frame,
+            )
+        if heard is not None:
+            self._publish(heard, _stamp_of(heard, ahead_ns))
+
+    def _clocks(self) -> tuple[float, int | None]:
+        """Return the steady clock (s), and how far the one that stamps is ahead of it (ns), None
+        where it stands at zero.
+
+        Another process may run between the two readings; then they are read again. A difference
+        that could come from that is none: a state that is told twice has the same stamp, and never
+        one that runs back.
+        """
+        readings = []
+        for _ in range(CLOCK_TRIES):
+            before_s = time.monotonic()
+            stamp_ns = self.get_clock().now().nanoseconds
+            after_s = time.monotonic()
+            readings.append((after_s - before_s, 0.5 * (before_s + after_s), stamp_ns))
+            if after_s - before_s < CLOCK_TOLERANCE_S:
+                break
+        spent_s, now_s, stamp_ns = min(readings)
+        if stamp_ns == 0:
+            return now_s, None
+        ahead_ns = stamp_ns - round(1e9 * now_s)
+        known_ns = self._ahead_ns
+        if known_ns is None or abs(ahead_ns - known_ns) > 1e9 * (spent_s + CLOCK_TOLERANCE_S):
+            self._ahead_ns = ahead_ns
+            return now_s, ahead_ns
+        return now_s, known_ns
+
+    def _publish(self, state: ArmState, stamp_ns: int) -> None:
+        frame_id = self._settings.base_frame
+        self._publish_pose(self._poses, state.pose, stamp_ns=stamp_ns, frame_id=frame_id)
+        if self._twists.get_subscription_count():
+            self._twists.publish(
+                msg_adapters.encode_twist_stamped(
+                    state.twist[LINEAR], state.twist[ANGULAR], stamp_ns=stamp_ns, frame_id=frame_id
+                )
+            )
+        if self._joints.get_subscription_count():
+            self._joints.publish(
+                msg_adapters.encode_joint_state(
+                    JOINT_NAMES,
+                    state.joints_rad,
+                    state.motion.rates_rad_s,
+                    stamp_ns=stamp_ns,
+                    frame_id=frame_id,
+                )
+            )
+        self._published += 1
+
+    def _publish_pose(self, publisher: Any, pose: Pose, *, stamp_ns: int, frame_id: str) -> None:
+        publisher.publish(
+            msg_adapters.encode_pose_stamped(
+                pose.position_m, pose.quaternion_xyzw, stamp_ns=stamp_ns, frame_id=frame_id
+            )
+        )
+
+    def _on_command(self, message: TwistStamped) -> None:
+        now_s, frame = time.monotonic(), message.header.frame_id
+        settings = self._settings
+        if frame not in (settings.base_frame, settings.tool_frame):
+            self._refuse(
+                Fault.FRAME,
+                f"frame_id of the velocity is {frame!r}, expected {settings.base_frame!r} or "
+                f"{settings.tool_frame!r}: stamp it with the frame whose axes it is along",
+            )
+            return
+        try:
+            linear, angular = msg_adapters.decode_twist_stamped(message)
+        except ValueError as error:
+            with self._lock:
+                self._arm.halt(now_s)
+            self._refuse(Fault.NUMBERS, f"{error}: the arm is stopped")
+            return
+        with self._lock:
+            self._arm.command(
+                np.concatenate([linear, angular]), now_s, along_tool=frame == settings.tool_frame
+            )
+            self._heard_s = now_s
+
+    def _refuse(self, fault: Fault, reason: str) -> None:
+        if self._faults.note(fault, reason, time.monotonic()):
+            self.get_logger().warning(f"cmd_vel: {reason}")
+
+    def _report(self) -> None:
+        stamp_ns = self.get_clock().now().nanoseconds
+        if stamp_ns == 0:
+            self.get_logger().warning(
+                "use_sim_time is set and /clock is silent: there is no time to stamp poses with",
+                throttle_duration_sec=5.0,
+            )
+        now_s = time.monotonic()
+        with self._lock:
+            condition = ArmCondition(
+                state=self._arm.state,
+                is_emergency=self._arm.is_emergency,
+                is_stale=self._arm.is_stale(),
+                silence_s=now_s - self._heard_s,
+                faults=self._arm.faults,
+                published=self._published,
+                late=self._pace.late,
+                dropped=self._pace.dropped,
+            )
+        states = arm_statuses(self.get_name(), condition, self._faults, now_s=now_s)
+        self._diagnostics.publish(msg_adapters.encode_diagnostics(states, stamp_ns=stamp_ns))
+
+    def _on_emergency_stop(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            self._arm.emergency_stop(time.monotonic())
+        self.get_logger().warning("emergency stop: call reset to go on")
+        response.success, response.message = True, "stopped: call reset to go on from the start"
+        return response
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            self._arm.reset(time.monotonic())
+        response.success, response.message = True, "the arm is at its start, at rest"
+        return response
+
+    def _change_parameters(self, changed: XarmSimParameters) -> None:
+        faults = changed.faults()
+        with self._lock:
+            self._settings = changed
+            self._place_indenter()
+            if faults != self._arm.faults:
+                self._arm.fail(faults, time.monotonic())
+                self.get_logger().warning(f"failing on request: {faults}")
+
+
+def _stamp_of(state: ArmState, ahead_ns: int) -> int:
+    """Return the time of a state on the clock that stamps, so far ahead of the steady one."""
+    return max(0, ahead_ns + round(1e9 * state.time_s))
+
+
+def main() -> int:
+    """Run the node until it is stopped; return the exit status."""
+    return run_node(XarmSim)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,109 @@
+"""The card of a network of images: its kind, sensor and camera, and what it was trained on.
+
+A card names the sensor and the camera, so that weights are never used on another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.network.carded_weights import CardKind, read_weights
+
+FORMAT = 1
+"""Raised whenever a network's input or output changes its meaning."""
+
+BASES = {"ours": "carried", "paper": "idle", "paper_direct": "none", "unet": "idle"}
+"""What each kind of network's output is added to."""
+FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1}
+"""How often wider and higher each kind's images are than the geometry that it is given."""
+
+
+@dataclass(frozen=True)
+class NetworkCard:
+    """What weights are, where they come from, and what they are worth.
+
+    Attributes:
+        version: of the format.
+        kind: of the network.
+        sensor: name of the sensor.
+        camera: `camera_hash` of its camera.
+        width, height: of the network's images.
+        weights_sha256: of the weights, by `weights_hash`.
+        graph_sha256: of the graph's file.
+        data: what it was trained on.
+        commit, date, command: that it was trained by.
+        metrics: figures by name.
+    """
+
+    version: int
+    kind: str
+    sensor: str
+    camera: str
+    width: int
+    height: int
+    weights_sha256: str
+    graph_sha256: str
+    data: dict[str, Any] = field(default_factory=dict)
+    commit: str = ""
+    date: str = ""
+    command: str = ""
+    metrics: dict[str, float] = field(default_factory=dict)
+
+    def text(self) -> str:
+        """Return the card as JSON."""
+        return json.dumps(asdict(self), indent=2)
+
+
+NETWORK = CardKind(NetworkCard, FORMAT, "network", "dotsim_ros train-optics")
+
+
+def camera_hash(camera: FisheyeCamera) -> str:
+    """Return what tells cameras apart whose images differ by more than their number of pixels."""
+    numbers = [
+        camera.width / camera.height,
+        camera.focal_px / camera.height,
+        *((camera.principal_point_px + 0.5) / camera.height),
+        *camera.distortion,
+        *camera.pose.position_m,
+        *camera.pose.rotation().ravel(),
+    ]
+    text = " ".join(f"{number:.6f}" for number in np.asarray(numbers) + 0.0)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def read_network(directory: Path) -> NetworkCard:
+    """Return the card of a network after a check that its files are whole; errors as
+    `read_weights`."""
+    return read_weights(directory, NETWORK)[0]
+
+
+def check_card(card: NetworkCard, *, sensor: str, camera: FisheyeCamera, source: Path) -> None:
+    """Refuse a network that was trained for another sensor.
+
+    Args:
+        card: of the network.
+        sensor: name of the sensor that is to use it.
+        camera: of that sensor.
+        source: the network's folder, for the message.
+
+    Raises:
+        ValueError: the network is for another sensor or another camera.
+    """
+    if card.sensor != sensor:
+        raise ValueError(
+            f"{source} was trained for the sensor {card.sensor!r}, not for {sensor!r}; train one "
+            "for this sensor with dotsim_ros train-optics, or leave camera.residual empty"
+        )
+    if card.camera != camera_hash(camera):
+        raise ValueError(
+            f"{source} was trained for another camera of {sensor!r} (hash {card.camera}, this "
+            f"camera's is {camera_hash(camera)}): its direction, lens or place has changed since; "
+            "train the network anew with dotsim_ros train-optics, or leave camera.residual empty"
+        )

@@ -1,0 +1,114 @@
+"""A trained network as the image's residual, run by ONNX Runtime: no torch at run time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.idle import ByteImage
+from dotsim_ros.optics.network.card import BASES, FINENESS, check_card, read_network
+from dotsim_ros.optics.network.carded_weights import GRAPH
+from dotsim_ros.optics.network.input import NetworkInput, resized
+from dotsim_ros.optics.renderer import View
+
+Float32Array = NDArray[np.float32]
+
+THREADS = 1
+
+
+class ResidualNetwork:
+    """A network of one sensor, read from its folder.
+
+    Args:
+        directory: that `dotsim_ros train-optics` wrote.
+        sensor: name of the sensor that uses it.
+        camera: of that sensor, at any resolution of the view that was trained on.
+        thread_count: of the network.
+
+    Attributes:
+        card: what the network is.
+
+    Raises:
+        FileNotFoundError: no network there.
+        ValueError: a file is corrupt, of another version, or for another sensor or camera.
+    """
+
+    def __init__(
+        self,
+        directory: Path,
+        *,
+        sensor: str,
+        camera: FisheyeCamera,
+        thread_count: int = THREADS,
+    ) -> None:
+        self.card = read_network(directory)
+        check_card(self.card, sensor=sensor, camera=camera, source=directory)
+        self._camera = camera
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = thread_count
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        # A thread that waits for the next frame must not take a core from the gel.
+        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+        self._session = onnxruntime.InferenceSession(
+            directory / GRAPH, options, providers=["CPUExecutionProvider"]
+        )
+        self._inputs = {entry.name for entry in self._session.get_inputs()}
+
+    def at_rest(self, view: View, idle: ByteImage) -> LearnedResidual:
+        """Return the residual for one idle frame.
+
+        Args:
+            view: of the gel untouched.
+            idle: (H, W, 3) the idle frame, of the camera's size.
+
+        Raises:
+            ValueError: view or idle frame are not of the camera's size.
+        """
+        fineness = FINENESS[self.card.kind]
+        given = NetworkInput(
+            self._camera,
+            (self.card.width // fineness, self.card.height // fineness),
+            fineness=fineness,
+            depth_m=view.depth_m,
+            normal=view.normal,
+            idle=idle,
+        )
+        return LearnedResidual(self, given, idle)
+
+    def added(self, frame: Float32Array, rest: Float32Array, image: Float32Array) -> Float32Array:
+        """Return what the network adds (3, f h, f w), over 255; see `network_input`."""
+        arrays = {"frame": frame[None], "rest": rest[None], "image": image[None]}
+        fed = {name: array for name, array in arrays.items() if name in self._inputs}
+        return np.asarray(self._session.run(None, fed)[0][0])
+
+
+class LearnedResidual:
+    """What a network adds to the carried image, for one idle frame; see `image.Residual`.
+
+    Args:
+        network: that is run.
+        given: its input.
+        idle: (H, W, 3) the idle frame.
+    """
+
+    def __init__(self, network: ResidualNetwork, given: NetworkInput, idle: ByteImage) -> None:
+        self._network, self._given, self._idle = network, given, idle
+
+    def __call__(self, view: View, carried: ByteImage) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
+        frame = self._given.frame(view.depth_m, view.normal, carried)
+        added = self._network.added(frame, self._given.rest, self._given.image(carried))
+        residual = resized(cv2.merge(list(255.0 * added)), (carried.shape[1], carried.shape[0]))
+        match BASES[self._network.card.kind]:
+            case "carried":
+                return residual
+            case "idle":
+                return residual + self._idle.astype(np.float32) - carried.astype(np.float32)
+            case _:
+                return residual - carried.astype(np.float32)

@@ -1,0 +1,1 @@
+"""The arm: simulated, its kinematics, and the commands that it takes."""

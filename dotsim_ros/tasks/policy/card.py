@@ -1,0 +1,90 @@
+"""The card of a policy: what it was trained for, on what, and what it is worth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.optics.network.carded_weights import CardKind, read_weights
+from dotsim_ros.tasks.policy.images import PolicyView
+
+FORMAT = 1
+"""Raised whenever a policy's input or output changes its meaning."""
+
+COMMAND_SIZE = 6
+USUAL_MEAN = "usual.mean"
+USUAL_ROOT = "usual.root"
+"""Names in the weights' file: mean (F,) of the training images' fingerprints, and the matrix
+(F, F) that makes their deviations independent, of unit variance."""
+
+
+@dataclass(frozen=True)
+class PolicyCard:
+    """What a policy is.
+
+    Attributes:
+        version: of the format.
+        name: of the policy.
+        sensor: name of the sensor whose simulated images it was trained on.
+        indenter: name of what the sensor is held against.
+        paths: names of the paths that it follows, in the order of the network's outputs.
+        rate_hz: of images and commands.
+        image_height, image_width, share, side_px: the fields of `PolicyView`.
+        largest_distance: from which on `image_distance` means another sensor.
+        weights_sha256, graph_sha256: of the weights (by `weights_hash`) and of the graph's file.
+        data: what it was trained on.
+        metrics: figures by name.
+        commit, date, command: that it was trained by.
+    """
+
+    version: int
+    name: str
+    sensor: str
+    indenter: str
+    paths: tuple[str, ...]
+    rate_hz: float
+    image_height: int
+    image_width: int
+    share: float
+    side_px: int
+    largest_distance: float
+    weights_sha256: str = ""
+    graph_sha256: str = ""
+    data: dict[str, Any] = field(default_factory=dict)
+    metrics: dict[str, Any] = field(default_factory=dict)
+    commit: str = ""
+    date: str = ""
+    command: str = ""
+
+    def __post_init__(self) -> None:
+        # JSON knows no tuples.
+        object.__setattr__(self, "paths", tuple(self.paths))
+
+    @property
+    def view(self) -> PolicyView:
+        """What part of an image the network sees."""
+        return PolicyView((self.image_height, self.image_width), self.share, self.side_px)
+
+    def text(self) -> str:
+        """Return the card as JSON."""
+        return json.dumps(asdict(self), indent=2)
+
+
+POLICY = CardKind(PolicyCard, FORMAT, "policy", "dotsim_ros train-policy")
+
+
+def read_policy(folder: Path) -> tuple[PolicyCard, dict[str, NDArray[Any]]]:
+    """Return card and arrays of a policy after a check that its files are whole.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_weights`, and for weights that are not finite.
+    """
+    card, arrays = read_weights(folder, POLICY)
+    if not np.all(np.isfinite(arrays[USUAL_ROOT])):
+        raise ValueError(f"{folder} holds weights that are not finite; train the policy anew")
+    return card, arrays

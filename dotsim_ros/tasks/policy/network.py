@@ -1,0 +1,191 @@
+"""A policy that follows a path by touch: an image goes in, a velocity of the sensor comes out.
+
+It is run by ONNX Runtime; torch is loaded by `save_policy` alone.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import onnxruntime
+from numpy.typing import NDArray
+
+from dotsim_ros.optics.network.carded_weights import GRAPH
+from dotsim_ros.tasks.policy.card import (
+    COMMAND_SIZE,
+    USUAL_MEAN,
+    USUAL_ROOT,
+    PolicyCard,
+    read_policy,
+)
+from dotsim_ros.tasks.policy.images import ByteImage, Float32Array, NetworkInput, fingerprint
+
+if TYPE_CHECKING:
+    from torch import nn
+
+FloatArray = NDArray[np.float64]
+
+THREADS = 1
+"""A second one gains a third on an idle machine, and costs tails beside a simulation."""
+
+
+class Policy:
+    """A trained policy with the path that it follows.
+
+    Args:
+        session: of the graph.
+        card: what the policy is.
+        usual_mean, usual_root: (F,) and (F, F); see `policy_card`.
+        path: name of the path to follow.
+
+    Attributes:
+        card: what the policy is.
+        name: of the policy.
+        image_shape: height and width of its images; others of that aspect ratio are scaled.
+        paths: names of the paths that it can follow.
+        path: the one that it follows.
+        rate_hz: of images and commands.
+        largest_distance: images with a larger `image_distance` are of another sensor.
+    """
+
+    def __init__(
+        self,
+        session: onnxruntime.InferenceSession,
+        card: PolicyCard,
+        *,
+        usual_mean: Float32Array,
+        usual_root: Float32Array,
+        path: str,
+    ) -> None:
+        self._session, self.card = session, card
+        self._usual_mean, self._usual_root = usual_mean, usual_root
+        self._row = card.paths.index(path)
+        self._view = card.view
+        self._idle: ByteImage | None = None
+        self._input: NetworkInput | None = None
+        self.path, self.paths, self.name = path, card.paths, card.name
+        self.image_shape = self._view.image_shape
+        self.rate_hz, self.largest_distance = card.rate_hz, card.largest_distance
+
+    def _check(self, image: ByteImage, idle: ByteImage) -> None:
+        self._view.check(image, "image")
+        self._view.check(idle, "idle image")
+        if image.shape != idle.shape:
+            raise ValueError(
+                f"the image is {image.shape[1]}x{image.shape[0]} and the idle image "
+                f"{idle.shape[1]}x{idle.shape[0]}, expected one size; take the idle image again"
+            )
+
+    def _input_for(self, idle: ByteImage) -> NetworkInput:
+        if self._input is None or self._idle is None or not np.array_equal(idle, self._idle):
+            self._idle = idle.copy()
+            self._input = NetworkInput(self._view.picture(idle))
+        return self._input
+
+    def __call__(self, image: ByteImage, idle: ByteImage) -> FloatArray:
+        """Return (6,) the velocity that the sensor should have, along its own axes.
+
+        Args:
+            image: (h, w, 3) uint8, red, green, blue.
+            idle: the same without contact.
+
+        Returns:
+            Linear velocity of the origin of `densetact_base` in m/s, then the angular velocity in
+            rad/s.
+
+        Raises:
+            ValueError: an image is no colour image, or not of the policy's aspect ratio, or the
+                two are not of one size.
+        """
+        self._check(image, idle)
+        given = self._input_for(idle)(self._view.picture(image))
+        commands = self._session.run(None, {"picture": given[None]})[0]
+        return np.asarray(commands[0, self._row], dtype=np.float64)
+
+    def image_distance(self, image: ByteImage, idle: ByteImage) -> float:
+        """Return how unlike the training images a pair is: about 1 for those, far above
+        `largest_distance` for images of something else, or for an image that does not go with the
+        idle image.
+
+        Args:
+            image, idle: as for a call.
+
+        Raises:
+            ValueError: as for a call.
+        """
+        self._check(image, idle)
+        deviation = self._usual_root @ (fingerprint(image, idle) - self._usual_mean)
+        return float(np.sqrt(np.mean(np.square(deviation, dtype=np.float64))))
+
+
+def load_policy(folder: Path, path: str = "", *, thread_count: int = THREADS) -> Policy:
+    """Return the policy that a folder holds.
+
+    Args:
+        folder: that `dotsim_ros train-policy` wrote.
+        path: name of the path to follow; the policy's first where empty.
+        thread_count: of the network.
+
+    Raises:
+        FileNotFoundError: no policy there.
+        ValueError: a file is corrupt or of another version, or the policy has no such path.
+    """
+    card, arrays = read_policy(folder)
+    path = path or card.paths[0]
+    if path not in card.paths:
+        raise ValueError(
+            f"the policy {card.name!r} follows no path {path!r}; choose one of "
+            f"{', '.join(card.paths)}"
+        )
+    session = open_session(folder / GRAPH, thread_count)
+    if session.get_outputs()[0].shape[1:] != [len(card.paths), COMMAND_SIZE]:
+        raise ValueError(
+            f"{folder / GRAPH} gives {session.get_outputs()[0].shape}, expected "
+            f"{COMMAND_SIZE} numbers for each of {len(card.paths)} paths; train the policy anew"
+        )
+    return Policy(
+        session,
+        card,
+        usual_mean=arrays[USUAL_MEAN],
+        usual_root=arrays[USUAL_ROOT],
+        path=path,
+    )
+
+
+def open_session(graph: Path, thread_count: int) -> onnxruntime.InferenceSession:
+    """Return ONNX Runtime's session of a graph."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = thread_count
+    options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    # A thread that waits for the next image must not take a core from the simulation.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+
+def save_policy(
+    folder: Path,
+    network: nn.Module,
+    card: PolicyCard,
+    *,
+    usual_mean: Float32Array,
+    usual_root: Float32Array,
+) -> PolicyCard:
+    """Write a policy: weights in half precision, the graph that refers to them, and the card.
+
+    Args:
+        folder: made where it does not exist.
+        network: on the CPU; maps (1, CHANNEL_COUNT, side, side) to (1, paths, 6), m/s and rad/s.
+        card: what it is; the hashes are filled in here.
+        usual_mean, usual_root: (F,) and (F, F); see `policy_card`.
+
+    Returns:
+        The card with the hashes.
+    """
+    # Loaded on use: it takes torch.
+    from dotsim_ros.tasks.policy.export import write_policy
+
+    usual = {USUAL_MEAN: usual_mean, USUAL_ROOT: usual_root}
+    return write_policy(folder, network, card, usual)

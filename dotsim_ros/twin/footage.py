@@ -1,0 +1,509 @@
+"""What the camera saw of measured presses, beside what the calibrated gel says it sees.
+
+Poses, images and idle images of a data set go in; the calibrated gel follows the poses, and its
+skin is rendered by the sensor's camera at the measured resolution. Following the poses takes most
+of the time, so the skins are kept on disk, under a name that depends on everything that they do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import zipfile
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+import dotsim_ros
+from dotsim_ros.files import whole_file
+from dotsim_ros.gel.implicit.refinement import cache_directory
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.pose import Pose, interpolate
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
+from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.metrics.presses import tip_depth_m
+from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region, read_description
+from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
+from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.lighting import Lighting, Vignetting
+from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.sensor import Gel, given_path, make_gel, skin_of
+from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.model import steps
+
+FloatArray = NDArray[np.float64]
+Float32Array = NDArray[np.float32]
+Progress = Callable[[str], None]
+UntouchedCheck = Callable[[ByteImage, Iterable[tuple[str, ByteImage]]], None]
+"""Raises ValueError where named frames without contact differ from the idle image (H, W, 3)."""
+
+LEAST_FRAMES = 10
+"""Frames with images below which nothing can be learned or judged."""
+
+CLEARANCE_M = 0.05e-3
+"""An indenter farther than this from the skin at rest touches nothing; poses are noisy."""
+
+_FORMAT = 1
+_SKIN_FIELDS = ("gel", "material", "contact", "solver")
+
+
+@dataclass(frozen=True)
+class Rest:
+    """What the camera sees of the gel untouched.
+
+    Attributes:
+        idle: (H, W, 3) uint8, the mean of the idle images.
+        depth_m: (H, W) distance along the ray; NaN where no skin is seen.
+        normal: (H, W, 3) unit normal in the optical frame; NaN where no skin is seen.
+        lit: (H, W) the lit disc of the idle image.
+    """
+
+    idle: ByteImage
+    depth_m: Float32Array
+    normal: Float32Array
+    lit: BoolArray
+
+
+@dataclass(frozen=True)
+class OpticalPress:
+    """Frames of one trajectory: what the model sees beside what was measured.
+
+    Attributes:
+        name: of the trajectory.
+        indenter: name of the indenter.
+        tip_depth_m: (F,) how deep the indenter's tip lies below the skin at rest; negative outside.
+        measured: (F, H, W, 3) uint8, red, green, blue.
+        depth_m: (F, H, W) distance along the ray; NaN where no skin is seen.
+        normal: (F, H, W, 3) unit normal in the optical frame; NaN where no skin is seen.
+        carried: (F, H, W, 3) uint8, the idle image carried by the skin and shaded to first order.
+    """
+
+    name: str
+    indenter: str
+    tip_depth_m: FloatArray
+    measured: ByteImage
+    depth_m: Float32Array
+    normal: Float32Array
+    carried: ByteImage
+
+
+@dataclass(frozen=True)
+class OpticalData:
+    """What one camera saw of several presses.
+
+    Attributes:
+        camera: at the measured resolution.
+        rest: of the gel untouched.
+        presses: in the order asked for.
+    """
+
+    camera: FisheyeCamera
+    rest: Rest
+    presses: tuple[OpticalPress, ...]
+
+
+@dataclass(frozen=True)
+class FilmedPress:
+    """Measured images of one trajectory, and the skin that the gel says they show.
+
+    Attributes:
+        name: of the trajectory.
+        indenter: name of the indenter.
+        tip_depth_m: (F,) how deep the indenter's tip lies below the skin at rest; negative outside.
+        measured: (F, H, W, 3) uint8, red, green, blue.
+        skin_position_m: (F, V, 3) of the sensor's skin, base frame.
+        stamp_s: (F,) of the images.
+    """
+
+    name: str
+    indenter: str
+    tip_depth_m: FloatArray
+    measured: ByteImage
+    skin_position_m: Float32Array
+    stamp_s: FloatArray
+
+
+@dataclass(frozen=True)
+class FilmedData:
+    """What no camera model enters: images, and shapes of the skin.
+
+    Attributes:
+        skin: the sensor's own, at rest.
+        idle: (H, W, 3) uint8, the mean of the idle images.
+        presses: in the order asked for.
+        fine: (2 H - 1, 2 W - 1, 3) uint8, the idle image with samples half-way between its own;
+            None where they are not known.
+    """
+
+    skin: SkinMesh
+    idle: ByteImage
+    presses: tuple[FilmedPress, ...]
+    fine: ByteImage | None = None
+
+
+def _ignore(_line: str) -> None:
+    pass
+
+
+def read_filmed_data(
+    directory: str | Path,
+    sensor: SensorSpecification,
+    *,
+    presses: Sequence[str] | None = None,
+    cache: Path | None = None,
+    progress: Progress | None = None,
+    topics: Topics = MEASURED_TOPICS,
+    check: UntouchedCheck = check_untouched,
+) -> FilmedData:
+    """Read the images of presses, and let the sensor's gel follow their poses.
+
+    Args:
+        directory: of the data set.
+        sensor: its calibrated gel; its camera plays no part.
+        presses: names of the trajectories; None for all that hold images.
+        cache: folder of the skins that were computed before; None for the user's cache.
+        progress: told what is being done.
+        topics: where pose and image lie in the bags.
+        check: refuses frames that do not belong to the idle image; whoever looks for what changed
+            between them brings one that refuses less.
+
+    Raises:
+        FileNotFoundError: no data set, bag or indenter there.
+        ValueError: a press without images or poses, images of another size than the idle images,
+            fewer than ten frames in all, idle images with a contact in them, or a gel that could
+            not be solved; the message says where.
+    """
+    data_set = read_data_set(directory)
+    say = progress or _ignore
+    idle = _read_idle(data_set)
+    entries = _entries(data_set, presses)
+    footage = [_read_footage(entry, idle, topics) for entry in entries]
+    frame_count = sum(press.frame_count for press, _ in footage)
+    if frame_count < LEAST_FRAMES:
+        raise ValueError(
+            f"{data_set.directory}: {frame_count} frames with images in "
+            f"{', '.join(entry.name for entry in entries)}, expected {LEAST_FRAMES} at least; "
+            "record or name more presses"
+        )
+    skin = skin_of(sensor.gel)
+    meshes = {entry.indenter: data_set.indenter_mesh(entry.indenter) for entry in entries}
+    indenters = {name: load_mesh(path) for name, path in meshes.items()}
+    check(
+        idle,
+        [
+            (f"{press.name}, frame {frame}", images[frame])
+            for press, images in footage
+            for frame in _untouched_frames(press, indenters[press.indenter], skin)
+        ],
+    )
+    follow = _Follower(sensor, skin, cache or cache_directory() / "skins", say)
+    return FilmedData(
+        skin,
+        idle,
+        tuple(
+            FilmedPress(
+                press.name,
+                press.indenter,
+                tip_depth_m(skin, press.poses),
+                images,
+                follow(press, indenters[press.indenter], meshes[press.indenter].read_bytes()),
+                press.stamp_s,
+            )
+            for press, images in footage
+        ),
+    )
+
+
+def with_measured_skin(
+    filmed: FilmedData, directory: str | Path, *, topics: Topics = MEASURED_TOPICS
+) -> FilmedData:
+    """Return the same images with the skin as it was measured beside them.
+
+    Args:
+        filmed: of this data set.
+        directory: of the data set.
+        topics: where skin and image lie in the bags.
+
+    Raises:
+        ValueError: a press without a measured skin, or one that was measured at other times than
+            the images.
+    """
+    data_set = read_data_set(directory)
+    skin = data_set.skin_mesh()
+    bags = {entry.name: entry.bag for entry in data_set.entries}
+    presses = []
+    for press in filmed.presses:
+        trajectory = read_trajectory(bags[press.name], topics=topics, channels=("image", "skin"))
+        measured, image = trajectory.skin, trajectory.image
+        if measured is None or image is None:
+            raise ValueError(f"{bags[press.name]} holds no skin on {topics.skin}")
+        same = len(press.measured) == len(measured.stamp_ns) == len(image.stamp_ns)
+        if not same or not np.array_equal(measured.stamp_ns, image.stamp_ns):
+            raise ValueError(
+                f"{bags[press.name]}: the skin was measured at other times than the images"
+            )
+        presses.append(dataclasses.replace(press, skin_position_m=measured.position_m))
+    return FilmedData(skin, filmed.idle, tuple(presses))
+
+
+def read_optical_data(
+    directory: str | Path,
+    sensor: SensorSpecification,
+    *,
+    presses: Sequence[str] | None = None,
+    cache: Path | None = None,
+    progress: Progress | None = None,
+    topics: Topics = MEASURED_TOPICS,
+) -> OpticalData:
+    """Read the images of presses, and render what the sensor's camera sees of its gel.
+
+    Args and errors as `read_filmed_data`; the sensor's camera is used at the measured resolution,
+    with the lights and the vignetting that its idle image's description states.
+
+    Raises:
+        ValueError: also where the measured images have another aspect ratio than the camera's.
+    """
+    camera = camera_for(sensor, _read_idle(read_data_set(directory)), str(directory))
+    filmed = read_filmed_data(
+        directory, sensor, presses=presses, cache=cache, progress=progress, topics=topics
+    )
+    lighting, vignetting = lights_of(sensor)
+    return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
+
+
+def camera_for(sensor: SensorSpecification, image: ByteImage, source: str) -> FisheyeCamera:
+    """Return the sensor's camera at the resolution of a measured image (H, W, 3).
+
+    Args:
+        sensor: whose camera.
+        image: that it took.
+        source: where the image comes from, for messages.
+
+    Raises:
+        ValueError: the image has another aspect ratio than the camera's.
+    """
+    height, width = image.shape[:2]
+    try:
+        return FisheyeCamera.from_specification(sensor.camera).scaled(width, height)
+    except ValueError as error:
+        raise ValueError(f"{source}: measured images do not fit the camera: {error}") from error
+
+
+def lights_of(sensor: SensorSpecification) -> tuple[Lighting, Vignetting]:
+    """Return what the description beside the sensor's idle image states, or the defaults."""
+    description = given_path(sensor.camera.idle_image).with_suffix(".yaml")
+    if not description.exists():
+        return Lighting(), Vignetting()
+    _, lighting, vignetting = read_description(description)
+    return lighting, vignetting
+
+
+def render_filmed(
+    filmed: FilmedData, camera: FisheyeCamera, *, lighting: Lighting, vignetting: Vignetting
+) -> OpticalData:
+    """Return what a camera sees of presses.
+
+    Args:
+        filmed: images and skins.
+        camera: at the images' resolution.
+        lighting: the LEDs.
+        vignetting: of the camera.
+
+    Raises:
+        ValueError: the camera has another size than the images.
+    """
+    renderer = SkinRenderer(camera, filmed.skin)
+    image = ImageRenderer(
+        camera,
+        filmed.skin,
+        filmed.idle,
+        lighting=lighting,
+        vignetting=vignetting,
+        fine=filmed.fine,
+    )
+    untouched = renderer.render(filmed.skin.rest_position_m)
+    seen = []
+    for press in filmed.presses:
+        views = [renderer.render(position) for position in press.skin_position_m]
+        seen.append(
+            OpticalPress(
+                press.name,
+                press.indenter,
+                press.tip_depth_m,
+                press.measured,
+                np.stack([view.depth_m for view in views]),
+                np.stack([view.normal for view in views]),
+                np.stack([image.carry(view) for view in views]),
+            )
+        )
+    rest = Rest(filmed.idle, untouched.depth_m, untouched.normal, lit_region(filmed.idle))
+    return OpticalData(camera, rest, tuple(seen))
+
+
+def _read_idle(data_set: DataSet) -> ByteImage:
+    paths = data_set.idle_images()
+    return mean_idle_image(read_idle_images(paths), paths)
+
+
+def _entries(data_set: DataSet, presses: Sequence[str] | None) -> list[DataSetEntry]:
+    if presses is None:
+        entries = [entry for entry in data_set.entries if entry.has_images]
+        if not entries:
+            raise ValueError(
+                f"{data_set.directory} says that none of its trajectories holds images; record "
+                "them with images, or set 'images: true' in its index"
+            )
+        return entries
+    by_name = {entry.name: entry for entry in data_set.entries}
+    unknown = sorted(set(presses) - set(by_name))
+    if unknown:
+        raise ValueError(
+            f"{data_set.directory} has no trajectory {', '.join(unknown)}; it has "
+            f"{', '.join(sorted(by_name))}"
+        )
+    if not presses:
+        raise ValueError("no press was named, expected at least one")
+    return [by_name[name] for name in presses]
+
+
+def _read_footage(entry: DataSetEntry, idle: ByteImage, topics: Topics) -> tuple[Press, ByteImage]:
+    """Return the poses at the images' stamps, and the images (F, H, W, 3)."""
+    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "image"))
+    pose, image = trajectory.pose, trajectory.image
+    if image is None:
+        raise ValueError(
+            f"{entry.bag} holds no image on {topics.image}; record the camera's images, or name "
+            "their topic"
+        )
+    if pose is None:
+        raise ValueError(
+            f"{entry.bag} holds no pose on {topics.pose}; record the indenter's pose, or name its "
+            "topic"
+        )
+    if image.pixels.shape[1:] != idle.shape:
+        raise ValueError(
+            f"{entry.bag}: images are {image.pixels.shape[2]}x{image.pixels.shape[1]}, but the "
+            f"idle images {idle.shape[1]}x{idle.shape[0]}; take both with one camera and setting"
+        )
+    within = (image.stamp_ns >= pose.stamp_ns[0]) & (image.stamp_ns <= pose.stamp_ns[-1])
+    if not within.any():
+        raise ValueError(
+            f"{entry.bag}: no image was taken while poses were recorded; record both at once, "
+            "stamped by one clock"
+        )
+    stamps = image.stamp_ns[within]
+    press = Press(
+        entry.name,
+        entry.indenter,
+        _poses_at(stamps, pose.stamp_ns, pose.poses()),
+        1e-9 * stamps.astype(np.float64),
+    )
+    return press, image.pixels[within]
+
+
+def _poses_at(
+    wanted_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], poses: Sequence[Pose]
+) -> list[Pose]:
+    """Return the poses at stamps that lie within those of the given ones."""
+    found = []
+    for wanted in wanted_ns.tolist():
+        after = int(np.searchsorted(stamp_ns, wanted))
+        if stamp_ns[after] == wanted:
+            found.append(poses[after])
+            continue
+        before = after - 1
+        share = (wanted - stamp_ns[before]) / (stamp_ns[after] - stamp_ns[before])
+        found.append(interpolate(poses[before], poses[after], float(share)))
+    return found
+
+
+def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[int]:
+    """Return the frames before anything touched the skin."""
+    untouched = []
+    for frame, pose in enumerate(press.poses):
+        if indenter.distance_from(skin.rest_position_m, pose).min() <= CLEARANCE_M:
+            break
+        untouched.append(frame)
+    return untouched
+
+
+class _Follower:
+    """Lets one gel follow presses, or finds on disk where its skin went before."""
+
+    def __init__(
+        self, sensor: SensorSpecification, skin: SkinMesh, cache: Path, say: Progress
+    ) -> None:
+        self._sensor, self._skin, self._cache, self._say = sensor, skin, cache, say
+        self._gel: Gel | None = None
+        self._indenter: Indenter | None = None
+        parts = {name: dataclasses.asdict(getattr(sensor, name)) for name in _SKIN_FIELDS}
+        self._seed = repr((_FORMAT, dotsim_ros.__version__, sorted(parts.items()))).encode()
+
+    def __call__(self, press: Press, indenter: Indenter, surface: bytes) -> Float32Array:
+        """Return the skin (F, V, 3) at the poses of a press.
+
+        Args:
+            press: the poses.
+            indenter: what presses.
+            surface: the content of the indenter's file.
+        """
+        path = self._cache / f"{press.name}-{self._key(press, surface)}.npy"
+        shape = (press.frame_count, self._skin.vertex_count, 3)
+        known = _load(path, shape)
+        if known is not None:
+            return known
+        self._say(f"{press.name}: following {press.frame_count} poses")
+        try:
+            position = self._follow(press, indenter)
+        except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
+            raise ValueError(
+                f"{press.name}: the gel could not follow its poses: {error}"
+            ) from error
+        _store(path, position)
+        return position
+
+    def _key(self, press: Press, surface: bytes) -> str:
+        digest = hashlib.sha256(self._seed)
+        digest.update(surface)
+        digest.update(np.diff(press.stamp_s).tobytes())
+        for pose in press.poses:
+            digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
+        return digest.hexdigest()[:24]
+
+    def _follow(self, press: Press, indenter: Indenter) -> Float32Array:
+        gel = self._gel
+        if gel is None:
+            gel = self._gel = make_gel(self._sensor, self._skin, indenter)
+        elif self._indenter is not indenter:
+            gel.set_indenter(indenter)
+        self._indenter = indenter
+        gel.reset()
+        position = []
+        for pose, dt_s, ends_frame in steps(press):
+            state = gel.step(pose, dt_s)
+            if ends_frame:
+                position.append(state.skin_position_m)
+        skin = np.stack(position).astype(np.float32)
+        if not np.all(np.isfinite(skin)):
+            raise ValueError("the skin is not finite")
+        return skin
+
+
+def _load(path: Path, shape: tuple[int, ...]) -> Float32Array | None:
+    try:
+        stored = np.load(path, allow_pickle=False)
+    # A file cut short is computed anew.
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+    return stored if stored.shape == shape and stored.dtype == np.float32 else None
+
+
+def _store(path: Path, position: Float32Array) -> None:
+    with whole_file(path) as part:
+        np.save(part, position)

@@ -1,0 +1,249 @@
+"""The gel of given parameters at the poses of a press: the model that is fitted.
+
+Young's modulus is no argument of a solve: in a quasi-static press by a rigid indenter, with a
+contact as stiff as the gel, the skin does not depend on it and the force is proportional to it.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+from dotsim_ros.calibration.parameters import GelValues, specification_with
+from dotsim_ros.gel.body import Body, Dome, Pad
+from dotsim_ros.gel.discretization import discretize
+from dotsim_ros.gel.elasticity import ElasticBody
+from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.implicit.refinement import Refinement, refine
+from dotsim_ros.gel.implicit.tangent import LocalTangent
+from dotsim_ros.gel.material import NeoHookean, PronySeries
+from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.sensor import body_of, material_of
+from dotsim_ros.specification import SensorSpecification
+
+Array = NDArray[np.float64]
+
+REFERENCE_MODULUS_PA = 3.0e5
+"""Young's modulus that everything is solved with."""
+
+TOLERANCE_M = 1.0e-6
+"""Of the solves: the differences between two of them move the skin by some 10 um."""
+
+ITERATIONS = 40
+
+TABLE_SPACING = 0.5
+"""Between the Poisson's ratios that have a table of the refinement, in log(1/2 - nu)."""
+
+LARGEST_TABLE_COORDINATE = -1.0
+"""No table above nu = 0.13 or below nu = 0.4997."""
+SMALLEST_TABLE_COORDINATE = -8.0
+
+KEPT_GELS = 4
+KEPT_TABLES = 4
+
+
+class SolveError(ValueError):
+    """The gel could not be solved at the poses of a press."""
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """What the model gives for the F frames of a press.
+
+    Attributes:
+        skin_position_m: (F, V, 3), base frame.
+        force_n: (F, 3) of the gel on the indenter, base frame.
+        converged: whether every frame met the tolerance.
+    """
+
+    skin_position_m: Array
+    force_n: Array
+    converged: bool
+
+
+def offset_pose(pose: Pose, offset: Array) -> Pose:
+    """Return a pose moved by (6,): metres along the indenter's axes, radians about its origin."""
+    a, half = pose.quaternion_xyzw, 0.5 * offset[3:]
+    b = np.array([*half, 1.0])
+    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
+    quaternion = np.array([*vector, a[3] * b[3] - a[:3] @ b[:3]])
+    return Pose(pose.apply(offset[:3]), quaternion / np.linalg.norm(quaternion))
+
+
+class GelSimulator:
+    """Simulates presses of one sensor; keeps the gels of the last parameters.
+
+    The refinement's table takes half a minute to compute for a Poisson's ratio. Fits use tables at
+    few ratios, `TABLE_SPACING` apart, and interpolate between them, so that the answer is smooth in
+    nu; a changed thickness keeps the table of the sensor's own.
+
+    Args:
+        specification: the sensor; its solver must be implicit and quasi-static.
+        skin: the skin's markers.
+        progress: told the finished share of each table that is computed.
+        tolerance_m: of the solves.
+
+    Raises:
+        ValueError: a solver that force is not proportional to Young's modulus for.
+    """
+
+    def __init__(
+        self,
+        specification: SensorSpecification,
+        skin: SkinMesh,
+        *,
+        progress: Callable[[float], None] | None = None,
+        tolerance_m: float = TOLERANCE_M,
+    ) -> None:
+        solver = specification.solver
+        if solver.method != "implicit" or solver.dynamic:
+            raise ValueError(
+                "calibration needs a quasi-static implicit gel: set solver.method to 'implicit' "
+                "and solver.dynamic to false"
+            )
+        self.specification, self.skin = specification, skin
+        self._refined, self._progress = solver.refined, progress
+        self._solver = replace(
+            solver, refined=False, tolerance_m=tolerance_m, iterations=ITERATIONS
+        )
+        self._body = body_of(specification.gel)
+        self._gels: OrderedDict[tuple[float, ...], ImplicitGel] = OrderedDict()
+        self._tables: OrderedDict[int, Refinement] = OrderedDict()
+
+    def press(
+        self,
+        values: GelValues,
+        indenter: Indenter,
+        poses: Sequence[Pose],
+        stamp_s: Array,
+        offset: Array | None = None,
+        *,
+        relaxation: PronySeries | None = None,
+    ) -> Simulated:
+        """Return the skin and the force at the poses, one after the other from rest.
+
+        Args:
+            values: the gel's parameters.
+            indenter: what presses.
+            poses: F poses of the indenter.
+            stamp_s: (F,) their times.
+            offset: (6,) error of all poses, as `offset_pose`.
+            relaxation: of the gel; None for the sensor's own.
+
+        Raises:
+            SolveError: a pose presses too deep, or the gel has no equilibrium that can be found.
+        """
+        gel = self._gel(values, indenter, relaxation)
+        skins, forces, converged = [], [], True
+        duration = np.diff(stamp_s, prepend=stamp_s[0] - 0.1)
+        for frame, (pose, dt_s) in enumerate(zip(poses, duration.tolist(), strict=True)):
+            moved = pose if offset is None else offset_pose(pose, offset)
+            try:
+                state = gel.step([moved], dt_s)[0]
+            except (ValueError, np.linalg.LinAlgError) as error:
+                raise SolveError(f"frame {frame} could not be solved: {error}") from error
+            if not np.all(np.isfinite(state.skin_position_m)):
+                raise SolveError(f"frame {frame} could not be solved: the skin is not finite")
+            skins.append(state.skin_position_m)
+            forces.append(state.wrench.force_n)
+            converged = converged and state.converged
+        scale = values.youngs_modulus_pa / REFERENCE_MODULUS_PA
+        return Simulated(np.stack(skins), scale * np.stack(forces), converged)
+
+    def prepare(self, values: GelValues) -> None:
+        """Compute the tables that the values need, and keep them on disk."""
+        if self._refined:
+            self._refinement(values.poisson_ratio)
+
+    def _gel(
+        self, values: GelValues, indenter: Indenter, relaxation: PronySeries | None
+    ) -> ImplicitGel:
+        v = values
+        specification = specification_with(
+            self.specification, replace(v, youngs_modulus_pa=REFERENCE_MODULUS_PA)
+        )
+        if relaxation is not None:
+            material = replace(
+                specification.material,
+                prony_shares=relaxation.shares,
+                prony_times_s=relaxation.times_s,
+            )
+            specification = replace(specification, material=material)
+        prony = (*specification.material.prony_shares, *specification.material.prony_times_s)
+        key = (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *prony)
+        gel = self._gels.pop(key, None)
+        if gel is None:
+            gel = ImplicitGel(
+                self._reshaped(specification),
+                self.skin,
+                material_of(specification.material),
+                contact=specification.contact,
+                solver=self._solver,
+                indenter=indenter,
+            )
+            if self._refined:
+                gel.refinement = self._refinement(v.poisson_ratio)
+        self._gels[key] = gel
+        while len(self._gels) > KEPT_GELS:
+            self._gels.popitem(last=False)
+        gel.contact_specification = specification.contact
+        gel.set_indenter(indenter)
+        return gel
+
+    def _reshaped(self, specification: SensorSpecification) -> Body:
+        """Return the shape as one that follows smoothly from the sensor's own."""
+        shape, own = body_of(specification.gel), self._body
+        if isinstance(shape, Dome) and isinstance(own, Dome) and shape != own:
+            return ReshapedDome(shape.outer_radius_m, shape.core_radius_m, own)
+        if isinstance(shape, Pad) and isinstance(own, Pad) and shape != own:
+            return ReshapedPad(shape.size_m, own)
+        return shape
+
+    def _refinement(self, poisson_ratio: float) -> Refinement:
+        """Return the table at a Poisson's ratio, linear between the two beside it."""
+        place = float(
+            np.clip(
+                np.log(0.5 - poisson_ratio),
+                SMALLEST_TABLE_COORDINATE,
+                LARGEST_TABLE_COORDINATE,
+            )
+            / TABLE_SPACING
+        )
+        below = int(np.floor(place))
+        share = place - below
+        first = self._table(below)
+        if share < 1e-9:
+            return first
+        second = self._table(below + 1)
+        block = (1.0 - share) * first.block + share * second.block
+        return Refinement(first.skin_weight, first.indptr, first.index, block.astype(np.float32))
+
+    def _table(self, number: int) -> Refinement:
+        table = self._tables.pop(number, None)
+        if table is None:
+            poisson_ratio = 0.5 - float(np.exp(number * TABLE_SPACING))
+            law = NeoHookean(REFERENCE_MODULUS_PA, poisson_ratio)
+            rest_m = self.skin.rest_position_m
+            coarse = discretize(self._body, rest_m, self._solver.grid_spacing_m)
+            no_mass = sparse.csr_matrix((coarse.node_count, coarse.node_count))
+            at_rest = LocalTangent(ElasticBody(coarse, law, dtype=np.float32), no_mass)
+            table = refine(
+                self._body,
+                rest_m,
+                coarse,
+                at_rest.compliance,
+                law,
+                progress=self._progress,
+            )
+        self._tables[number] = table
+        while len(self._tables) > KEPT_TABLES:
+            self._tables.popitem(last=False)
+        return table
