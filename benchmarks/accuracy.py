@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.files import cache_directory, write_json
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
-from dotsim_ros.gel.implicit.refinement import cache_directory
+from dotsim_ros.gel.make import body_of, material_of, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.provenance import provenance, write_json
-from dotsim_ros.sensor import body_of, material_of, skin_of
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
 
 INDENTERS = ("sphere_4mm", "flat_punch", "box_edge")

@@ -24,8 +24,9 @@ from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 
 import msg_adapters
-from dotsim_ros.evaluation.table import entry_list, write_text
+from dotsim_ros.evaluation.table import entry_list
 from dotsim_ros.evaluation.trajectory.trials import motion_figures, summarize, trial_start
+from dotsim_ros.files import write_json, write_text
 from dotsim_ros.nodes.loop.closed_loop import (
     ARM,
     POLICY,
@@ -36,7 +37,7 @@ from dotsim_ros.nodes.loop.closed_loop import (
 )
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, Heard
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.tasks.policy.card import read_policy
 from dotsim_ros.tasks.policy.loop_recording import LoopRecording
 from dotsim_ros.tasks.policy.paths import PATHS, reference_path

@@ -26,24 +26,21 @@ from scipy.spatial.distance import cdist
 
 from dotsim_ros.calibration.fitting import Problem, fit_press, linearise
 from dotsim_ros.calibration.loss import POINTS, Noise
-from dotsim_ros.calibration.parameters import (
-    chosen_parameters,
-    coordinates,
-    values_of,
-)
+from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
 from dotsim_ros.calibration.statistics import (
     Combination,
     joint_estimate,
     joint_step,
     median_estimate,
 )
-from dotsim_ros.evaluation.table import write_text
+from dotsim_ros.files import write_json, write_text
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, SolverSpecification
 from dotsim_ros.twin.simulator import GelSimulator, offset_pose
 

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, PictureLaw, Takes, taken
+from dotsim_ros.files import given_path, write_json
 from dotsim_ros.gap.find import case_of
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
@@ -36,8 +37,7 @@ from dotsim_ros.gap.images.search import Signature, signatures_of
 from dotsim_ros.gap.presses.search_state import Request
 from dotsim_ros.optics.network.card import read_network
 from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.provenance import provenance, write_json
-from dotsim_ros.sensor import given_path
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 
 Array = NDArray[np.float64]

@@ -36,6 +36,7 @@ from dotsim_ros.evaluation.gap.hidden.path_traced import (
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, write_truth
 from dotsim_ros.evaluation.gap.hidden.rendered_laws import LAWS
 from dotsim_ros.evaluation.gap.hidden.rendered_unit import LEAK, Studio
+from dotsim_ros.files import write_json
 from dotsim_ros.gap.find import find_gap_with_pictures, fit_noise_of_pictures
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
@@ -43,7 +44,7 @@ from dotsim_ros.gap.presses.search_state import Request
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import CameraSpecification, SensorSpecification, load_sensor
 
 ALPHA = 0.02

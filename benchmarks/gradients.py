@@ -19,17 +19,18 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.files import write_json
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
 from dotsim_ros.gel.adjoint.refinement_rate import poisson_rate
 from dotsim_ros.gel.body import Dome
 from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.make import material_of, skin_of
 from dotsim_ros.gel.reshape import ReshapedDome
 from dotsim_ros.geometry.indenter import Indenter, sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.provenance import provenance, write_json
-from dotsim_ros.sensor import material_of, skin_of
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
 
 COARSE_M = 3.6e-3

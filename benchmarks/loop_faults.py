@@ -41,14 +41,14 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool
 
 import msg_adapters
-from dotsim_ros.evaluation.table import Column, entry_list, markdown_table, write_text
+from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.evaluation.trajectory.trials import trial_start
+from dotsim_ros.files import given_path, write_json, write_text
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup, policy_name
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_picture
-from dotsim_ros.provenance import provenance, write_json
-from dotsim_ros.sensor import given_path
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import read_policy
 from dotsim_ros.tasks.policy.paths import PATHS, reference_path

@@ -16,14 +16,14 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dotsim_ros.files import parameter_path, write_json
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.optics.visibility import Visibility
-from dotsim_ros.provenance import provenance, write_json
-from dotsim_ros.resources import parameter_path
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 
 PRESS_AXIS = np.array([0.35, 0.2, 0.9]) / np.linalg.norm([0.35, 0.2, 0.9])

@@ -21,6 +21,8 @@ import cv2
 import numpy as np
 import onnxruntime
 
+from dotsim_ros.files import given_path, write_json
+from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics.idle import read_idle_frame
@@ -30,8 +32,7 @@ from dotsim_ros.optics.network.carded_weights import GRAPH
 from dotsim_ros.optics.network.completion import ResidualNetwork
 from dotsim_ros.optics.network.input import NetworkInput
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.provenance import provenance, write_json
-from dotsim_ros.sensor import given_path, skin_of
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
 
 PRESS_AXIS = np.array([0.35, 0.2, 0.9]) / np.linalg.norm([0.35, 0.2, 0.9])

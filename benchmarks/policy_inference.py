@@ -17,8 +17,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dotsim_ros.files import write_json
 from dotsim_ros.optics.network.carded_weights import GRAPH
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.tasks.policy.images import CHANNEL_COUNT
 from dotsim_ros.tasks.policy.network import load_policy, open_session
 

@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.files import write_json
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.tasks.policy.demonstration import approach, contact_of, within_bounds

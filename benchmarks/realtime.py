@@ -43,10 +43,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.files import write_json
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.measured.motion import Motion
 from dotsim_ros.measured.scripted import Site, in_sequence, press_hold_release, slide
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 
 POSE_RATE_HZ = 100.0
@@ -364,7 +365,7 @@ def measure_batch(
     Every environment makes the same motion, each a part of it ahead of the one before.
     """
     from dotsim_ros.gel.implicit.gel import ImplicitGel
-    from dotsim_ros.sensor import body_of, material_of, skin_of
+    from dotsim_ros.gel.make import body_of, material_of, skin_of
 
     specification = load_sensor(name)
     gel = ImplicitGel(

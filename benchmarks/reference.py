@@ -23,6 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.files import write_json
+from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import (
     Indenter,
     IndenterKind,
@@ -31,7 +33,7 @@ from dotsim_ros.geometry.indenter import (
     load_indenter,
     sphere,
 )
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
 from dotsim_ros.reference.comparison import FrameComparison, compare
 from dotsim_ros.reference.data_set import ReferenceDataSet, SolvedPress, read_solved_presses
@@ -39,7 +41,6 @@ from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
 from dotsim_ros.reference.results import solved_press
 from dotsim_ros.reference.run import CalculixError, calculix_version
 from dotsim_ros.reference.surface import indenter_surface
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.specification import (
     ContactSpecification,
     MaterialSpecification,

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.files import write_json
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.trajectory import iterate_images
 from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.optics.network.input import resized
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 
 
 def main() -> None:

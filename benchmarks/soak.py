@@ -23,9 +23,10 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import Image
 
 import msg_adapters
+from dotsim_ros.files import write_json
 from dotsim_ros.measured.scripted import Site, press_hold_release
 from dotsim_ros.nodes.common.processes import NodeProcess
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 
 RATE_HZ = 25.0
 START_TIMEOUT_S = 300.0

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+PACKAGE_ROOT = Path(str(files("dotsim_ros")))
 
 
 @contextmanager
@@ -36,3 +41,47 @@ def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
     with whole_file(path) as part:
         if not cv2.imwrite(str(part), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
             raise OSError(f"{path} could not be written")
+
+
+def parameter_path(relative: str) -> Path:
+    """Return the path of a file below `params/`, in an installed package or in a source checkout.
+
+    Raises:
+        FileNotFoundError: no such file; the message names the folders that were searched.
+    """
+    candidates = [PACKAGE_ROOT / "params" / relative, PACKAGE_ROOT.parent / "params" / relative]
+    for candidate in candidates:
+        if candidate.exists():
+            return candidate
+    searched = ", ".join(str(candidate) for candidate in candidates)
+    raise FileNotFoundError(f"no parameter file {relative!r}; searched {searched}")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def write_json(path: Path, figures: Mapping[str, Any]) -> None:
+    """Write figures as a JSON file, whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def cache_directory() -> Path:
+    """Return the folder of computed tables: `$DOTSIM_ROS_CACHE`, else below the user's cache."""
+    chosen = os.environ.get("DOTSIM_ROS_CACHE")
+    if chosen:
+        return Path(chosen)
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "dotsim_ros"
+
+
+def given_path(name: str) -> Path:
+    """Return the path of a file or folder that a sensor names, absolute or below `params/`."""
+    path = Path(name)
+    return path if path.is_absolute() else parameter_path(name)

@@ -5,40 +5,28 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.body import Body, Dome, Pad
-from dotsim_ros.gel.explicit.gel import DivergenceError, ExplicitGel, ExplicitSettings
-from dotsim_ros.gel.implicit.gel import ImplicitGel
-from dotsim_ros.gel.material import (
-    ElasticLaw,
-    Material,
-    MooneyRivlin,
-    NeoHookean,
-    PronySeries,
-    Yeoh,
-)
+from dotsim_ros.files import given_path
+from dotsim_ros.gel.explicit.gel import DivergenceError
+from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 from dotsim_ros.optics.flow import picture_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.network.loading import residual_network
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.resources import parameter_path
 from dotsim_ros.specification import (
-    GelSpecification,
-    MaterialSpecification,
     SensorSpecification,
 )
 
 if TYPE_CHECKING:
-    from dotsim_ros.optics.network.completion import ResidualNetwork
+    pass
 
 FloatArray = NDArray[np.float64]
 ImageArray = NDArray[np.uint8]
@@ -83,191 +71,6 @@ class Frame:
     max_penetration_m: float
     timings_s: dict[str, float]
     converged: bool
-
-
-@dataclass(frozen=True)
-class GelFrame:
-    """The gel after a step; attributes as those of `Frame`.
-
-    Attributes:
-        skin_position_m: (V, 3) skin markers, base frame.
-        wrench: of the gel on the indenter.
-        max_penetration_m: largest penetration of a marker into the indenter.
-        converged: whether the gel's solver met its tolerance.
-        timings_s: seconds spent on contact and solve.
-        time_s: simulated time since the last reset.
-    """
-
-    skin_position_m: FloatArray
-    wrench: Wrench
-    max_penetration_m: float
-    converged: bool
-    timings_s: dict[str, float]
-    time_s: float = 0.0
-
-
-class Gel(Protocol):
-    """A gel with one indenter, whatever solves it."""
-
-    def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
-        """Move the indenter to a pose and find the gel."""
-
-    def reset(self) -> None:
-        """Return to rest."""
-
-    def set_indenter(self, indenter: Indenter) -> None:
-        """Replace the indenter and return to rest."""
-
-    def check_depth(self, pose: Pose) -> None:
-        """Refuse a pose that presses too deep by ValueError, without moving there."""
-
-
-def body_of(specification: GelSpecification) -> Body:
-    """Return the gel's shape."""
-    if specification.shape == "dome":
-        return Dome(specification.outer_radius_m, specification.core_radius_m)
-    return Pad(specification.pad_size_m)
-
-
-def skin_of(specification: GelSpecification) -> SkinMesh:
-    """Return the gel's skin at rest."""
-    if specification.shape == "dome":
-        return dome_skin(specification.outer_radius_m, specification.skin_spacing_m)
-    x, y, thickness = specification.pad_size_m
-    return flat_pad_skin((x, y), thickness, specification.skin_spacing_m)
-
-
-def law_of(specification: MaterialSpecification) -> ElasticLaw:
-    """Return the elastic law.
-
-    Raises:
-        ValueError: a constant is out of range.
-    """
-    s = specification
-    if s.law == "mooney_rivlin":
-        return MooneyRivlin(s.c10_pa, s.c01_pa, s.bulk_modulus_pa)
-    if s.law == "yeoh":
-        return Yeoh(s.c10_pa, s.c20_pa, s.c30_pa, s.bulk_modulus_pa)
-    return NeoHookean(s.youngs_modulus_pa, s.poisson_ratio)
-
-
-def material_of(specification: MaterialSpecification) -> Material:
-    """Return the law with its relaxation and density."""
-    s = specification
-    prony = PronySeries(s.prony_shares, s.prony_times_s)
-    return Material(law_of(s), prony, s.density_kg_m3)
-
-
-class _ImplicitSensorGel:
-    def __init__(self, gel: ImplicitGel) -> None:
-        self._gel = gel
-        self.reset, self.set_indenter = gel.reset, gel.set_indenter
-        self.check_depth = gel.check_depth
-
-    def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
-        state = self._gel.step([pose], dt_s)[0]
-        spent = state.timings_s
-        contact = spent.pop("contact", 0.0)
-        return GelFrame(
-            state.skin_position_m,
-            state.wrench,
-            state.max_penetration_m,
-            state.converged,
-            {"contact": contact, "solve": sum(spent.values())},
-        )
-
-
-class _ExplicitSensorGel:
-    def __init__(self, gel: ExplicitGel) -> None:
-        self._gel = gel
-        self.reset, self.set_indenter = gel.reset, gel.set_indenter
-
-    def check_depth(self, pose: Pose) -> None:
-        """Refuse nothing: the explicit gel has no depth that it cannot take."""
-
-    def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
-        start = time.perf_counter()
-        state = self._gel.step(pose, dt_s)
-        return GelFrame(
-            state.skin_position_m[0],
-            Wrench(state.force_n[0], state.torque_nm[0]),
-            float(state.max_penetration_m[0]),
-            True,
-            {"contact": 0.0, "solve": time.perf_counter() - start},
-        )
-
-
-def make_gel(
-    specification: SensorSpecification,
-    skin: SkinMesh,
-    indenter: Indenter,
-    *,
-    device: str = "cpu",
-    progress: Callable[[float], None] | None = None,
-) -> Gel:
-    """Return the gel that a specification asks for.
-
-    Raises:
-        ValueError: the explicit gel is asked for with a law that it does not have.
-    """
-    s = specification
-    body = body_of(s.gel)
-    if s.solver.method == "implicit":
-        return _ImplicitSensorGel(
-            ImplicitGel(
-                body,
-                skin,
-                material_of(s.material),
-                contact=s.contact,
-                solver=s.solver,
-                indenter=indenter,
-                device=device,
-                progress=progress,
-            )
-        )
-    law = law_of(s.material)
-    if not isinstance(law, NeoHookean):
-        raise ValueError(
-            f"solver.method 'explicit' takes the law neo_hookean, not {s.material.law!r}; choose "
-            "that law or the method 'implicit'"
-        )
-    return _ExplicitSensorGel(
-        ExplicitGel(
-            body,
-            skin,
-            material=law,
-            density_kg_m3=s.material.density_kg_m3,
-            friction_coefficient=s.contact.friction_coefficient,
-            indenter=indenter,
-            settings=ExplicitSettings(spacing_m=s.solver.grid_spacing_m),
-            device=device,
-        )
-    )
-
-
-def given_path(name: str) -> Path:
-    """Return the path of a file or folder that a sensor names, absolute or below `params/`."""
-    path = Path(name)
-    return path if path.is_absolute() else parameter_path(name)
-
-
-def residual_network(
-    specification: SensorSpecification, camera: FisheyeCamera
-) -> ResidualNetwork | None:
-    """Return the network that completes the sensor's image; None where it names none.
-
-    Raises:
-        FileNotFoundError: the folder holds no network.
-        ValueError: the network is corrupt or for another sensor, camera or version.
-    """
-    if not specification.camera.residual:
-        return None
-    # Loaded on use: it takes the time and memory of ONNX Runtime.
-    from dotsim_ros.optics.network.completion import ResidualNetwork
-
-    return ResidualNetwork(
-        given_path(specification.camera.residual), sensor=specification.name, camera=camera
-    )
 
 
 class TactileSensor:

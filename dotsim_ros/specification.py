@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 
-from dotsim_ros.resources import parameter_path
+from dotsim_ros.files import parameter_path
 
 SHAPES = ("dome", "flat_pad")
 METHODS = ("implicit", "explicit")
@@ -269,3 +271,41 @@ def sensor_from(document: Any, source: str, *, name: str = "") -> SensorSpecific
         for section, kind in kinds.items()
     }
     return SensorSpecification(name=str(document.get("name", name)), **sections)
+
+
+def write_sensor(path: Path, specification: SensorSpecification, comment: str) -> None:
+    """Write a sensor's file, whole or not at all, and check that it loads as the same sensor.
+
+    Args:
+        path: of the file, ending in .yaml.
+        specification: the sensor.
+        comment: lines that say where its constants come from.
+
+    Raises:
+        ValueError: the suffix is another, or the file does not give the sensor back.
+    """
+    if path.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"{path}: a sensor's file must end in .yaml")
+    document: dict[str, Any] = {"name": specification.name}
+    for section in ("gel", "material", "contact", "solver", "camera"):
+        document[section] = _plain(dataclasses.asdict(getattr(specification, section)))
+    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_name(path.stem + ".part.yaml")
+    part.write_text(head + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    if load_sensor(part) != specification:
+        raise ValueError(f"{part} does not give the sensor back that was written")
+    os.replace(part, path)
+
+
+def read_comment(path: Path) -> list[str]:
+    """Return the lines of the comment that begins a sensor's file, without their marks."""
+    lines = path.read_text(encoding="utf-8").splitlines()
+    head = itertools.takewhile(lambda line: line.startswith("#"), lines)
+    return [line.removeprefix("#").removeprefix(" ") for line in head]
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
+    }

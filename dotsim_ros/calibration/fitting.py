@@ -23,12 +23,8 @@ from dotsim_ros.calibration.loss import (
     nearest_partners,
     residuals,
 )
-from dotsim_ros.calibration.parameters import (
-    GelValues,
-    Parameter,
-    coordinates,
-    with_coordinates,
-)
+from dotsim_ros.calibration.parameters import Parameter, coordinates, with_coordinates
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.presses import Press
-from dotsim_ros.metrics.presses import tip_depth_m
 from dotsim_ros.twin.simulator import Simulated
 
 Array = NDArray[np.float64]

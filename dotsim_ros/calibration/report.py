@@ -18,7 +18,7 @@ from dotsim_ros.calibration.parameters import (
 )
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import CHANNEL_SETS, Combination, Identifiability
-from dotsim_ros.files import whole_file
+from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.metrics.presses import by_indenter, summarize
 from dotsim_ros.page import (
     LARGEST_WIDTH_INCHES,
@@ -34,7 +34,7 @@ from dotsim_ros.page import (
     page_figure,
     picture_of,
 )
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 
 Array = NDArray[np.float64]
 

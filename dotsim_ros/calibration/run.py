@@ -12,13 +12,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
 from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, Noise
-from dotsim_ros.calibration.parameters import (
-    GelValues,
-    chosen_parameters,
-    specification_with,
-    values_of,
-    with_coordinates,
-)
+from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
 from dotsim_ros.calibration.stages import Outcome, Task, Workers, open_workers, task_key
 from dotsim_ros.calibration.statistics import (
     Combination,
@@ -29,13 +23,14 @@ from dotsim_ros.calibration.statistics import (
     median_estimate,
     offset_step,
 )
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.check import Observation, Omission, read_observations
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import Prediction
 from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.metrics.presses import FrameScore, score_press
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.simulator import GelSimulator
 

@@ -27,9 +27,9 @@ from dotsim_ros.calibration.fitting import (
     linearise,
     simulate,
 )
+from dotsim_ros.files import write_json
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.check import Observation
-from dotsim_ros.provenance import write_json
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.simulator import GelSimulator, SolveError
 

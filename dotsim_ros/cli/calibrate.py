@@ -110,10 +110,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Calibrate, write the files, and print the figures."""
     from dotsim_ros.calibration.report import summary_lines, write_report
     from dotsim_ros.calibration.run import Request, calibrate
-    from dotsim_ros.calibration.sensor_file import write_sensor
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.split import hold_out_of_protocols
-    from dotsim_ros.specification import load_sensor
+    from dotsim_ros.specification import load_sensor, write_sensor
 
     out: Path = arguments.out
     if out.suffix not in (".yaml", ".yml"):

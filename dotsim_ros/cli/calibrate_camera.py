@@ -80,12 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
         summary_lines,
     )
     from dotsim_ros.calibration.camera.score import score_frames
-    from dotsim_ros.files import write_image
+    from dotsim_ros.files import given_path, write_image, write_json
     from dotsim_ros.geometry.camera import FisheyeCamera
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.trajectory import Topics
-    from dotsim_ros.provenance import provenance, write_json
-    from dotsim_ros.sensor import given_path
+    from dotsim_ros.provenance import provenance
     from dotsim_ros.specification import load_sensor
     from dotsim_ros.twin.footage import read_filmed_data, with_measured_skin
 
@@ -199,11 +198,8 @@ def _write_sensor(
     import yaml
 
     from dotsim_ros.calibration.camera.model import camera_section, describe_lights
-    from dotsim_ros.calibration.sensor_file import read_comment, write_sensor
-    from dotsim_ros.evaluation.table import write_text
-    from dotsim_ros.files import write_image
-    from dotsim_ros.resources import parameter_path
-    from dotsim_ros.specification import sensor_path
+    from dotsim_ros.files import parameter_path, write_image, write_text
+    from dotsim_ros.specification import read_comment, sensor_path, write_sensor
 
     out = arguments.out.resolve()
     parameters = parameter_path("sensors").resolve().parent

@@ -34,15 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
-    from dotsim_ros.evaluation.table import write_text
     from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
     from dotsim_ros.evaluation.trajectory.page import path_picture, trial_report
     from dotsim_ros.evaluation.trajectory.trials import judge, told, trial_start
-    from dotsim_ros.files import whole_file
+    from dotsim_ros.files import whole_file, write_json, write_text
     from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
     from dotsim_ros.page import as_html, as_markdown
-    from dotsim_ros.provenance import provenance, write_json
+    from dotsim_ros.provenance import provenance
     from dotsim_ros.tasks.policy.card import read_policy
     from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 

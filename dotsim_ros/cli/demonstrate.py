@@ -37,8 +37,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the demonstrations."""
+    from dotsim_ros.files import write_json
     from dotsim_ros.geometry.indenter import load_indenter
-    from dotsim_ros.provenance import write_json
     from dotsim_ros.specification import load_sensor
     from dotsim_ros.tasks.policy.demonstration import Plan, demonstrate, read_card
     from dotsim_ros.tasks.policy.paths import PATHS, reference_path

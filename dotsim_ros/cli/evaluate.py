@@ -198,8 +198,8 @@ def _write(
     origin: dict[str, str],
     page_of: Callable[[dict[str, Any]], str],
 ) -> int:
-    from dotsim_ros.evaluation.table import write_text
-    from dotsim_ros.provenance import provenance, write_json
+    from dotsim_ros.files import write_json, write_text
+    from dotsim_ros.provenance import provenance
 
     figures["provenance"] = provenance() | {"data": arguments.data.name} | origin
     page = page_of(figures)
@@ -286,7 +286,7 @@ def _optics(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.optics.sheet import known_sheets, write_sheets
     from dotsim_ros.evaluation.optics.source import clipped_presses, refined_data
     from dotsim_ros.evaluation.optics.split import WAYS
-    from dotsim_ros.gel.implicit.refinement import cache_directory
+    from dotsim_ros.files import cache_directory
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.optics.idle_check import read_idle_images
     from dotsim_ros.provenance import provenance
@@ -346,7 +346,7 @@ def _optics(arguments: argparse.Namespace) -> int:
 def _gelsight(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.optics.gelsight import evaluate_gelsight, gelsight_page
     from dotsim_ros.evaluation.optics.models import FitSettings
-    from dotsim_ros.gel.implicit.refinement import cache_directory
+    from dotsim_ros.files import cache_directory
 
     settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
     figures = evaluate_gelsight(
@@ -371,8 +371,8 @@ def _gap(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.gap.page import gap_page
     from dotsim_ros.evaluation.gap.presses import Source
     from dotsim_ros.evaluation.gap.study import run_study
+    from dotsim_ros.files import cache_directory
     from dotsim_ros.gap.presses.covariance import save_discrepancy
-    from dotsim_ros.gel.implicit.refinement import cache_directory
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.progress import PrintedProgress
     from dotsim_ros.specification import load_sensor
@@ -406,8 +406,8 @@ def _real_pair(arguments: argparse.Namespace) -> int:
         read_real_pair,
         real_pair_page,
     )
+    from dotsim_ros.files import parameter_path
     from dotsim_ros.optics.idle import read_description
-    from dotsim_ros.resources import parameter_path
     from dotsim_ros.specification import load_sensor
 
     description = parameter_path("images/densetact_real_idle.yaml")
@@ -454,7 +454,6 @@ def _runtime(arguments: argparse.Namespace) -> int:
 
 
 def _trajectory(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.table import write_text
     from dotsim_ros.evaluation.trajectory.page import trajectory_page, write_grid
     from dotsim_ros.evaluation.trajectory.trials import (
         TrialPlan,
@@ -463,10 +462,10 @@ def _trajectory(arguments: argparse.Namespace) -> int:
         setting_of,
         trajectory_figures,
     )
-    from dotsim_ros.gel.implicit.refinement import cache_directory
+    from dotsim_ros.files import cache_directory, write_json, write_text
     from dotsim_ros.nodes.loop.trials import TrialLoop
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
-    from dotsim_ros.provenance import provenance, write_json
+    from dotsim_ros.provenance import provenance
     from dotsim_ros.tasks.policy.card import read_policy
 
     folder = policy_folder(arguments.policy)

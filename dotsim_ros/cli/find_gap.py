@@ -61,9 +61,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the report, print the answer."""
+    from dotsim_ros.files import write_json
     from dotsim_ros.gap.findings import Findings, Verdict, as_record
     from dotsim_ros.gap.report.write import write_findings
-    from dotsim_ros.provenance import write_json
 
     if arguments.demo == (arguments.measured is not None):
         raise ValueError("name a data set with --measured, or ask for --demo")

@@ -66,15 +66,16 @@ def run(arguments: argparse.Namespace) -> int:
     """Solve, write and compare; 1 where a press did not come to its end."""
     from dataclasses import replace
 
+    from dotsim_ros.files import write_json
+    from dotsim_ros.gel.make import skin_of
     from dotsim_ros.geometry.indenter import load_indenter
-    from dotsim_ros.provenance import provenance, write_json
+    from dotsim_ros.provenance import provenance
     from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
     from dotsim_ros.reference.comparison import compare
     from dotsim_ros.reference.data_set import ReferenceDataSet
     from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
     from dotsim_ros.reference.results import solved_press
     from dotsim_ros.reference.run import CalculixError, calculix_version
-    from dotsim_ros.sensor import skin_of
     from dotsim_ros.specification import load_sensor
 
     version = calculix_version()

@@ -107,9 +107,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
-    from dotsim_ros.calibration.sensor_file import read_comment
-    from dotsim_ros.provenance import write_json
-    from dotsim_ros.specification import load_sensor, sensor_path
+    from dotsim_ros.files import write_json
+    from dotsim_ros.specification import load_sensor, read_comment, sensor_path
 
     sensor_file = arguments.sensor_out or arguments.out / SENSOR
     if sensor_file.suffix not in (".yaml", ".yml"):

@@ -45,7 +45,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
-    from dotsim_ros.provenance import write_json
+    from dotsim_ros.files import write_json
 
     report = train_policy(
         arguments.data,

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import GelValues
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.recording import Recording
 

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dotsim_ros.calibration.parameters import specification_with, values_of
 from dotsim_ros.effects.effect import (
     Active,
     Array,
@@ -21,12 +20,14 @@ from dotsim_ros.effects.effect import (
     motion_filters,
     response_filters,
 )
+from dotsim_ros.gel.values import specification_with, values_of
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.metrics.presses import tip_depth_m
+from dotsim_ros.geometry.skin_mesh import tip_depth_m
 from dotsim_ros.specification import SensorSpecification
 
 if TYPE_CHECKING:
-    from dotsim_ros.sensor import Frame, GelFrame, TactileSensor
+    from dotsim_ros.gel.make import GelFrame
+    from dotsim_ros.sensor import Frame, TactileSensor
 
 NO_FORCE_N = 1e-9
 """A force below this has no direction."""

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 
@@ -91,11 +89,3 @@ def _cell(value: Any, column: Column) -> str:
 def entry_list(entries: Mapping[str, Any]) -> str:
     """Return names and what they stand for as a Markdown list, with a line's end."""
     return "\n".join(f"- {name}: {value}" for name, value in entries.items()) + "\n"
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)

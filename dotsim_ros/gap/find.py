@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
@@ -56,8 +55,9 @@ from dotsim_ros.gap.images.tiles import COLOURS
 from dotsim_ros.gap.presses.search import find_gap
 from dotsim_ros.gap.presses.search_state import Progress, Request
 from dotsim_ros.gap.report import wording
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import one_of_each, protocol_of
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.twin.solver import open_solver, request_of
 
 Array = NDArray[np.float64]

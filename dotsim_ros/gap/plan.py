@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.decision import ALIKE
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
@@ -20,9 +19,10 @@ from dotsim_ros.gap.presses.inference import cosines, lengths
 from dotsim_ros.gap.presses.isolability import pairs_of
 from dotsim_ros.gap.presses.screening import excited_variants
 from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.measurement import protocol_of, read_poses
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.twin.solver import open_solver, request_of
 
 Array = NDArray[np.float64]

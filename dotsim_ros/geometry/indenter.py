@@ -18,9 +18,9 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import FloatArray, Pose
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
-from dotsim_ros.resources import parameter_path
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 MAXIMUM_EXTENT_M = 0.2

@@ -6,10 +6,14 @@ need half as many more for the same longest edge.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import KDTree
+
+from dotsim_ros.geometry.pose import Pose
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
@@ -229,3 +233,11 @@ def flat_pad_skin(size_m: tuple[float, float], thickness_m: float, spacing_m: fl
             wide = np.stack([start + column, start + column + 1, middle + column + 1], axis=1)[:-1]
             triangles.append(np.concatenate([narrow, wide])[:, ::winding])
     return skin_of_triangles(position, np.concatenate(triangles))
+
+
+def tip_depth_m(skin: SkinMesh, poses: Iterable[Pose]) -> FloatArray:
+    """Return how deep (F,) the indenter's tip lies below the skin at rest; negative outside."""
+    normal = vertex_normals(skin.rest_position_m, skin.triangles)
+    tip = np.stack([pose.position_m for pose in poses])
+    nearest = KDTree(skin.rest_position_m).query(tip)[1]
+    return np.asarray(-np.sum((tip - skin.rest_position_m[nearest]) * normal[nearest], axis=1))

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dotsim_ros.calibration.sensor_file import write_sensor
-from dotsim_ros.files import whole_file, write_image
+from dotsim_ros.files import given_path, parameter_path, whole_file, write_image, write_json
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, fit_network
 from dotsim_ros.learning.pattern import with_learned_pattern
@@ -22,10 +21,8 @@ from dotsim_ros.learning.training import Progress
 from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle import ByteImage, fine_path
 from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
-from dotsim_ros.provenance import provenance, write_json
-from dotsim_ros.resources import parameter_path
-from dotsim_ros.sensor import given_path
-from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.provenance import provenance
+from dotsim_ros.specification import SensorSpecification, write_sensor
 from dotsim_ros.twin.footage import (
     FilmedData,
     OpticalData,

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
-from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.check import BadBagError, check_bag
 from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.presses import press_of
 from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
-from dotsim_ros.metrics.presses import tip_depth_m
 
 CHANNELS = ("pose", "wrench", "skin")
 LOCKED_SHARE = 0.4

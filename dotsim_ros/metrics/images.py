@@ -8,9 +8,14 @@ frames', as an image is judged, and not the PSNR of the mean error, which its wo
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+
+DEPTH_EDGES_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3)
+"""Depths of the tip between which frames are told apart."""
+
 
 ByteImage = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
@@ -126,3 +131,12 @@ def _score(square: FloatArray, similarity: FloatArray) -> ImageScore:
         significant_l2=float(np.partition(error, -worst)[-worst:].mean()),
         ssim=float(similarity.mean()),
     )
+
+
+def depth_ranges() -> list[tuple[str, float, float]]:
+    """Return name, least and greatest depth (m) of the ranges that frames are told apart by."""
+    edges = (-np.inf, *DEPTH_EDGES_M, np.inf)
+    names = ["untouched"]
+    names += [f"{1e3 * low:g} to {1e3 * high:g} mm" for low, high in pairwise(DEPTH_EDGES_M)]
+    names.append(f"from {1e3 * DEPTH_EDGES_M[-1]:g} mm")
+    return [(name, low, high) for name, (low, high) in zip(names, pairwise(edges), strict=True)]

@@ -7,11 +7,10 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
+from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m, vertex_normals
 from dotsim_ros.measured.presses import Model, Prediction, Press
 from dotsim_ros.measured.split import Split
 from dotsim_ros.metrics.surfaces import (
@@ -121,14 +120,6 @@ class ModelScores:
 
     scores: tuple[FrameScore, ...]
     failures: tuple[Failure, ...] = ()
-
-
-def tip_depth_m(skin: SkinMesh, poses: Iterable[Pose]) -> FloatArray:
-    """Return how deep (F,) the indenter's tip lies below the skin at rest; negative outside."""
-    normal = vertex_normals(skin.rest_position_m, skin.triangles)
-    tip = np.stack([pose.position_m for pose in poses])
-    nearest = KDTree(skin.rest_position_m).query(tip)[1]
-    return np.asarray(-np.sum((tip - skin.rest_position_m[nearest]) * normal[nearest], axis=1))
 
 
 def judged_frames(

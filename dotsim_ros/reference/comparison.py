@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.trajectory import Trajectory
-from dotsim_ros.sensor import make_gel
 from dotsim_ros.specification import SensorSpecification
 
 FloatArray = NDArray[np.float64]

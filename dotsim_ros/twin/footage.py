@@ -18,22 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dotsim_ros
-from dotsim_ros.files import whole_file
-from dotsim_ros.gel.implicit.refinement import cache_directory
+from dotsim_ros.files import cache_directory, given_path, whole_file
+from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.pose import Pose, interpolate
-from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
-from dotsim_ros.metrics.presses import tip_depth_m
 from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region, read_description
 from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.sensor import Gel, given_path, make_gel, skin_of
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.model import steps
 

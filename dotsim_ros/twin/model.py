@@ -8,11 +8,11 @@ from itertools import pairwise
 import numpy as np
 
 from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.make import body_of, material_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
-from dotsim_ros.sensor import body_of, material_of
 from dotsim_ros.specification import SensorSpecification
 
 FIRST_STEP_S = 0.1

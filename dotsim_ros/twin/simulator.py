@@ -14,19 +14,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dotsim_ros.calibration.parameters import GelValues, specification_with
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.tangent import LocalTangent
+from dotsim_ros.gel.make import body_of, material_of
 from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
+from dotsim_ros.gel.values import GelValues, specification_with
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.sensor import body_of, material_of
 from dotsim_ros.specification import SensorSpecification
 
 Array = NDArray[np.float64]

@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import GelValues
 from dotsim_ros.effects.effect import (
     Active,
     Effect,
@@ -27,6 +26,7 @@ from dotsim_ros.effects.effect import (
 )
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.material import PronySeries
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.recording import Recording

@@ -20,20 +20,15 @@ from dotsim_ros.calibration.fitting import (
     linearise,
 )
 from dotsim_ros.calibration.loss import CHAMFER, POINTS, SKIN, Noise, force_deviation_n
-from dotsim_ros.calibration.parameters import (
-    GelValues,
-    chosen_parameters,
-    coordinates,
-    specification_with,
-    values_of,
-)
-from dotsim_ros.calibration.sensor_file import write_sensor
+from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate
 from dotsim_ros.cli.main import main
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
 from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.make import body_of, material_of
+from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -46,11 +41,11 @@ from dotsim_ros.measured.trajectory import (
     WrenchChannel,
     write_trajectory,
 )
-from dotsim_ros.sensor import body_of, material_of
 from dotsim_ros.specification import (
     SensorSpecification,
     SolverSpecification,
     load_sensor,
+    write_sensor,
 )
 from dotsim_ros.twin.simulator import GelSimulator, offset_pose
 

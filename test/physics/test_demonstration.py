@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dotsim_ros.cli.main import main
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.indenter import box, load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.resources import parameter_path
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.demonstration import (
     CARD,

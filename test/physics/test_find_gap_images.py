@@ -18,7 +18,6 @@ import numpy as np
 import pytest
 import yaml
 
-from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
 from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, Takes
@@ -29,9 +28,10 @@ from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.images.model import Film, PictureModel
 from dotsim_ros.gap.images.reading import Pictures, read_pictures
 from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.trajectory import ImageChannel, read_trajectory, write_trajectory
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.solver import open_solver, request_of
 

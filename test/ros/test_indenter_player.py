@@ -11,9 +11,9 @@ from harness import PATIENCE_S, Executable, running, spin_in_background
 from rclpy.qos import HistoryPolicy, QoSProfile
 
 import msg_adapters
+from dotsim_ros.files import parameter_path
 from dotsim_ros.measured.shipped_presses import read_presses
 from dotsim_ros.measured.trajectory import PoseChannel, Topics, Trajectory, write_trajectory
-from dotsim_ros.resources import parameter_path
 
 MODULE = "dotsim_ros.nodes.indenter_player.node"
 RADIUS_M = 0.01575

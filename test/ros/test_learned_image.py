@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from harness import LockstepPress, TactileFrame, running, sensor
 
-from dotsim_ros.calibration.sensor_file import write_sensor
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
-from dotsim_ros.resources import parameter_path
-from dotsim_ros.specification import load_sensor
+from dotsim_ros.specification import load_sensor, write_sensor
 
 PLAIN = load_sensor("densetact2")
 

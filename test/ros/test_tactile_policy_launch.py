@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 import yaml
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
-from dotsim_ros.resources import parameter_path
 
 PATH = Path(__file__).parents[2] / "launch" / "closed_loop.launch.py"
 CLASSES = {

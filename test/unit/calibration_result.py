@@ -8,9 +8,10 @@ import numpy as np
 
 from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
 from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, Noise
-from dotsim_ros.calibration.parameters import chosen_parameters, values_of, with_coordinates
+from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate, median_estimate
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.check import Omission
 from dotsim_ros.specification import SensorSpecification
 

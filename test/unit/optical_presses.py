@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.resources import parameter_path
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
 

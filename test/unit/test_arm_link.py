@@ -8,10 +8,10 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.xarm_adapter.link import Hindrance, LinkLimits, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
-from dotsim_ros.resources import parameter_path
 from msg_adapters import decode_robot_state, encode_move_velocity
 from msg_adapters.xarm import quaternion_of_roll_pitch_yaw
 

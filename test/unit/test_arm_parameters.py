@@ -10,9 +10,9 @@ from rosbags.typesys import Stores, get_typestore
 
 pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
-from dotsim_ros.resources import parameter_path
 from dotsim_ros.tasks.arm.simulated import ArmFaults, ArmLimits, ArmResponse
 from msg_adapters import BagTypes, decode_joint_state, encode_joint_state
 

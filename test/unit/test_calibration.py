@@ -16,11 +16,8 @@ from dotsim_ros.calibration.parameters import (
     chosen_parameters,
     coordinates,
     shown_value,
-    specification_with,
-    values_of,
     with_coordinates,
 )
-from dotsim_ros.calibration.sensor_file import write_sensor
 from dotsim_ros.calibration.statistics import (
     identifiability,
     joint_estimate,
@@ -28,10 +25,11 @@ from dotsim_ros.calibration.statistics import (
     median_estimate,
     offset_step,
 )
+from dotsim_ros.gel.values import specification_with, values_of
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.presses import Press
-from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.specification import SensorSpecification, load_sensor, write_sensor
 from dotsim_ros.twin.simulator import Simulated, offset_pose
 
 Array = NDArray[np.float64]

@@ -20,7 +20,7 @@ from dotsim_ros.evaluation.geometry.report import read_measured
 from dotsim_ros.evaluation.geometry.runtime import Effort, model_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.presses import Prediction, Press, press_of, read_press
 from dotsim_ros.measured.split import (
@@ -46,7 +46,6 @@ from dotsim_ros.metrics.presses import (
     measurement_noise,
     score_press,
     summarize,
-    tip_depth_m,
 )
 from dotsim_ros.specification import MaterialSpecification, SensorSpecification
 from dotsim_ros.twin.model import steps

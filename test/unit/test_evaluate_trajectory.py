@@ -33,11 +33,11 @@ from dotsim_ros.evaluation.trajectory.trials import (
     trajectory_figures,
     trial_start,
 )
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import Pose, compose, inverse
 from dotsim_ros.measured.bag import BAG_TYPES, BagFile
 from dotsim_ros.page import as_markdown
 from dotsim_ros.provenance import provenance
-from dotsim_ros.resources import parameter_path
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.loop_recording import LoopPlaces, LoopRecording
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import dotsim_ros.evaluation.gap.hidden
-from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Answer, Motion
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, draw_truth, library_names
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import load_sensor
 

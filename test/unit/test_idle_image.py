@@ -6,11 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
+from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Wrench
 from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.optics.idle import LitDisc
-from dotsim_ros.sensor import GelFrame, TactileSensor
+from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
 
 

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.optics import kernels
@@ -14,7 +15,6 @@ from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, PointLight, Vignetting
 from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.resources import parameter_path
 from dotsim_ros.specification import load_sensor
 
 RADIUS_M = 0.01575

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.calibration.parameters import GelValues
 from dotsim_ros.effects.builtin.adhesion import ClingingContact
 from dotsim_ros.effects.builtin.poroelastic_relaxation import contact_radius_m
 from dotsim_ros.effects.effect import Active, Effect, GelTerm, Response, gel_with
 from dotsim_ros.effects.library import load_effects
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.presses import Press

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.motion import (
     Motion,
@@ -27,7 +28,6 @@ from dotsim_ros.measured.scripted import (
     twist,
 )
 from dotsim_ros.measured.shipped_presses import DOME_CENTRE_MM, read_presses
-from dotsim_ros.resources import parameter_path
 
 RADIUS_M = 0.01575
 ALL_PRESSES = Path(__file__).parents[3] / "shared" / "real" / "densetact" / "presses.npz"

@@ -5,9 +5,9 @@ import dataclasses
 import pytest
 import yaml
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
-from dotsim_ros.resources import parameter_path
 
 
 @pytest.mark.parametrize(

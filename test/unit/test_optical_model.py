@@ -7,7 +7,7 @@ from optical_presses import dented
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.images.model import PictureModel, resized
-from dotsim_ros.sensor import skin_of
+from dotsim_ros.gel.make import skin_of
 from dotsim_ros.specification import load_sensor
 
 WIDTH, HEIGHT = 80, 60

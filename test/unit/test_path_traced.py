@@ -24,11 +24,11 @@ from dotsim_ros.evaluation.gap.hidden.path_traced import (
 )
 from dotsim_ros.evaluation.gap.hidden.rendered_laws import LAWS
 from dotsim_ros.evaluation.gap.hidden.rendered_unit import IDLE_COUNT, Studio, coat_pattern
+from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.reference.data_set import ReferenceDataSet
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.specification import load_sensor
 
 SKIN = skin_of(load_sensor("sensor_a").gel)

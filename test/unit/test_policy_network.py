@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import pytest
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.network.carded_weights import CARD, GRAPH, WEIGHTS, card_from
-from dotsim_ros.resources import parameter_path
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import FORMAT, POLICY, PolicyCard
 from dotsim_ros.tasks.policy.images import CHANNEL_COUNT, NetworkInput

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.provenance import write_json
+from dotsim_ros.files import write_json
 from dotsim_ros.tasks.policy.demonstration import (
     CARD,
     Episode,

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from optical_presses import RADIUS_M, dented
 
+from dotsim_ros.files import PACKAGE_ROOT, given_path, parameter_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
@@ -32,8 +33,7 @@ from dotsim_ros.optics.network.carded_weights import (
 )
 from dotsim_ros.optics.network.completion import ResidualNetwork
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.resources import PACKAGE_ROOT, parameter_path
-from dotsim_ros.sensor import TactileSensor, given_path
+from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
 
 SENSOR = load_sensor("densetact2")

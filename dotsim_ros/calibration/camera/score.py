@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.calibration.camera.model import REFERENCE_HEIGHT_PX, CameraModel
-from dotsim_ros.evaluation.optics.judge import depth_ranges
-from dotsim_ros.metrics.images import image_psnr_db
+from dotsim_ros.metrics.images import depth_ranges, image_psnr_db
 from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting

@@ -11,17 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance, centred
 from dotsim_ros.gap.presses.covariance import Discrepancy, Noise
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.presses.search import simulate_effects
 from dotsim_ros.gap.presses.search_state import Request, Search
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.measurement import Measurement, read_measurement
 from dotsim_ros.measured.split import repeats_of
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.solver import open_solver
 

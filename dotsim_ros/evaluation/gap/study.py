@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import GelValues, values_of
 from dotsim_ros.evaluation.gap.baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
 from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Law
@@ -44,6 +43,7 @@ from dotsim_ros.gap.presses.inference import cosines, lengths
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, observe
 from dotsim_ros.gap.presses.search_state import Search
 from dotsim_ros.gel.material import PronySeries
+from dotsim_ros.gel.values import GelValues, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh

@@ -12,13 +12,13 @@ import numpy as np
 from dotsim_ros.evaluation.geometry.explicit import SETTINGS, ExplicitModel
 from dotsim_ros.evaluation.table import RUNTIME_COLUMNS, entry_list, markdown_table
 from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S
+from dotsim_ros.gel.make import law_of
 from dotsim_ros.gel.material import NeoHookean, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
 from dotsim_ros.metrics.presses import contact_region, judged_frames, surface_errors
 from dotsim_ros.metrics.surfaces import relative_rms
-from dotsim_ros.sensor import law_of
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.model import ImplicitModel, steps
 

@@ -30,6 +30,7 @@ from dotsim_ros.baselines.optics import per_pixel
 from dotsim_ros.evaluation.optics.judge import Factory, mean_score
 from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
+from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
@@ -38,7 +39,6 @@ from dotsim_ros.metrics.images import score_image
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.sensor import make_gel, skin_of
 from dotsim_ros.specification import (
     GelSpecification,
     SensorSpecification,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit, optical_splits
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.metrics.images import ImageScore, image_psnr_db, psnr_db, score_image
+from dotsim_ros.metrics.images import ImageScore, depth_ranges, image_psnr_db, psnr_db, score_image
 from dotsim_ros.twin.footage import FilmedPress, OpticalData, OpticalPress, Rest
 
 ByteImage = NDArray[np.uint8]
@@ -20,8 +20,6 @@ AnyPress = TypeVar("AnyPress", FilmedPress, OpticalPress)
 
 DEEP_M = 2.0e-3
 """Depth of the tip from which a frame counts as deep."""
-DEPTH_EDGES_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3)
-"""Depths of the tip between which frames are told apart."""
 
 
 class ImageModel(Protocol):
@@ -218,15 +216,6 @@ def summarize(scores: Sequence[FrameScores]) -> dict[str, Any]:
         for indenter in sorted({s.indenter for s in scores})
     }
     return figures
-
-
-def depth_ranges() -> list[tuple[str, float, float]]:
-    """Return name, least and greatest depth (m) of the ranges that frames are told apart by."""
-    edges = (-np.inf, *DEPTH_EDGES_M, np.inf)
-    names = ["untouched"]
-    names += [f"{1e3 * low:g} to {1e3 * high:g} mm" for low, high in pairwise(DEPTH_EDGES_M)]
-    names.append(f"from {1e3 * DEPTH_EDGES_M[-1]:g} mm")
-    return [(name, low, high) for name, (low, high) in zip(names, pairwise(edges), strict=True)]
 
 
 def _figures(scores: Sequence[FrameScores]) -> dict[str, Any]:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
+from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.measured.motion import pose_along
@@ -30,7 +31,6 @@ from dotsim_ros.optics.idle import LitDisc
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
-from dotsim_ros.sensor import make_gel, skin_of
 from dotsim_ros.specification import SensorSpecification
 
 ByteImage = NDArray[np.uint8]

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.evaluation.optics.judge import DEEP_M, depth_ranges, is_single_press, summarize
+from dotsim_ros.evaluation.optics.judge import DEEP_M, is_single_press, summarize
 from dotsim_ros.evaluation.optics.models import NETWORKS
 from dotsim_ros.evaluation.optics.rows import Row, RowMaker
 from dotsim_ros.evaluation.optics.split import LEVELS, WAYS, FrameKey, OpticalSplit
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
-from dotsim_ros.metrics.images import SIGNIFICANT_SHARE, SSIM_SIGMA_PX
+from dotsim_ros.metrics.images import SIGNIFICANT_SHARE, SSIM_SIGMA_PX, depth_ranges
 from dotsim_ros.twin.footage import OpticalPress
 
 SHOWN_FRAMES = 3

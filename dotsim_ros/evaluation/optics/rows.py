@@ -38,8 +38,8 @@ from dotsim_ros.evaluation.optics.models import (
     factory_of,
 )
 from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit
-from dotsim_ros.files import whole_file
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.files import whole_file, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.twin.footage import OpticalData, OpticalPress
 
 ByteImage = NDArray[np.uint8]

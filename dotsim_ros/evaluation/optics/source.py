@@ -8,12 +8,12 @@ from dataclasses import replace
 from dotsim_ros.baselines.optics.clipped import clipped_press
 from dotsim_ros.evaluation.optics.judge import frames_by_press, with_frames
 from dotsim_ros.evaluation.optics.split import OpticalSplit
+from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import read_press
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.footage import (
     FilmedData,

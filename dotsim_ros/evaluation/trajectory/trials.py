@@ -17,12 +17,11 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.files import whole_file, write_image
+from dotsim_ros.files import given_path, whole_file, write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.optics.idle import read_idle_frame, resample
 from dotsim_ros.provenance import provenance
-from dotsim_ros.sensor import given_path
 from dotsim_ros.specification import load_sensor, sensor_path
 from dotsim_ros.tasks.policy.demonstration import within_bounds
 from dotsim_ros.tasks.policy.loop_recording import LoopRecording

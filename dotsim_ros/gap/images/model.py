@@ -121,11 +121,13 @@ class PictureModel:
         idle: ByteImage | None = None,
     ) -> None:
         # Loaded on use: they start Warp.
+        from dotsim_ros.files import given_path
+        from dotsim_ros.gel.make import skin_of
         from dotsim_ros.geometry.camera import FisheyeCamera
         from dotsim_ros.optics.idle import read_idle_frame
         from dotsim_ros.optics.image import ImageRenderer
+        from dotsim_ros.optics.network.loading import residual_network
         from dotsim_ros.optics.renderer import SkinRenderer
-        from dotsim_ros.sensor import given_path, residual_network, skin_of
 
         full = FisheyeCamera.from_specification(sensor.camera)
         self.camera: FisheyeCamera = full.scaled(width, height)

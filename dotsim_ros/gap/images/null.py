@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 from scipy.stats import t as student
 
 from dotsim_ros.effects.effect import Effect
-from dotsim_ros.files import whole_file
+from dotsim_ros.files import parameter_path, whole_file
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
 from dotsim_ros.gap.images.search import (
     Direction,
@@ -30,7 +30,6 @@ from dotsim_ros.gap.images.search import (
 )
 from dotsim_ros.gap.images.tile_noise import Correlation, TileNoise, estimate_noise
 from dotsim_ros.gap.images.tiles import TileMeter
-from dotsim_ros.resources import parameter_path
 
 Array = NDArray[np.float64]
 

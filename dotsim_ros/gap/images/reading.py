@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from dotsim_ros.gap.images.model import resized_picture
 from dotsim_ros.geometry.pose import Pose, interpolate
-from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.measurement import find_indenter
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, PoseChannel, Topics, read_trajectory
-from dotsim_ros.metrics.presses import tip_depth_m
 
 Array = NDArray[np.float64]
 ByteImage = NDArray[np.uint8]

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import PARAMETERS, GelValues, with_coordinates
+from dotsim_ros.calibration.parameters import PARAMETERS, with_coordinates
 from dotsim_ros.effects.effect import Active, Effect
 from dotsim_ros.gap.presses.observables import PATCH_COUNT
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.recording import Recording
 from dotsim_ros.twin.solver import Request, request_of
 

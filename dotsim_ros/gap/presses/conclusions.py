@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import PARAMETERS, GelValues
+from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.overlay import FoundEffect, Overlay
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Estimate, Findings, Verdict
@@ -26,6 +26,7 @@ from dotsim_ros.gap.presses.locate import (
 )
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.measurement import Measurement
 from dotsim_ros.twin.simulator import SolveError
 from dotsim_ros.twin.solver import request_of

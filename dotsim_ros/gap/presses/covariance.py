@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SECTORS, SIZE, Places, ring_of_patch
 from dotsim_ros.measured.recording import Recording
-from dotsim_ros.resources import parameter_path
 
 Array = NDArray[np.float64]
 

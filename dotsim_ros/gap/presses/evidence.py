@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import GelValues
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
 from dotsim_ros.gap.presses.assumptions import OWN, Nuisance, nuisance_columns, nuisance_requests
 from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, Whitening, usable, whitening_of
 from dotsim_ros.gap.presses.inference import Evidence
 from dotsim_ros.gap.presses.observables import CHANNELS, Places, observe, places_of
 from dotsim_ros.gap.presses.patterns import patterns
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.recording import Recording
 from dotsim_ros.twin.simulator import Simulated, SolveError

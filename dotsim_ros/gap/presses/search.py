@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.gap import decision
@@ -22,8 +21,9 @@ from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.presses.screening import excited_variants
 from dotsim_ros.gap.presses.search_state import Progress, Request, Search
 from dotsim_ros.gap.report import wording
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
-from dotsim_ros.sensor import skin_of
 from dotsim_ros.twin.solver import open_solver
 
 Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ from pathlib import Path
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FILE_NAME, Overlay, write_overlay
-from dotsim_ros.files import whole_file
+from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.gap.findings import Findings, as_record
 from dotsim_ros.gap.report.sections import page_of
 from dotsim_ros.page import as_html, as_markdown, pictures_of
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 
 FINDINGS = "findings.json"
 PROVENANCE = "provenance.json"

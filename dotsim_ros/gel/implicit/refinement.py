@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization, discretize, images_of_cells
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
@@ -272,14 +273,6 @@ def _compute(
         np.concatenate(blocks),
         fine.node_position_m[nodes],
     )
-
-
-def cache_directory() -> Path:
-    """Return the folder of computed tables: `$DOTSIM_ROS_CACHE`, else below the user's cache."""
-    chosen = os.environ.get("DOTSIM_ROS_CACHE")
-    if chosen:
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "dotsim_ros"
 
 
 def _load(path: Path) -> _Table | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 
-from dotsim_ros.resources import parameter_path
+from dotsim_ros.files import parameter_path
 
 USER_SETTINGS = (
     "FASTRTPS_DEFAULT_PROFILES_FILE",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.measured.motion import Motion, joined
 from dotsim_ros.measured.scripted import (
     Site,
@@ -18,7 +19,6 @@ from dotsim_ros.measured.scripted import (
 from dotsim_ros.measured.shipped_presses import Press, read_presses
 from dotsim_ros.measured.trajectory import BASE_FRAME, Topics, read_trajectory
 from dotsim_ros.nodes.common.options import check_options, option
-from dotsim_ros.resources import parameter_path
 
 SHIPPED_PRESSES = "presses/densetact_presses.npz"
 DEFAULT_RATE_HZ = 100.0

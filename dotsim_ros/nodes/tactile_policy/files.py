@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dotsim_ros.resources import parameter_path
+from dotsim_ros.files import parameter_path
 
 
 def policy_folder(text: str) -> Path:

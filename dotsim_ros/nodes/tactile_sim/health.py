@@ -14,7 +14,7 @@ from dotsim_ros.nodes.common.ingest import FaultLog
 from msg_adapters import Level, Status
 
 if TYPE_CHECKING:
-    from dotsim_ros.sensor import GelFrame
+    from dotsim_ros.gel.make import GelFrame
 
 RATE_WINDOW_S = 5.0
 SPENT_FRAME_COUNT = 1500

@@ -21,8 +21,9 @@ from dotsim_ros.sensor import GelFailureError
 
 if TYPE_CHECKING:
     from dotsim_ros.effects.effect import Active
+    from dotsim_ros.gel.make import GelFrame
     from dotsim_ros.geometry.indenter import Indenter
-    from dotsim_ros.sensor import Frame, GelFrame, TactileSensor
+    from dotsim_ros.sensor import Frame, TactileSensor
 
 WARM_UP_DEPTH_M = 0.0005
 

@@ -24,10 +24,10 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.files import whole_file
+from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import FloatArray, Pose
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.tasks.policy.expert import Expert

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -18,7 +19,6 @@ from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
 from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.sensor import given_path
 from dotsim_ros.specification import CameraSpecification, SensorSpecification
 
 OWN_COAT_SHARE = 0.3

@@ -19,8 +19,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dotsim_ros.files import write_json
 from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.provenance import provenance, write_json
+from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import FORMAT, PolicyCard
 from dotsim_ros.tasks.policy.demonstration import contact_of, read_card

@@ -15,8 +15,8 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from dotsim_ros.calibration.parameters import GelValues
 from dotsim_ros.gel.material import PronySeries
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose, interpolate
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import GelValues
 from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Answer, Motion
+from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.parameters import values_of
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, answer_of
+from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.motion import Motion

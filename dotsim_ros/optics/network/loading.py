@@ -1,0 +1,27 @@
+"""Loads the network that a sensor names."""
+
+from __future__ import annotations
+
+from dotsim_ros.files import given_path
+from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics.network.completion import ResidualNetwork
+from dotsim_ros.specification import SensorSpecification
+
+
+def residual_network(
+    specification: SensorSpecification, camera: FisheyeCamera
+) -> ResidualNetwork | None:
+    """Return the network that completes the sensor's image; None where it names none.
+
+    Raises:
+        FileNotFoundError: the folder holds no network.
+        ValueError: the network is corrupt or for another sensor, camera or version.
+    """
+    if not specification.camera.residual:
+        return None
+    # Loaded on use: it takes the time and memory of ONNX Runtime.
+    from dotsim_ros.optics.network.completion import ResidualNetwork
+
+    return ResidualNetwork(
+        given_path(specification.camera.residual), sensor=specification.name, camera=camera
+    )
