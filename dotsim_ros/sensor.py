@@ -16,7 +16,7 @@ from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.optics.flow import picture_motion_px
+from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.loading import residual_network
@@ -224,14 +224,14 @@ class TactileSensor:
             converged=gel.converged,
         )
 
-    def picture_motion_px(self, before_m: FloatArray, after_m: FloatArray) -> FloatArray:
+    def image_motion_px(self, before_m: FloatArray, after_m: FloatArray) -> FloatArray:
         """Return how far (H, W, 2) what each pixel shows has moved in the picture, x then y.
 
         Args:
             before_m, after_m: (V, 3) the skin then and now, base frame.
         """
         view = self._renderer.render(after_m)
-        return picture_motion_px(view, self.skin.triangles, self.camera.project(before_m))
+        return image_motion_px(view, self.skin.triangles, self.camera.project(before_m))
 
     def step(self, pose: Pose | None, dt_s: float) -> Frame:
         """Return the frame after a move of the indenter: `press`, then `see`.

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.files import parameter_path, whole_file
 
 SHAPES = ("dome", "flat_pad")
 METHODS = ("implicit", "explicit")
@@ -290,12 +289,10 @@ def write_sensor(path: Path, specification: SensorSpecification, comment: str) -
     for section in ("gel", "material", "contact", "solver", "camera"):
         document[section] = _plain(dataclasses.asdict(getattr(specification, section)))
     head = "".join(f"# {line}\n" for line in comment.splitlines())
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.stem + ".part.yaml")
-    part.write_text(head + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    if load_sensor(part) != specification:
-        raise ValueError(f"{part} does not give the sensor back that was written")
-    os.replace(part, path)
+    with whole_file(path) as part:
+        part.write_text(head + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+        if load_sensor(part) != specification:
+            raise ValueError(f"{path} does not give the sensor back that was written")
 
 
 def read_comment(path: Path) -> list[str]:

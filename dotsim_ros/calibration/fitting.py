@@ -28,7 +28,8 @@ from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
-from dotsim_ros.twin.simulator import GelSimulator, Simulated, SolveError
+from dotsim_ros.twin.follow import SimulatedPress, SolveError
+from dotsim_ros.twin.simulator import GelSimulator
 
 Array = NDArray[np.float64]
 
@@ -128,7 +129,7 @@ class PressFit:
 
 def simulate(
     simulator: GelSimulator, observation: Observation, problem: Problem, point: Array
-) -> Simulated:
+) -> SimulatedPress:
     """Return the model at unknowns (n,).
 
     Raises:
@@ -146,7 +147,7 @@ def linearise(
     observation: Observation,
     problem: Problem,
     point: Array,
-    simulated: Simulated | None = None,
+    simulated: SimulatedPress | None = None,
 ) -> Linearisation:
     """Return the squares and their derivatives at unknowns (n,).
 
@@ -200,7 +201,7 @@ def linearise(
 
 
 def _modulus_column(
-    press: Press, simulated: Simulated, noise: Noise, skin: SkinMesh, here: dict[str, Array]
+    press: Press, simulated: SimulatedPress, noise: Noise, skin: SkinMesh, here: dict[str, Array]
 ) -> dict[str, Array]:
     """Return the derivatives by log E: none of the skin's, the force itself of the force's."""
     column = {c: np.zeros(len(here[c])) for c in here}
@@ -298,7 +299,7 @@ def _loss_at(
     problem: Problem,
     simulator: GelSimulator,
     point: Array,
-    simulated: Simulated,
+    simulated: SimulatedPress,
 ) -> float:
     """Return half the sum of squares with the priors at unknowns (n,)."""
     partners = None

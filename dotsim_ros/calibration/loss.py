@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.presses import Press
-from dotsim_ros.twin.simulator import Simulated
+from dotsim_ros.twin.follow import SimulatedPress
 
 Array = NDArray[np.float64]
 
@@ -78,7 +78,7 @@ class Partners:
     of_simulated: NDArray[np.int64]
 
 
-def nearest_partners(press: Press, simulated: Simulated) -> Partners | None:
+def nearest_partners(press: Press, simulated: SimulatedPress) -> Partners | None:
     """Return the nearest neighbours both ways; None where no skin was measured."""
     if press.skin_position_m is None:
         return None
@@ -91,7 +91,7 @@ def nearest_partners(press: Press, simulated: Simulated) -> Partners | None:
 
 def residuals(
     press: Press,
-    simulated: Simulated,
+    simulated: SimulatedPress,
     noise: Noise,
     skin: SkinMesh,
     partners: Partners | None,

@@ -6,7 +6,6 @@ depends on.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.cache import content_key
 from dotsim_ros.calibration.fitting import (
     Linearisation,
     PressFit,
@@ -31,9 +31,14 @@ from dotsim_ros.files import write_json
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.check import Observation
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.simulator import GelSimulator, SolveError
+from dotsim_ros.twin.follow import SolveError
+from dotsim_ros.twin.simulator import GelSimulator
 
 Array = NDArray[np.float64]
+
+
+DECIDED_BY = ("dotsim_ros.calibration.stages",)
+"""The code, with all that it imports, that decides a result."""
 
 
 @dataclass(frozen=True)
@@ -170,29 +175,18 @@ def task_key(
     *arrays: Array,
 ) -> str:
     """Return a key of all that a result depends on."""
-    press, indenter = observation.press, observation.indenter
-    names = [parameter.name for parameter in problem.parameters]
-    text = repr(
-        (
-            specification,
-            names,
-            problem.start,
-            problem.noise,
-            problem.skin_loss,
-            problem.with_offset,
-            press.name,
-        )
+    return content_key(
+        DECIDED_BY,
+        specification,
+        [parameter.name for parameter in problem.parameters],
+        problem.start,
+        problem.noise,
+        problem.skin_loss,
+        problem.with_offset,
+        skin.rest_position_m,
+        observation,
+        arrays,
     )
-    digest = hashlib.sha256(text.encode())
-    digest.update(skin.rest_position_m.tobytes())
-    if indenter.mesh is not None:
-        digest.update(indenter.mesh.vertices_m.tobytes())
-    digest.update(repr((indenter.kind, indenter.parameters)).encode())
-    for pose in press.poses:
-        digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
-    for measured in (press.skin_position_m, press.force_n, *arrays):
-        digest.update(b"-" if measured is None else np.ascontiguousarray(measured).tobytes())
-    return digest.hexdigest()[:24]
 
 
 def _store(path: Path, key: str, outcome: Outcome) -> None:

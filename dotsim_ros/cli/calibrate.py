@@ -110,6 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Calibrate, write the files, and print the figures."""
     from dotsim_ros.calibration.report import summary_lines, write_report
     from dotsim_ros.calibration.run import Request, calibrate
+    from dotsim_ros.files import write_text
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.split import hold_out_of_protocols
     from dotsim_ros.specification import load_sensor, write_sensor
@@ -164,7 +165,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_sensor(out, calibration.named(arguments.name or out.stem), "\n".join(lines))
     if arguments.json is not None:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        arguments.json.write_text((directory / "report.json").read_text(encoding="utf-8"))
+        write_text(arguments.json, (directory / "report.json").read_text(encoding="utf-8"))
     print("\n".join([*lines, f"sensor: {out}", f"report: {report}"]))
     return 0
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dotsim_ros.effects.effect import (
     Active,
@@ -20,14 +20,14 @@ from dotsim_ros.effects.effect import (
     motion_filters,
     response_filters,
 )
+from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.gel.values import specification_with, values_of
+from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.geometry.skin_mesh import tip_depth_m
+from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.specification import SensorSpecification
 
-if TYPE_CHECKING:
-    from dotsim_ros.gel.make import GelFrame
-    from dotsim_ros.sensor import Frame, TactileSensor
+ImageArray = NDArray[np.uint8]
 
 NO_FORCE_N = 1e-9
 """A force below this has no direction."""
@@ -72,6 +72,25 @@ def wrench_with_force(wrench: Wrench, force_n: Array, tip_m: Array) -> Wrench:
     return Wrench(force_n, torque)
 
 
+class FilteredSensor(Protocol):
+    """What the filters need of a live sensor."""
+
+    @property
+    def skin(self) -> SkinMesh:
+        """At rest."""
+
+    @property
+    def camera(self) -> FisheyeCamera:
+        """That the images are of."""
+
+    @property
+    def idle_image(self) -> ImageArray:
+        """The image without contact, (H, W, 3) uint8."""
+
+    def image_motion_px(self, before_m: Array, after_m: Array) -> Array:
+        """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y."""
+
+
 class LiveEffects:
     """The filters of pose, response and image of one sensor.
 
@@ -83,7 +102,7 @@ class LiveEffects:
         act_in_time: whether a frame may differ from the one before though nothing was told.
     """
 
-    def __init__(self, effects: Sequence[Active], sensor: TactileSensor) -> None:
+    def __init__(self, effects: Sequence[Active], sensor: FilteredSensor) -> None:
         self._effects, self._sensor = tuple(effects), sensor
         self._has_response = any(active.effect.response for active in effects)
         self._has_image = any(active.effect.image for active in effects)
@@ -137,41 +156,40 @@ class LiveEffects:
             wrench=wrench_with_force(gel.wrench, answer.force_n, pose.position_m),
         )
 
-    def camera(self, before_m: Array | None, step_s: float) -> Callable[[Frame], Frame] | None:
-        """Return what the camera makes of this moment's frame, whenever it is rendered; None where
+    def camera(
+        self, before_m: Array | None, step_s: float
+    ) -> Callable[[ImageArray, Array], ImageArray] | None:
+        """Return what the camera makes of this moment's image, whenever it is rendered; None where
         no effect acts on it.
 
         Args:
             before_m: (V, 3) the skin in the frame before; None where nothing leads here.
             step_s: since then.
+
+        Returns:
+            A function of the rendered image (H, W, 3) and the skin (V, 3) that it shows.
         """
         if not self._has_image:
             return None
         image, stamp_s, session_s = self._image, self._stamp_s, self._session_s
         sensor = self._sensor
 
-        def seen(frame: Frame) -> Frame:
-            begun_s = time.perf_counter()
+        def seen(rendered: ImageArray, skin_position_m: Array) -> ImageArray:
             if before_m is None:
-                flow = np.zeros((*frame.image.shape[:2], 2))
+                flow = np.zeros((*rendered.shape[:2], 2))
             else:
-                flow = sensor.picture_motion_px(before_m, frame.skin_position_m) / step_s
+                flow = sensor.image_motion_px(before_m, skin_position_m) / step_s
             pixels = image(
                 SeenImage(
                     stamp_s=stamp_s,
                     session_s=session_s,
-                    pixels=frame.image.astype(np.float64),
+                    pixels=rendered.astype(np.float64),
                     idle=sensor.idle_image.astype(np.float64),
                     centre_px=sensor.camera.principal_point_px,
                     focal_px=sensor.camera.focal_px,
                     flow_px_s=flow,
                 )
             )
-            spent_s = time.perf_counter() - begun_s
-            return replace(
-                frame,
-                image=np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8),
-                timings_s={**frame.timings_s, "effects": spent_s},
-            )
+            return np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8)
 
         return seen

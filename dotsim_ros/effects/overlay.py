@@ -15,8 +15,7 @@ import yaml
 
 from dotsim_ros import __version__
 from dotsim_ros.effects.effect import Active, Effect
-from dotsim_ros.files import whole_file
-from dotsim_ros.gap.findings import Estimate
+from dotsim_ros.files import write_text
 
 VERSION = 1
 FILE_NAME = "effects_overlay.yaml"
@@ -78,8 +77,7 @@ def write_overlay(path: Path, overlay: Overlay) -> None:
         ],
     }
     _overlay_of(record, str(path))
-    with whole_file(path) as part:
-        part.write_text(yaml.safe_dump(record, sort_keys=False), encoding="utf-8")
+    write_text(path, yaml.safe_dump(record, sort_keys=False))
 
 
 def read_overlay(path: str | Path) -> Overlay:
@@ -225,3 +223,19 @@ def _estimate_of(name: str, numbers: Any, place: str) -> Estimate:
             f"{numbers['high']:g}"
         )
     return Estimate(name, str(numbers["unit"]), *(float(numbers[key]) for key in _NUMBERS))
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A fitted number.
+
+    Attributes:
+        name, unit: of the parameter.
+        value, low, high: with its interval of 95 %.
+    """
+
+    name: str
+    unit: str
+    value: float
+    low: float
+    high: float

@@ -46,6 +46,8 @@ SAME = APART**2
 """Gains, in squared deviations, that differ by less."""
 ALIKE = 0.9
 """Cosine from which two effects need a whitened size of 14 to be told apart."""
+STABLE_SHARE = 0.9
+"""A name that fewer bootstrap repetitions give is not stable."""
 NULL_DRAWS = 200
 HEAVIER = 4.0
 """No effect's limit is below this multiple of the simulated nulls' threshold: units differ in more

@@ -19,6 +19,8 @@ from numpy.typing import NDArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
+from dotsim_ros.effects.simulate import open_solver, request_of
+from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
@@ -58,7 +60,6 @@ from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import one_of_each, protocol_of
-from dotsim_ros.twin.solver import open_solver, request_of
 
 Array = NDArray[np.float64]
 
@@ -325,7 +326,7 @@ def _optical_findings(
     sizes = np.array([one.size for one in before])
     closed = _closed(squares, sizes, null.usual_excess, random) if answer.named else None
     warnings = list(warnings)
-    if answer.stability is not None and answer.stability < wording.STABLE:
+    if answer.stability is not None and answer.stability < decision.STABLE_SHARE:
         warnings.append(
             f"the name of the images' effect is not stable: {answer.stability:.0%} of bootstrap "
             "repetitions over trajectories agree; record more trajectories"

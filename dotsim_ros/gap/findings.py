@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any
 
+from dotsim_ros.effects.overlay import Estimate
+
 VERSION = 1
 
 
@@ -26,22 +28,6 @@ class Verdict(Enum):
     def exit_status(self) -> int:
         """0 no gap, 10 named, 11 a set, 12 unknown, 20 unusable data."""
         return {"no_gap": 0, "named": 10, "set": 11, "unknown": 12, "unusable": 20}[self.value]
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A fitted number.
-
-    Attributes:
-        name, unit: of the parameter.
-        value, low, high: with its interval of 95 %.
-    """
-
-    name: str
-    unit: str
-    value: float
-    low: float
-    high: float
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.decision import ALIKE
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
 from dotsim_ros.gap.presses.covariance import Noise, load_discrepancy
@@ -23,7 +24,6 @@ from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.measurement import protocol_of, read_poses
-from dotsim_ros.twin.solver import open_solver, request_of
 
 Array = NDArray[np.float64]
 

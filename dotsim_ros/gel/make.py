@@ -102,7 +102,9 @@ def material_of(specification: MaterialSpecification) -> Material:
     return Material(law_of(s), prony, s.density_kg_m3)
 
 
-class _ImplicitSensorGel:
+class SingleImplicitGel:
+    """One environment of an implicit gel as a `Gel`."""
+
     def __init__(self, gel: ImplicitGel) -> None:
         self._gel = gel
         self.reset, self.set_indenter = gel.reset, gel.set_indenter
@@ -121,7 +123,9 @@ class _ImplicitSensorGel:
         )
 
 
-class _ExplicitSensorGel:
+class SingleExplicitGel:
+    """One environment of an explicit gel as a `Gel`."""
+
     def __init__(self, gel: ExplicitGel) -> None:
         self._gel = gel
         self.reset, self.set_indenter = gel.reset, gel.set_indenter
@@ -157,7 +161,7 @@ def make_gel(
     s = specification
     body = body_of(s.gel)
     if s.solver.method == "implicit":
-        return _ImplicitSensorGel(
+        return SingleImplicitGel(
             ImplicitGel(
                 body,
                 skin,
@@ -175,7 +179,7 @@ def make_gel(
             f"solver.method 'explicit' takes the law neo_hookean, not {s.material.law!r}; choose "
             "that law or the method 'implicit'"
         )
-    return _ExplicitSensorGel(
+    return SingleExplicitGel(
         ExplicitGel(
             body,
             skin,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-import os
 import pickle
 import time
 from collections.abc import Callable
@@ -16,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from dotsim_ros.files import whole_file
 from dotsim_ros.learning.examples import Examples
 from dotsim_ros.optics.network.card import BASES
 from dotsim_ros.optics.network.input import CARRIED
@@ -291,10 +291,8 @@ class Training:
             "spent_s": self._spent_s,
             "step": self._step,
         }
-        self._checkpoint.parent.mkdir(parents=True, exist_ok=True)
-        part = self._checkpoint.with_suffix(".part")
-        torch.save(state, part)
-        os.replace(part, self._checkpoint)
+        with whole_file(self._checkpoint) as part:
+            torch.save(state, part)
 
     def _resume(self, path: Path) -> None:
         try:

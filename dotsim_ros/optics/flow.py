@@ -9,7 +9,7 @@ from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.optics.renderer import IntArray, View
 
 
-def picture_motion_px(view: View, triangles: IntArray, pixel_before: FloatArray) -> FloatArray:
+def image_motion_px(view: View, triangles: IntArray, pixel_before: FloatArray) -> FloatArray:
     """Return how far (H, W, 2) what each pixel shows has moved in the picture, x then y.
 
     Args:

@@ -9,7 +9,6 @@ vignetting are those of the YAML file beside the image, which the shading uses l
 from __future__ import annotations
 
 import argparse
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,6 +18,7 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dotsim_ros.files import write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.idle import ByteImage, read_description
 from dotsim_ros.optics.image import direct_light, leds_of
@@ -160,12 +160,7 @@ def main() -> None:
         style=PatternStyle(),
         seed=arguments.seed,
     )
-    encoded, data = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
-    if not encoded:
-        raise ValueError(f"{arguments.out}: OpenCV could not encode the image")
-    temporary = arguments.out.with_suffix(".png.part")
-    temporary.write_bytes(data.tobytes())
-    os.replace(temporary, arguments.out)
+    write_image(arguments.out, image)
 
 
 if __name__ == "__main__":

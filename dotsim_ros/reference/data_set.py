@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from dotsim_ros.files import whole_file, write_text
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import INDEX, read_data_set
@@ -62,14 +63,13 @@ class ReferenceDataSet:
             ):
                 raise ValueError(f"{path} holds another skin; give another folder")
         else:
-            temporary = directory / ".skin_mesh.part.npz"
-            np.savez_compressed(
-                temporary,
-                rest_position_m=skin.rest_position_m,
-                triangles=skin.triangles,
-                on_base=skin.on_base,
-            )
-            temporary.replace(path)
+            with whole_file(path) as part:
+                np.savez_compressed(
+                    part,
+                    rest_position_m=skin.rest_position_m,
+                    triangles=skin.triangles,
+                    on_base=skin.on_base,
+                )
 
     def bag(self, name: str) -> Path:
         """Return where the trajectory of a name lies or will lie."""
@@ -124,12 +124,8 @@ class ReferenceDataSet:
 
     def _write_index(self, records: Mapping[str, Mapping[str, Any]]) -> None:
         index = self.directory / INDEX
-        temporary = index.with_name(f".{INDEX}.part")
-        temporary.write_text(
-            yaml.safe_dump({"trajectories": list(records.values())}, sort_keys=False),
-            encoding="utf-8",
-        )
-        temporary.replace(index)
+        content = {"trajectories": list(records.values())}
+        write_text(index, yaml.safe_dump(content, sort_keys=False))
 
     def _write_indenter(self, indenter: Indenter) -> None:
         import trimesh  # half a second
@@ -137,11 +133,10 @@ class ReferenceDataSet:
         path = self.directory / "indenters" / f"{indenter.name}.stl"
         if path.is_file():
             return
-        path.parent.mkdir(exist_ok=True)
         surface = indenter_surface(indenter, FINE_STEP_M)
-        temporary = path.with_name(f".{indenter.name}.part.stl")
-        trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False).export(temporary)
-        temporary.replace(path)
+        mesh = trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False)
+        with whole_file(path) as part:
+            mesh.export(part)
 
 
 def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:

@@ -7,18 +7,15 @@ of the time, so the skins are kept on disk, under a name that depends on everyth
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import zipfile
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-import dotsim_ros
-from dotsim_ros.files import cache_directory, given_path, whole_file
+from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.files import cache_directory, given_path
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
@@ -33,7 +30,7 @@ from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.model import steps
+from dotsim_ros.twin.follow import SimulatedPress, SolveError, follow
 
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
@@ -47,8 +44,8 @@ LEAST_FRAMES = 10
 CLEARANCE_M = 0.05e-3
 """An indenter farther than this from the skin at rest touches nothing; poses are noisy."""
 
-_FORMAT = 1
-_SKIN_FIELDS = ("gel", "material", "contact", "solver")
+DECIDED_BY = ("dotsim_ros.gel.make", "dotsim_ros.twin.follow")
+"""The code, with all that it imports, that decides where the skin goes."""
 
 
 @dataclass(frozen=True)
@@ -190,8 +187,9 @@ def read_filmed_data(
             "record or name more presses"
         )
     skin = skin_of(sensor.gel)
-    meshes = {entry.indenter: data_set.indenter_mesh(entry.indenter) for entry in entries}
-    indenters = {name: load_mesh(path) for name, path in meshes.items()}
+    indenters = {
+        entry.indenter: load_mesh(data_set.indenter_mesh(entry.indenter)) for entry in entries
+    }
     check(
         idle,
         [
@@ -200,7 +198,7 @@ def read_filmed_data(
             for frame in _untouched_frames(press, indenters[press.indenter], skin)
         ],
     )
-    follow = _Follower(sensor, skin, cache or cache_directory() / "skins", say)
+    skin_of_press = _Follower(sensor, skin, cache or cache_directory() / "skins", say)
     return FilmedData(
         skin,
         idle,
@@ -210,7 +208,7 @@ def read_filmed_data(
                 press.indenter,
                 tip_depth_m(skin, press.poses),
                 images,
-                follow(press, indenters[press.indenter], meshes[press.indenter].read_bytes()),
+                skin_of_press(press, indenters[press.indenter]),
                 press.stamp_s,
             )
             for press, images in footage
@@ -246,7 +244,7 @@ def with_measured_skin(
             raise ValueError(
                 f"{bags[press.name]}: the skin was measured at other times than the images"
             )
-        presses.append(dataclasses.replace(press, skin_position_m=measured.position_m))
+        presses.append(replace(press, skin_position_m=measured.position_m))
     return FilmedData(skin, filmed.idle, tuple(presses))
 
 
@@ -440,41 +438,35 @@ class _Follower:
         self._sensor, self._skin, self._cache, self._say = sensor, skin, cache, say
         self._gel: Gel | None = None
         self._indenter: Indenter | None = None
-        parts = {name: dataclasses.asdict(getattr(sensor, name)) for name in _SKIN_FIELDS}
-        self._seed = repr((_FORMAT, dotsim_ros.__version__, sorted(parts.items()))).encode()
 
-    def __call__(self, press: Press, indenter: Indenter, surface: bytes) -> Float32Array:
-        """Return the skin (F, V, 3) at the poses of a press.
-
-        Args:
-            press: the poses.
-            indenter: what presses.
-            surface: the content of the indenter's file.
-        """
-        path = self._cache / f"{press.name}-{self._key(press, surface)}.npy"
-        shape = (press.frame_count, self._skin.vertex_count, 3)
-        known = _load(path, shape)
+    def __call__(self, press: Press, indenter: Indenter) -> Float32Array:
+        """Return the skin (F, V, 3) at the poses of a press."""
+        path = self._cache / f"{press.name}-{self._key(press, indenter)}.npz"
+        known = load_arrays(path)
         if known is not None:
-            return known
+            return known["skin_position_m"]
         self._say(f"{press.name}: following {press.frame_count} poses")
         try:
-            position = self._follow(press, indenter)
-        except (ValueError, RuntimeError, np.linalg.LinAlgError) as error:
-            raise ValueError(
+            found = self._follow(press, indenter)
+        except SolveError as error:
+            raise SolveError(
                 f"{press.name}: the gel could not follow its poses: {error}"
             ) from error
-        _store(path, position)
+        position = found.skin_position_m.astype(np.float32)
+        store_arrays(path, {"skin_position_m": position})
         return position
 
-    def _key(self, press: Press, surface: bytes) -> str:
-        digest = hashlib.sha256(self._seed)
-        digest.update(surface)
-        digest.update(np.diff(press.stamp_s).tobytes())
-        for pose in press.poses:
-            digest.update(pose.position_m.tobytes() + pose.quaternion_xyzw.tobytes())
-        return digest.hexdigest()[:24]
+    def _key(self, press: Press, indenter: Indenter) -> str:
+        s = self._sensor
+        return content_key(
+            DECIDED_BY,
+            (s.gel, s.material, s.contact, s.solver),
+            replace(indenter, name=""),
+            press.poses,
+            np.diff(press.stamp_s),
+        )
 
-    def _follow(self, press: Press, indenter: Indenter) -> Float32Array:
+    def _follow(self, press: Press, indenter: Indenter) -> SimulatedPress:
         gel = self._gel
         if gel is None:
             gel = self._gel = make_gel(self._sensor, self._skin, indenter)
@@ -482,26 +474,4 @@ class _Follower:
             gel.set_indenter(indenter)
         self._indenter = indenter
         gel.reset()
-        position = []
-        for pose, dt_s, ends_frame in steps(press):
-            state = gel.step(pose, dt_s)
-            if ends_frame:
-                position.append(state.skin_position_m)
-        skin = np.stack(position).astype(np.float32)
-        if not np.all(np.isfinite(skin)):
-            raise ValueError("the skin is not finite")
-        return skin
-
-
-def _load(path: Path, shape: tuple[int, ...]) -> Float32Array | None:
-    try:
-        stored = np.load(path, allow_pickle=False)
-    # A file cut short is computed anew.
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile):
-        return None
-    return stored if stored.shape == shape and stored.dtype == np.float32 else None
-
-
-def _store(path: Path, position: Float32Array) -> None:
-    with whole_file(path) as part:
-        np.save(part, position)
+        return follow(gel.step, press.poses, press.stamp_s)

@@ -2,41 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from itertools import pairwise
-
 import numpy as np
 
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of
 from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
 from dotsim_ros.specification import SensorSpecification
-
-FIRST_STEP_S = 0.1
-"""Duration of the way to the first pose, which no stamp tells."""
-
-
-def steps(press: Press, *, longest_step_s: float = np.inf) -> Iterator[tuple[Pose, float, bool]]:
-    """Yield (pose, duration in seconds, whether it ends a frame) along a press.
-
-    One step leads to the first frame; what lies between two frames is divided evenly.
-
-    Args:
-        press: its poses and stamps.
-        longest_step_s: no step is longer.
-    """
-    yield press.poses[0], min(FIRST_STEP_S, longest_step_s), True
-    for (start, end), (before_s, after_s) in zip(
-        pairwise(press.poses), pairwise(press.stamp_s.tolist()), strict=True
-    ):
-        # A share of a step too long is rounding, not another step.
-        count = max(1, int(np.ceil((after_s - before_s) / longest_step_s - 1e-9)))
-        for part in range(1, count + 1):
-            pose = end if part == count else interpolate(start, end, part / count)
-            yield pose, (after_s - before_s) / count, part == count
+from dotsim_ros.twin.follow import follow
 
 
 class ImplicitModel:
@@ -81,13 +55,13 @@ class ImplicitModel:
         """Return skin and force at the poses of a press, one after the other from rest.
 
         Raises:
-            ValueError: a pose presses too deep, or the gel could not be solved.
+            SolveError: a pose presses too deep, or the gel could not be solved.
         """
         gel = self.prepare(indenter, skin)
-        position, force = [], []
-        for pose, dt_s, ends_frame in steps(press, longest_step_s=self._longest_step_s):
-            state = gel.step([pose], dt_s)[0]
-            if ends_frame:
-                position.append(state.skin_position_m)
-                force.append(state.wrench.force_n)
-        return Prediction(np.stack(position), np.stack(force))
+        found = follow(
+            lambda pose, dt_s: gel.step([pose], dt_s)[0],
+            press.poses,
+            press.stamp_s,
+            longest_step_s=self._longest_step_s,
+        )
+        return Prediction(found.skin_position_m, found.force_n)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,9 +25,10 @@ from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 from dotsim_ros.gel.values import GelValues, specification_with
 from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.follow import SimulatedPress, follow
 
 Array = NDArray[np.float64]
 
@@ -50,32 +51,10 @@ KEPT_GELS = 4
 KEPT_TABLES = 4
 
 
-class SolveError(ValueError):
-    """The gel could not be solved at the poses of a press."""
-
-
-@dataclass(frozen=True)
-class Simulated:
-    """What the model gives for the F frames of a press.
-
-    Attributes:
-        skin_position_m: (F, V, 3), base frame.
-        force_n: (F, 3) of the gel on the indenter, base frame.
-        converged: whether every frame met the tolerance.
-    """
-
-    skin_position_m: Array
-    force_n: Array
-    converged: bool
-
-
 def offset_pose(pose: Pose, offset: Array) -> Pose:
     """Return a pose moved by (6,): metres along the indenter's axes, radians about its origin."""
-    a, half = pose.quaternion_xyzw, 0.5 * offset[3:]
-    b = np.array([*half, 1.0])
-    vector = a[3] * b[:3] + b[3] * a[:3] + np.cross(a[:3], b[:3])
-    quaternion = np.array([*vector, a[3] * b[3] - a[:3] @ b[:3]])
-    return Pose(pose.apply(offset[:3]), quaternion / np.linalg.norm(quaternion))
+    turn = np.array([*(0.5 * offset[3:]), 1.0])
+    return Pose(pose.apply(offset[:3]), quaternion_product(pose.quaternion_xyzw, turn))
 
 
 class GelSimulator:
@@ -127,7 +106,7 @@ class GelSimulator:
         offset: Array | None = None,
         *,
         relaxation: PronySeries | None = None,
-    ) -> Simulated:
+    ) -> SimulatedPress:
         """Return the skin and the force at the poses, one after the other from rest.
 
         Args:
@@ -142,21 +121,10 @@ class GelSimulator:
             SolveError: a pose presses too deep, or the gel has no equilibrium that can be found.
         """
         gel = self._gel(values, indenter, relaxation)
-        skins, forces, converged = [], [], True
-        duration = np.diff(stamp_s, prepend=stamp_s[0] - 0.1)
-        for frame, (pose, dt_s) in enumerate(zip(poses, duration.tolist(), strict=True)):
-            moved = pose if offset is None else offset_pose(pose, offset)
-            try:
-                state = gel.step([moved], dt_s)[0]
-            except (ValueError, np.linalg.LinAlgError) as error:
-                raise SolveError(f"frame {frame} could not be solved: {error}") from error
-            if not np.all(np.isfinite(state.skin_position_m)):
-                raise SolveError(f"frame {frame} could not be solved: the skin is not finite")
-            skins.append(state.skin_position_m)
-            forces.append(state.wrench.force_n)
-            converged = converged and state.converged
+        moved = list(poses) if offset is None else [offset_pose(pose, offset) for pose in poses]
+        found = follow(lambda pose, dt_s: gel.step([pose], dt_s)[0], moved, stamp_s)
         scale = values.youngs_modulus_pa / REFERENCE_MODULUS_PA
-        return Simulated(np.stack(skins), scale * np.stack(forces), converged)
+        return replace(found, force_n=scale * found.force_n)
 
     def prepare(self, values: GelValues) -> None:
         """Compute the tables that the values need, and keep them on disk."""

@@ -20,6 +20,7 @@ import yaml
 
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
+from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, Takes
 from dotsim_ros.evaluation.gap.hidden.reality import Truth
 from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
@@ -33,7 +34,6 @@ from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.trajectory import ImageChannel, read_trajectory, write_trajectory
 from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.twin.solver import open_solver, request_of
 
 PROTOCOLS = ("hold_0", "slide_0")
 SKIN_SPACING_M = 2.0e-3

@@ -10,8 +10,7 @@ import pytest
 from harness import APEX_M, LockstepPress, TactileFrame, running, sensor
 
 import msg_adapters
-from dotsim_ros.effects.overlay import FoundEffect, Overlay, write_overlay
-from dotsim_ros.gap.findings import Estimate
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, write_overlay
 
 PARAMETERS = {"clock": "lockstep", "diagnostics_period_s": 0.1}
 SLIDE = ((0.0, 1.2), (0.3, 1.2), (0.6, 1.2), (0.9, 1.2), (1.2, 1.2))

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
-    Estimate,
     Findings,
     Pair,
     Place,

@@ -30,7 +30,8 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.specification import SensorSpecification, load_sensor, write_sensor
-from dotsim_ros.twin.simulator import Simulated, offset_pose
+from dotsim_ros.twin.follow import SimulatedPress
+from dotsim_ros.twin.simulator import offset_pose
 
 Array = NDArray[np.float64]
 
@@ -114,7 +115,7 @@ def test_a_shift_is_weighed_by_the_noise_point_to_point() -> None:
     noise = Noise(skin_discretisation_m=0.0)
     rest = SKIN_MESH.rest_position_m
     press = one_frame_press(rest, np.array([0.0, 0.0, 2.0]))
-    simulated = Simulated(
+    simulated = SimulatedPress(
         (rest + np.array([0.0, 0.0, 0.08e-3]))[None], np.array([[0.0, 0.0, 2.12]]), True
     )
     found = missed(press, simulated, noise, SKIN_MESH, None)
@@ -133,7 +134,7 @@ def test_points_that_err_together_tell_no_more_than_one() -> None:
 def test_chamfer_needs_no_order_of_the_points() -> None:
     rest = SKIN_MESH.rest_position_m
     moved = rest + np.array([0.0, 0.0, 0.2e-3])
-    simulated = Simulated(moved[None], np.zeros((1, 3)), True)
+    simulated = SimulatedPress(moved[None], np.zeros((1, 3)), True)
     found = []
     for order in (np.arange(len(rest)), np.random.default_rng(0).permutation(len(rest))):
         press = one_frame_press(rest[order], np.zeros(3))

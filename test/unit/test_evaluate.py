@@ -48,7 +48,7 @@ from dotsim_ros.metrics.presses import (
     summarize,
 )
 from dotsim_ros.specification import MaterialSpecification, SensorSpecification
-from dotsim_ros.twin.model import steps
+from dotsim_ros.twin.follow import steps
 
 FloatArray = NDArray[np.float64]
 
@@ -184,7 +184,8 @@ def test_times_that_do_not_increase_are_named() -> None:
 
 
 def test_steps_divide_what_is_too_long() -> None:
-    way = list(steps(press(), longest_step_s=0.04))
+    pressed = press()
+    way = list(steps(pressed.poses, pressed.stamp_s, longest_step_s=0.04))
     assert [ends for _, _, ends in way] == [True, *[False, False, True] * 3]
     assert sum(dt_s for _, dt_s, _ in way[1:]) == pytest.approx(0.3)
     assert way[3][0] is press_poses(way)[1]

@@ -178,7 +178,7 @@ def test_motion_blur_needs_a_motion(sensor: TactileSensor) -> None:
 def test_the_motion_of_the_picture_is_that_of_the_points_it_shows(sensor: TactileSensor) -> None:
     before_m = sensor.skin.rest_position_m
     after_m = before_m + np.array([2e-4, -1e-4, 0.0])
-    motion_px = sensor.picture_motion_px(before_m, after_m)
+    motion_px = sensor.image_motion_px(before_m, after_m)
     height, width = motion_px.shape[:2]
     y, x = height // 2 + 30, width // 2 - 40
     frame = sensor.see(replace(sensor.press(None, 0.04), skin_position_m=after_m), None)

@@ -25,11 +25,11 @@ from optical_films import (
 )
 
 from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap.find import channels_of, combined
 from dotsim_ros.gap.findings import (
     Candidate,
     ChannelGap,
-    Estimate,
     OpticalFindings,
     TileGap,
     Verdict,

@@ -10,6 +10,7 @@ import yaml
 from dotsim_ros import __version__
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import (
+    Estimate,
     FoundEffect,
     Overlay,
     active_effects,
@@ -18,7 +19,6 @@ from dotsim_ros.effects.overlay import (
     read_overlay,
     write_overlay,
 )
-from dotsim_ros.gap.findings import Estimate
 
 LIBRARY = load_effects()
 FOUND = Overlay(

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.presses.observables import observe, places_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.solver import open_solver, request_of
 
 Array = NDArray[np.float64]
 

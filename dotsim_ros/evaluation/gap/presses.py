@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.simulate import open_solver
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance, centred
 from dotsim_ros.gap.presses.covariance import Discrepancy, Noise
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
@@ -23,7 +24,6 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.measurement import Measurement, read_measurement
 from dotsim_ros.measured.split import repeats_of
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.solver import open_solver
 
 Progress = Callable[[str, int, int], None]
 

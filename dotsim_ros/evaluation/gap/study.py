@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.evaluation.gap.baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
 from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Law
@@ -50,11 +51,14 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.simulator import GelSimulator, Simulated, SolveError
+from dotsim_ros.twin.follow import SimulatedPress, SolveError
+from dotsim_ros.twin.simulator import GelSimulator
 from dotsim_ros.twin.solver import TOLERANCE_M
 
 Array = NDArray[np.float64]
 
+DECIDED_BY = ("dotsim_ros.evaluation.gap.study",)
+"""The code, with all that it imports, that decides what a hidden law does."""
 STIFFNESS_DECOY = 0.05
 LIMIT_SEARCHES = 5
 PAIRS = 12
@@ -196,7 +200,7 @@ class _Remembering(GelSimulator):
 
     def __init__(self, specification: SensorSpecification, skin: SkinMesh) -> None:
         super().__init__(specification, skin, tolerance_m=TOLERANCE_M)
-        self._known: dict[str, Simulated] = {}
+        self._known: dict[str, SimulatedPress] = {}
 
     def press(
         self,
@@ -207,7 +211,7 @@ class _Remembering(GelSimulator):
         offset: Array | None = None,
         *,
         relaxation: PronySeries | None = None,
-    ) -> Simulated:
+    ) -> SimulatedPress:
         """Return as `GelSimulator.press`."""
         places = [(p.position_m.tolist(), p.quaternion_xyzw.tolist()) for p in poses]
         key = repr((values, indenter.name, relaxation, stamp_s.tolist(), offset, places))
@@ -236,11 +240,17 @@ def _hidden_changes(
         size = full_size(LAWS[name])
         changes = []
         for number, t in enumerate(case.trajectories):
-            stored = run / f"law_{name}_{t.recording.name}_unit_{seed}.npy"
-            if stored.is_file():
-                changes.append(np.load(stored))
-                continue
             press = t.recording.press
+            key = content_key(
+                DECIDED_BY,
+                (source.sensor, presses.skin.rest_position_m, name, size, seed, number),
+                (t.recording, t.predicted),
+            )
+            stored = run / f"law_{name}_{t.recording.name}_{key}.npz"
+            known = load_arrays(stored)
+            if known is not None:
+                changes.append(known["change"])
+                continue
             try:
                 moved, force = reality_of(
                     simulator,
@@ -259,7 +269,7 @@ def _hidden_changes(
                 t.places, simulator.skin.rest_position_m, moved, force, press.frame_count
             )
             changes.append(shown - t.predicted)
-            np.save(stored, changes[-1])
+            store_arrays(stored, {"change": changes[-1]})
             source.progress("hide", place * len(case.trajectories) + number + 1, total)
         result[name] = changes
     return result

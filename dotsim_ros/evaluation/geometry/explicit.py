@@ -14,14 +14,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S, ExplicitGel, ExplicitSettings
-from dotsim_ros.gel.make import body_of
+from dotsim_ros.gel.make import SingleExplicitGel, body_of
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.model import steps
+from dotsim_ros.twin.follow import follow
 
 PAPER_YOUNGS_MODULUS_PA = 27_575.0
 SEARCHED_POISSON_RATIOS = (0.303, 0.40, 0.45, 0.48)
@@ -82,17 +82,17 @@ class ExplicitModel:
         """Return skin and force at the poses of a press, one after the other from rest.
 
         Raises:
-            DivergenceError: it became unstable.
+            SolveError: it became unstable.
         """
         gel = self.prepare(indenter, skin)
         gel.step(start_outside(press.poses[0], indenter, skin), PAPER_FRAME_S)
-        position, force = [], []
-        for pose, dt_s, ends_frame in steps(press, longest_step_s=PAPER_FRAME_S):
-            state = gel.step(pose, dt_s)
-            if ends_frame:
-                position.append(state.skin_position_m[0])
-                force.append(state.force_n[0])
-        return Prediction(np.stack(position), np.stack(force))
+        found = follow(
+            SingleExplicitGel(gel).step,
+            press.poses,
+            press.stamp_s,
+            longest_step_s=PAPER_FRAME_S,
+        )
+        return Prediction(found.skin_position_m, found.force_n)
 
 
 def start_outside(pose: Pose, indenter: Indenter, skin: SkinMesh) -> Pose:

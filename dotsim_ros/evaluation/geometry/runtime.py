@@ -20,7 +20,8 @@ from dotsim_ros.measured.presses import Prediction, Press
 from dotsim_ros.metrics.presses import contact_region, judged_frames, surface_errors
 from dotsim_ros.metrics.surfaces import relative_rms
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.model import ImplicitModel, steps
+from dotsim_ros.twin.follow import steps
+from dotsim_ros.twin.model import ImplicitModel
 
 WARM_UP_FRAMES = 2
 
@@ -131,7 +132,7 @@ def runtime_rows(
             except (ValueError, RuntimeError) as error:
                 failed[press.name] = str(error)
                 continue
-            count += sum(1 for _ in steps(press, longest_step_s=PAPER_FRAME_S))
+            count += sum(1 for _ in steps(press.poses, press.stamp_s, longest_step_s=PAPER_FRAME_S))
             errors.add(press, prediction, indenter, skin)
         rows.append(
             {

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import ast
-import hashlib
 import importlib.util
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import dotsim_ros
 from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
+from dotsim_ros.code_version import version_of
 from dotsim_ros.evaluation.optics.judge import Carried, Factory, Idle, ImageModel
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
@@ -38,22 +36,18 @@ REFINED = ("idle_refined", "tacto_refined", "carried", "ours")
 """Models that get an idle image refined by the frames that they are fitted on, with samples between
 its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is
 what they would gain."""
-_IDLE = ("optics/learned_pattern.py", "optics/untouched.py")
-_BASELINES = "baselines/optics"
-_LEARNING = (
-    "optics/network_input.py",
-    *(f"optics/learning/{part}.py" for part in ("examples", "fitting", "networks", "training")),
-)
-_TACTO = tuple(f"{_BASELINES}/{part}.py" for part in ("tacto", "clipped", "pixels"))
+_PATTERN = "dotsim_ros.learning.pattern"
+_BASELINES = "dotsim_ros.baselines.optics"
+_NETWORK = "dotsim_ros.learning.fitting"
 _MADE_BY = {
-    "idle_refined": _IDLE,
-    "tacto": _TACTO,
-    "tacto_refined": (*_TACTO, *_IDLE),
-    "carried": _IDLE,
-    "taxim": tuple(f"{_BASELINES}/{part}.py" for part in ("taxim", "pixels")),
-    "difftactile": tuple(f"{_BASELINES}/{part}.py" for part in ("per_pixel", "pixels")),
-    **dict.fromkeys(PUBLISHED, _LEARNING),
-    "ours": (*_LEARNING, *_IDLE),
+    "idle_refined": (_PATTERN,),
+    "tacto": (f"{_BASELINES}.tacto", f"{_BASELINES}.clipped"),
+    "tacto_refined": (f"{_BASELINES}.tacto", f"{_BASELINES}.clipped", _PATTERN),
+    "carried": (_PATTERN,),
+    "taxim": (f"{_BASELINES}.taxim",),
+    "difftactile": (f"{_BASELINES}.per_pixel",),
+    **dict.fromkeys(PUBLISHED, (_NETWORK,)),
+    "ours": (_NETWORK, _PATTERN),
 }
 
 
@@ -61,29 +55,8 @@ def code_digest(name: str) -> str:
     """Return a digest of the code that fits a model and predicts with it.
 
     Comments, docstrings and layout play no part in it.
-
-    Raises:
-        FileNotFoundError: a file of that code has moved.
     """
-    package = Path(dotsim_ros.__file__).parent
-    digest = hashlib.sha256()
-    for path in _MADE_BY.get(name, ()):
-        tree = ast.parse((package / path).read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            body = getattr(node, "body", None)
-            if isinstance(body, list):
-                # A string that stands alone does nothing.
-                node.body = [part for part in body if not _is_bare_string(part)]  # type: ignore[attr-defined]
-        digest.update(ast.dump(tree).encode())
-    return digest.hexdigest()
-
-
-def _is_bare_string(statement: ast.stmt) -> bool:
-    return (
-        isinstance(statement, ast.Expr)
-        and isinstance(statement.value, ast.Constant)
-        and isinstance(statement.value.value, str)
-    )
+    return version_of(*_MADE_BY.get(name, ()))
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from dotsim_ros.cache import content_key
 from dotsim_ros.files import given_path, whole_file, write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import FloatArray
@@ -40,7 +41,12 @@ START_SPREAD_M = 0.4e-3
 BRAKING_S = 0.3
 """After the last command the motion still counts for so long."""
 TRIES = 3
-_FORMAT = 1
+DECIDED_BY = (
+    "dotsim_ros.sensor",
+    "dotsim_ros.tasks.arm.simulated",
+    "dotsim_ros.tasks.policy.network",
+)
+"""The code, with all that it imports, that decides what a trial does."""
 
 
 @dataclass(frozen=True)
@@ -94,10 +100,9 @@ class TrialPlan:
 
     def file_of(self, setting: Setting, path: str, number: int) -> str:
         """Return the name of the file that keeps a trial."""
-        what = [_FORMAT, self.policy, setting.content, path, number, self.seed, self.seconds]
-        what += [setting.noise_levels]
-        digest = hashlib.sha256(json.dumps(what).encode()).hexdigest()[:12]
-        return f"{setting.name}-{path}-{number}-{digest}.npz"
+        what = (self.policy, setting.content, path, number, self.seed, self.seconds)
+        key = content_key(DECIDED_BY, what, setting.noise_levels)
+        return f"{setting.name}-{path}-{number}-{key}.npz"
 
 
 class Loop(Protocol):

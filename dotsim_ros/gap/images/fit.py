@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.effects.effect import Active, Effect, EffectParameter
+from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import Estimate, Verdict
+from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import OpticalCase, Shot
 from dotsim_ros.gap.images.null import OpticalNull
 from dotsim_ros.gap.images.search import (

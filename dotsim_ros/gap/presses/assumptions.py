@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from dotsim_ros.calibration.parameters import PARAMETERS, with_coordinates
 from dotsim_ros.effects.effect import Active, Effect
+from dotsim_ros.effects.simulate import EffectRequest, request_of
 from dotsim_ros.gap.presses.observables import PATCH_COUNT
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.recording import Recording
-from dotsim_ros.twin.solver import Request, request_of
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ have changed by what a laboratory's temperature does."""
 
 def nuisance_requests(
     recording: Recording, values: GelValues, library: Mapping[str, Effect]
-) -> list[Request]:
+) -> list[EffectRequest]:
     """Return what must be simulated for the columns of a trajectory, the twin as it is first."""
     result = [request_of(recording, values)]
     for name, step in STEPS.items():

@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import Estimate, Pair
+from dotsim_ros.gap.findings import Pair
 from dotsim_ros.gap.presses.evidence import Segment
 from dotsim_ros.gap.presses.inference import Evidence, fit_nuisances
 from dotsim_ros.gap.presses.isolability import pairs_of

@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.effects.effect import Active
-from dotsim_ros.effects.overlay import FoundEffect, Overlay
-from dotsim_ros.gap.findings import Candidate, ChannelGap, Estimate, Findings, Verdict
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
+from dotsim_ros.effects.simulate import request_of
+from dotsim_ros.gap import decision
+from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict
 from dotsim_ros.gap.presses.answer import Answer, sizes_by_channel
 from dotsim_ros.gap.presses.assumptions import values_after
 from dotsim_ros.gap.presses.certainty import BOOTSTRAPS, close_pairs
@@ -28,8 +30,7 @@ from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Searc
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.measurement import Measurement
-from dotsim_ros.twin.simulator import SolveError
-from dotsim_ros.twin.solver import request_of
+from dotsim_ros.twin.follow import SolveError
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -64,7 +65,7 @@ def findings_of(
         if not np.isfinite(closed[0]):
             closed = None
             search.warnings.append("the locked trajectories show no gap that could be closed")
-    if stability is not None and stability < 0.9:
+    if stability is not None and stability < decision.STABLE_SHARE:
         search.warnings.append(
             f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
             "trajectories agree; record more trajectories"

@@ -10,7 +10,6 @@ Brynjarsdottir and O'Hagan 2014 what happens without).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.files import parameter_path, whole_file
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SECTORS, SIZE, Places, ring_of_patch
 from dotsim_ros.measured.recording import Recording
 
@@ -175,21 +174,19 @@ def _shrunk(covariance: Array) -> Array:
 
 def save_discrepancy(discrepancy: Discrepancy, path: Path) -> None:
     """Write covariances as single precision, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(path.name + ".part.npz")
-    np.savez_compressed(
-        temporary,
-        between=discrepancy.between.astype(np.float32),
-        within=discrepancy.within.astype(np.float32),
-        source=np.array(discrepancy.source),
-        biased=np.array(list(discrepancy.bias), dtype=str),
-        bias=np.array(list(discrepancy.bias.values())),
-        limited=np.array(list(discrepancy.limit_factors), dtype=str),
-        limit_factor=np.array(list(discrepancy.limit_factors.values())),
-        pattern_factor=np.array(discrepancy.pattern_factor),
-        misfit_limit=np.array(discrepancy.misfit_limit),
-    )
-    os.replace(temporary, path)
+    with whole_file(path) as part:
+        np.savez_compressed(
+            part,
+            between=discrepancy.between.astype(np.float32),
+            within=discrepancy.within.astype(np.float32),
+            source=np.array(discrepancy.source),
+            biased=np.array(list(discrepancy.bias), dtype=str),
+            bias=np.array(list(discrepancy.bias.values())),
+            limited=np.array(list(discrepancy.limit_factors), dtype=str),
+            limit_factor=np.array(list(discrepancy.limit_factors.values())),
+            pattern_factor=np.array(discrepancy.pattern_factor),
+            misfit_limit=np.array(discrepancy.misfit_limit),
+        )
 
 
 def load_discrepancy(path: str | Path | None = None) -> Discrepancy:

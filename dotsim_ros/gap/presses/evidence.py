@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
+from dotsim_ros.effects.simulate import EffectSolver, request_of
 from dotsim_ros.gap.presses.assumptions import OWN, Nuisance, nuisance_columns, nuisance_requests
 from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, Whitening, usable, whitening_of
 from dotsim_ros.gap.presses.inference import Evidence
@@ -18,8 +19,8 @@ from dotsim_ros.gap.presses.patterns import patterns
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.recording import Recording
-from dotsim_ros.twin.simulator import Simulated, SolveError
-from dotsim_ros.twin.solver import Progress, Solver, request_of
+from dotsim_ros.twin.follow import SimulatedPress, SolveError
+from dotsim_ros.twin.solver import Progress
 
 Array = NDArray[np.float64]
 
@@ -122,7 +123,7 @@ class Case:
         trajectories: Sequence[Trajectory],
         nuisances: Sequence[Nuisance],
         library: Mapping[str, Effect],
-        solver: Solver,
+        solver: EffectSolver,
         values: GelValues,
         rest_m: Array,
     ) -> None:
@@ -312,7 +313,9 @@ class Case:
         return result
 
 
-def observed_of(recording: Recording, places: Places, simulated: Simulated, rest_m: Array) -> Array:
+def observed_of(
+    recording: Recording, places: Places, simulated: SimulatedPress, rest_m: Array
+) -> Array:
     """Return the observables (F, SIZE) of a simulation, in the channels that were measured."""
     press = recording.press
     skin = None if press.skin_position_m is None else simulated.skin_position_m
@@ -327,7 +330,7 @@ def make_trajectories(
     values: GelValues,
     nuisances: Sequence[Nuisance],
     library: Mapping[str, Effect],
-    solver: Solver,
+    solver: EffectSolver,
     skin: SkinMesh,
     noise: Noise,
     discrepancy: Discrepancy,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay
+from dotsim_ros.effects.simulate import open_solver
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.presses.answer import answer_of, null_gains, screen
@@ -24,7 +25,6 @@ from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
-from dotsim_ros.twin.solver import open_solver
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

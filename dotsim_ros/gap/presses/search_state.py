@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.effects.effect import Effect
+from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import Estimate
 from dotsim_ros.gap.presses.covariance import Discrepancy, Noise
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances

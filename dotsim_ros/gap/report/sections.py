@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from dotsim_ros.effects.effect import Effect
+from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, Findings, Place, Verdict
 from dotsim_ros.gap.report.figures import gap_bars, heatmap, ranking, worst_frame
 from dotsim_ros.gap.report.images import picture_sections
@@ -29,8 +30,6 @@ LABELS = {
     Verdict.UNKNOWN: ("Unknown effect", "#7a3ea1"),
     Verdict.UNUSABLE: ("Data cannot be used", "#b3261e"),
 }
-STABLE_SHARE = 0.9
-"""A name that fewer bootstrap repetitions give is called unstable."""
 CLOSED_RATIO = 1.2
 """A channel whose RMS is at most this many floors has no gap left that can be seen."""
 _STRONGEST_PLACES = 6
@@ -110,7 +109,7 @@ def _at_a_glance(f: Findings, warns_first: bool) -> Section | None:
             f"{interval}."
         )
     if f.stability is not None:
-        stable = "" if f.stability >= STABLE_SHARE else ": the name is not stable"
+        stable = "" if f.stability >= decision.STABLE_SHARE else ": the name is not stable"
         items.append(
             f"{percent(f.stability)} of bootstrap repetitions over trajectories give the same "
             f"name{stable}."

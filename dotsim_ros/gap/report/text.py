@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.gap.findings import Estimate, Findings, OpticalFindings
+from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.gap.findings import Findings, OpticalFindings
 
 _SHOWN_UNITS = {
     "m": (1e3, "mm"),

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from dotsim_ros.effects.effect import Effect
-from dotsim_ros.gap.findings import ChannelGap, Estimate, Place, Verdict
+from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.gap.findings import ChannelGap, Place, Verdict
 from dotsim_ros.measured.measurement import Measurement, protocol_of
 from dotsim_ros.measured.recording import Phase
 
 FEW = 4
-STABLE = 0.9
-"""A name that fewer bootstrap repetitions give is not stable."""
 
 
 def data_warnings(

@@ -7,13 +7,9 @@ Contact then acts on positions x = X + S u + S_fine dG S_fine^T f. dG is compute
 pairs of nodes near each other, and cached on disk; it scales as 1/E.
 """
 
-import hashlib
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import warp as wp
@@ -21,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization, discretize, images_of_cells
@@ -40,7 +37,8 @@ TAPER_M = 14.0e-3
 """Length of the Gaussian that fades dG out towards its reach; a sharp end would make it indefinite
 for contacts as wide as the reach."""
 
-_FORMAT = 2
+DECIDED_BY = ("dotsim_ros.gel.implicit.refinement",)
+"""The code, with all that it imports, that decides a table."""
 
 
 @dataclass(frozen=True)
@@ -171,10 +169,14 @@ def refine(
         progress: called with the finished share, 0 to 1.
     """
     youngs, bulk = small_strain_moduli_pa(law)
-    key = hashlib.sha256(
-        repr((_FORMAT, body, coarse.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY)).encode()
-        + np.ascontiguousarray(skin_position_m).tobytes()
-    ).hexdigest()[:24]
+    key = content_key(
+        DECIDED_BY,
+        body,
+        coarse.spacing_m,
+        round(bulk / youngs, 9),
+        GHOST_PENALTY,
+        skin_position_m,
+    )
     path = cache_directory() / f"refinement-{key}.npz"
     # The fine grid is what takes long to make: what is needed of it lies beside dG.
     table = _load(path)
@@ -276,29 +278,27 @@ def _compute(
 
 
 def _load(path: Path) -> _Table | None:
-    try:
-        with np.load(path) as stored:
-            position = stored["node_position_m"]
-            weight = sparse.csr_matrix(
-                (stored["weight"], stored["weight_index"], stored["weight_indptr"]),
-                shape=(len(stored["weight_indptr"]) - 1, len(position)),
-            )
-            return _Table(weight, stored["indptr"], stored["index"], stored["block"], position)
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    stored = load_arrays(path)
+    if stored is None:
         return None
+    position = stored["node_position_m"]
+    weight = sparse.csr_matrix(
+        (stored["weight"], stored["weight_index"], stored["weight_indptr"]),
+        shape=(len(stored["weight_indptr"]) - 1, len(position)),
+    )
+    return _Table(weight, stored["indptr"], stored["index"], stored["block"], position)
 
 
 def _store(path: Path, table: _Table) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".npz", delete=False) as stream:
-        np.savez(
-            stream,
-            indptr=table.indptr,
-            index=table.index,
-            block=table.block,
-            node_position_m=table.node_position_m,
-            weight=table.skin_weight.data,
-            weight_index=table.skin_weight.indices,
-            weight_indptr=table.skin_weight.indptr,
-        )
-    os.replace(stream.name, path)
+    store_arrays(
+        path,
+        {
+            "indptr": table.indptr,
+            "index": table.index,
+            "block": table.block,
+            "node_position_m": table.node_position_m,
+            "weight": table.skin_weight.data,
+            "weight_index": table.skin_weight.indices,
+            "weight_indptr": table.skin_weight.indptr,
+        },
+    )

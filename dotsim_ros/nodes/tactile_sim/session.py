@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dotsim_ros.effects.live import LiveEffects
+from dotsim_ros.effects.live import ImageArray, LiveEffects
 from dotsim_ros.geometry.pose import FloatArray, Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
@@ -35,7 +36,7 @@ class Moment:
         sensor: which sees.
         gel: what it sees.
         pose: of the indenter.
-        camera: what it makes of the frame, beside what it sees; None for nothing.
+        camera: what effects make of the image and the skin that it shows; None for nothing.
     """
 
     def __init__(
@@ -43,7 +44,7 @@ class Moment:
         sensor: TactileSensor,
         gel: GelFrame,
         pose: Pose | None,
-        camera: Callable[[Frame], Frame] | None = None,
+        camera: Callable[[ImageArray, FloatArray], ImageArray] | None = None,
     ) -> None:
         self._sensor, self.gel, self.pose, self._camera = sensor, gel, pose, camera
         self._frame: Frame | None = None
@@ -52,7 +53,14 @@ class Moment:
         """Return the whole frame; it is rendered the first time."""
         if self._frame is None:
             frame = self._sensor.see(self.gel, self.pose)
-            self._frame = frame if self._camera is None else self._camera(frame)
+            if self._camera is not None:
+                begun_s = time.perf_counter()
+                image = self._camera(frame.image, frame.skin_position_m)
+                spent_s = time.perf_counter() - begun_s
+                frame = replace(
+                    frame, image=image, timings_s={**frame.timings_s, "effects": spent_s}
+                )
+            self._frame = frame
         return self._frame
 
     def skin_normal(self) -> FloatArray:

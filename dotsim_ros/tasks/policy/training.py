@@ -6,7 +6,6 @@ import copy
 import datetime
 import hashlib
 import math
-import os
 import pickle
 import sys
 import time
@@ -19,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dotsim_ros.files import write_json
+from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
@@ -229,10 +228,8 @@ class Training:
             "step": self._step,
             "spent_s": self._spent_s,
         }
-        self._checkpoint.parent.mkdir(parents=True, exist_ok=True)
-        part = self._checkpoint.with_suffix(".part")
-        torch.save(state, part)
-        os.replace(part, self._checkpoint)
+        with whole_file(self._checkpoint) as part:
+            torch.save(state, part)
 
     def _resume(self) -> None:
         state = read_checkpoint(self._checkpoint)

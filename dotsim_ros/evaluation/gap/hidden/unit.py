@@ -20,7 +20,8 @@ from dotsim_ros.measured.scripted import Site, press_hold_release, slide
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.reference.data_set import ReferenceDataSet
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.simulator import GelSimulator, SolveError
+from dotsim_ros.twin.follow import SolveError
+from dotsim_ros.twin.simulator import GelSimulator
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,86 @@
+"""Answers that take long to compute, kept on disk under the content of all that decides them.
+
+A key is a hash of the inputs and of the code that turns them into the answer, so that an answer of
+older code, or of a file that has changed under the same name, is never taken.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import zipfile
+from collections.abc import Mapping
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dotsim_ros.code_version import version_of
+from dotsim_ros.files import whole_file
+
+Arrays = dict[str, np.ndarray[Any, Any]]
+
+KEY_LENGTH = 24
+
+
+def content_key(decided_by: tuple[str, ...], *content: Any) -> str:
+    """Return a key of the code and the inputs that decide an answer.
+
+    Args:
+        decided_by: full names of the modules whose code computes the answer.
+        content: the inputs: numbers, texts, bytes, None, enumerations, arrays, data classes (by
+            their fields), and sequences and mappings of these.
+
+    Raises:
+        TypeError: an input of another kind, whose content cannot be told.
+    """
+    digest = hashlib.sha256(version_of(*decided_by).encode())
+    _add(digest, content)
+    return digest.hexdigest()[:KEY_LENGTH]
+
+
+def _add(digest: hashlib._Hash, value: Any) -> None:
+    if isinstance(value, np.ndarray):
+        digest.update(f"array {value.dtype.str} {value.shape}:".encode())
+        digest.update(np.ascontiguousarray(value).tobytes())
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        digest.update(f"{type(value).__name__}(".encode())
+        for field in dataclasses.fields(value):
+            digest.update(f"{field.name}=".encode())
+            _add(digest, getattr(value, field.name))
+        digest.update(b")")
+    elif isinstance(value, Mapping):
+        digest.update(b"{")
+        for name in sorted(value, key=str):
+            _add(digest, name)
+            _add(digest, value[name])
+        digest.update(b"}")
+    elif isinstance(value, list | tuple):
+        digest.update(b"[")
+        for item in value:
+            _add(digest, item)
+        digest.update(b"]")
+    elif value is None or isinstance(value, bool | int | float | str | bytes | Enum | np.generic):
+        digest.update(f"{type(value).__name__} {value!r};".encode())
+    else:
+        raise TypeError(
+            f"the content of {type(value).__name__} cannot be told, expected numbers, texts, "
+            "arrays, data classes, or sequences and mappings of these"
+        )
+
+
+def load_arrays(path: Path) -> Arrays | None:
+    """Return the arrays of a kept answer; None where there is none that can be read."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            return {name: stored[name] for name in stored.files}
+    # A file that was cut short is computed anew.
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return None
+
+
+def store_arrays(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
+    """Keep the arrays of an answer (.npz), whole or not at all."""
+    with whole_file(path) as part:
+        np.savez(part, **dict(arrays))  # type: ignore[arg-type]

@@ -1,0 +1,194 @@
+"""Simulates recordings with effects: what each does to pose, gel, skin and force around a solve."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.effects.effect import (
+    Active,
+    Effect,
+    GelTerm,
+    Response,
+    gel_with,
+    motion_filters,
+    response_filters,
+)
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.gel.material import PronySeries
+from dotsim_ros.gel.values import GelValues
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.recording import Recording
+from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.follow import SimulatedPress, SolveError
+from dotsim_ros.twin.solver import PressSolver, Progress, SolveRequest, open_press_solver
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class EffectRequest:
+    """A recording to simulate.
+
+    Attributes:
+        recording: whose poses are followed.
+        values: the gel.
+        shift_m: (3,) of all poses, base frame.
+        effects: names and values of the effects at work.
+    """
+
+    recording: Recording
+    values: GelValues
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    effects: tuple[tuple[str, tuple[tuple[str, float], ...]], ...] = ()
+
+
+def request_of(
+    recording: Recording,
+    values: GelValues,
+    *,
+    shift_m: Sequence[float] = (0.0, 0.0, 0.0),
+    effects: Sequence[Active] = (),
+) -> EffectRequest:
+    """Return the request of a recording with effects."""
+    x, y, z = map(float, shift_m)
+    named = tuple((a.effect.name, tuple(sorted(a.values.items()))) for a in effects)
+    return EffectRequest(recording, values, (x, y, z), named)
+
+
+class EffectSolver:
+    """Simulates requests; use `open_solver`."""
+
+    def __init__(
+        self,
+        presses: PressSolver,
+        specification: SensorSpecification,
+        skin: SkinMesh,
+        library: Mapping[str, Effect],
+    ) -> None:
+        self._presses, self._library = presses, library
+        self._rest_m = skin.rest_position_m
+        material = specification.material
+        self._relaxation = PronySeries(material.prony_shares, material.prony_times_s)
+
+    @property
+    def solve_count(self) -> int:
+        """Recordings that were solved, not taken from disk."""
+        return self._presses.solve_count
+
+    def run(
+        self, requests: Sequence[EffectRequest], progress: Progress | None = None
+    ) -> list[SimulatedPress]:
+        """Return skins and forces of the requests, all effects on skin and force included.
+
+        Raises:
+            SolveError: the gel of one could not be solved; the text names it.
+        """
+        results, failures = self.run_each(requests, progress)
+        if failures:
+            raise SolveError(failures[0])
+        return [result for result in results if result is not None]
+
+    def run_each(
+        self, requests: Sequence[EffectRequest], progress: Progress | None = None
+    ) -> tuple[list[SimulatedPress | None], list[str]]:
+        """Return as `run`, None for those that could not be solved, and why not."""
+        solved = self._presses.run_each([self._solve_request(r) for r in requests], progress)
+        results: list[SimulatedPress | None] = []
+        failures = []
+        for request, found in zip(requests, solved, strict=True):
+            if isinstance(found, str):
+                failures.append(f"{request.recording.name}: {found}")
+                results.append(None)
+            else:
+                results.append(self._answered(request, found))
+        return results, failures
+
+    def _active(self, request: EffectRequest) -> list[Active]:
+        return [Active(self._library[name], dict(values)) for name, values in request.effects]
+
+    def _solve_request(self, request: EffectRequest) -> SolveRequest:
+        """Return what is to be solved: the gel and the poses as the effects make them."""
+        recording, press = request.recording, request.recording.press
+        effects = self._active(request)
+        own = GelTerm(request.values, self._relaxation.shares, self._relaxation.times_s)
+        term = gel_with(effects, own, recording)
+        filtered = motion_filters(effects)
+        shift = np.array(request.shift_m)
+        poses = []
+        for frame, pose in enumerate(press.poses):
+            force = np.zeros(3) if press.force_n is None else press.force_n[frame]
+            moved = Pose(pose.position_m + shift, pose.quaternion_xyzw)
+            poses.append(filtered(float(press.stamp_s[frame]), moved, force))
+        return SolveRequest(
+            recording.name,
+            recording.indenter,
+            tuple(poses),
+            press.stamp_s,
+            replace(term.values, youngs_modulus_pa=request.values.youngs_modulus_pa),
+            PronySeries(term.prony_shares, term.prony_times_s),
+        )
+
+    def _answered(self, request: EffectRequest, found: SimulatedPress) -> SimulatedPress:
+        """Return what is measured of a solved gel."""
+        effects = self._active(request)
+        if not any(active.effect.response for active in effects):
+            return found
+        filtered = response_filters(effects)
+        recording = request.recording
+        begun_s = float(recording.press.stamp_s[0])
+        answers = [
+            filtered(
+                Response(
+                    stamp_s=float(stamp),
+                    session_s=recording.session_s + float(stamp) - begun_s,
+                    pose=pose,
+                    depth_m=float(depth),
+                    rest_position_m=self._rest_m,
+                    skin_position_m=skin,
+                    force_n=load,
+                )
+            )
+            for stamp, pose, depth, skin, load in zip(
+                recording.press.stamp_s,
+                recording.press.poses,
+                recording.depth_m,
+                found.skin_position_m,
+                found.force_n,
+                strict=True,
+            )
+        ]
+        return SimulatedPress(
+            np.stack([answer.skin_position_m for answer in answers]),
+            np.stack([answer.force_n for answer in answers]),
+            found.converged,
+        )
+
+
+@contextmanager
+def open_solver(
+    specification: SensorSpecification,
+    skin: SkinMesh,
+    directory: Path,
+    *,
+    folders: Sequence[str | Path] = (),
+    workers: int = 2,
+) -> Iterator[EffectSolver]:
+    """Open a pool of processes that each hold the sensor's gel.
+
+    Args:
+        specification: the sensor.
+        skin: the skin's markers.
+        directory: where solves are kept.
+        folders: of the user's effects.
+        workers: processes.
+    """
+    library = load_effects(folders)
+    with open_press_solver(specification, skin, directory, workers=workers) as presses:
+        yield EffectSolver(presses, specification, skin, library)
