@@ -38,10 +38,10 @@ from dotsim_ros.nodes.loop.closed_loop import (
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, Heard
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
 from dotsim_ros.provenance import provenance
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.card import read_policy
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
 from dotsim_ros.tasks.policy.paths import PATHS, reference_path
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 FloatArray = NDArray[np.float64]
 

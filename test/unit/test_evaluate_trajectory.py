@@ -39,9 +39,9 @@ from dotsim_ros.measured.bag import BAG_TYPES, BagFile
 from dotsim_ros.page import as_markdown
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.policy.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 PLACES = LoopPlaces(Pose(np.array([0.35, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0])))
 START_S = 1000.0

@@ -11,9 +11,9 @@ import pytest
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
-from dotsim_ros.tasks.arm.control import ArmControl, ControlSettings, Order
-from dotsim_ros.tasks.policy.freshness import Heard, StreamWatch
-from dotsim_ros.tasks.policy.safety import Readings, Reason, SafetyLimits, State
+from dotsim_ros.tasks.control.arm_control import ArmControl, ControlSettings, Order
+from dotsim_ros.tasks.control.freshness import Heard, StreamWatch
+from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, State
 
 TICK_S = 0.01
 LIMITS = SafetyLimits()

@@ -11,7 +11,7 @@ import numpy as np
 import msg_adapters
 from dotsim_ros.geometry.pose import FloatArray, Pose, compose
 from dotsim_ros.measured.bag import BagReader
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
 
 _DECODERS = {
     "ee_pose": (msg_adapters.decode_pose_stamped, 7),

@@ -25,10 +25,10 @@ from dotsim_ros.page import (
     page_figure,
     picture_of,
 )
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 from dotsim_ros.tasks.policy.rollout import APPROACH_S
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 COLUMNS = (
     Column("mean_error_mm", "mean error mm ↓"),

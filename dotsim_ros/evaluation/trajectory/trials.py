@@ -24,11 +24,11 @@ from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.optics.idle import read_idle_frame, resample
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor, sensor_path
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.demonstration import within_bounds
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, ReferencePath, reference_path
 from dotsim_ros.tasks.policy.rollout import APPROACH_S
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 SIMULATED, TRANSFERRED, SHIFTED = "simulated", "transferred", "shifted"
 SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED)

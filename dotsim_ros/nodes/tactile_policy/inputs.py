@@ -23,8 +23,8 @@ from dotsim_ros.nodes.tactile_policy.parameters import (
     RAW,
     TactilePolicyParameters,
 )
-from dotsim_ros.tasks.policy.freshness import Heard, StreamWatch
-from dotsim_ros.tasks.policy.safety import Readings, Reason
+from dotsim_ros.tasks.control.freshness import Heard, StreamWatch
+from dotsim_ros.tasks.control.safety import Readings, Reason
 
 # Best effort loses images between processes; of several that wait, only the newest counts.
 IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
