@@ -57,7 +57,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Place:
+class ResidualPlace:
     """Residuals in one place: RMS in units of their expected deviation.
 
     Attributes:
@@ -251,7 +251,7 @@ class Findings:
     mode: str = "absolute"
     candidates: tuple[Candidate, ...] = ()
     calibrated: tuple[Estimate, ...] = ()
-    places: tuple[Place, ...] = ()
+    places: tuple[ResidualPlace, ...] = ()
     gaps: tuple[ChannelGap, ...] = ()
     share_closed: float | None = None
     share_closed_low: float | None = None
@@ -294,7 +294,7 @@ def findings_of(record: Mapping[str, Any]) -> Findings:
     values["candidates"] = _candidates_of(values["candidates"])
     for name, kind in (
         ("calibrated", Estimate),
-        ("places", Place),
+        ("places", ResidualPlace),
         ("gaps", ChannelGap),
         ("fallback", ChannelGap),
         ("pairs", Pair),

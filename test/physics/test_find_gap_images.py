@@ -26,9 +26,9 @@ from dotsim_ros.evaluation.gap.hidden.reality import Truth
 from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
 from dotsim_ros.gap.find import find_gap_with_pictures
 from dotsim_ros.gap.findings import Findings, Verdict
-from dotsim_ros.gap.images.model import Film, PictureModel
-from dotsim_ros.gap.images.reading import Pictures, read_pictures
-from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gap.images.model import Film, TwinCamera
+from dotsim_ros.gap.images.reading import MeasuredImages, read_pictures
+from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -84,7 +84,7 @@ def unit(sensor: SensorSpecification, run: Path, tmp_path_factory: pytest.TempPa
     data = tmp_path_factory.mktemp("unit") / "measured"
     skin = dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M)
     measure_unit(data, sensor, skin, Truth(()), seed=SEED, only=PROTOCOLS)
-    model = PictureModel(sensor, width=WIDTH, height=HEIGHT)
+    model = TwinCamera(sensor, width=WIDTH, height=HEIGHT)
     dark = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
     assert cv2.imwrite(str(data / "idle_0.png"), cv2.cvtColor(model.idle, cv2.COLOR_RGB2BGR))
     blank = _with_images(data, lambda name, count: np.repeat(dark[None], count, axis=0))
@@ -118,7 +118,7 @@ def measure(unit: Unit, directory: Path, law: Law | None = None) -> Path:
     return data
 
 
-def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> Pictures:
+def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> MeasuredImages:
     """Write bags with images beside those that are there, and an index of them; read them."""
     folder = data / "filmed"
     shutil.rmtree(folder, ignore_errors=True)
@@ -145,7 +145,7 @@ def searched(
     reference: Path | None = None,
 ) -> tuple[Findings, Overlay | None]:
     return find_gap_with_pictures(
-        Request(
+        GapRequest(
             measured=data,
             sensor=sensor,
             directory=run,

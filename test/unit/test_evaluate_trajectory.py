@@ -23,8 +23,8 @@ from dotsim_ros.evaluation.trajectory.page import (
 from dotsim_ros.evaluation.trajectory.trials import (
     SETTINGS,
     Setting,
+    TrajectoryTrials,
     TrialPlan,
-    Trials,
     judge,
     limits_shown,
     run_trials,
@@ -248,7 +248,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
             raise KeyboardInterrupt
         return recording_of(path, seconds=seconds)
 
-    def run(plan: TrialPlan) -> Trials:
+    def run(plan: TrialPlan) -> TrajectoryTrials:
         return run_trials(plan, loop, LIMITS, tmp_path, progress=lambda line: None)
 
     with pytest.raises(KeyboardInterrupt):

@@ -17,7 +17,7 @@ from PIL import Image
 
 from dotsim_ros.effects.effect import Active, Response, response_filters
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.gap.findings import Findings, Place, Verdict, as_record, findings_of
+from dotsim_ros.gap.findings import Findings, ResidualPlace, Verdict, as_record, findings_of
 from dotsim_ros.gap.report.effects import effects_table
 from dotsim_ros.gap.report.figures import heatmap
 from dotsim_ros.gap.report.places import by_phase, by_trajectory
@@ -164,8 +164,8 @@ def test_places_are_summed_over_what_is_not_shown() -> None:
 
 
 def test_a_stated_sum_is_used_and_not_counted_again() -> None:
-    def place(trajectory: str, phase: str, before: float, count: int) -> Place:
-        return Place("force", trajectory, phase, "all", before, before, 0.0, 0.0, count)
+    def place(trajectory: str, phase: str, before: float, count: int) -> ResidualPlace:
+        return ResidualPlace("force", trajectory, phase, "all", before, before, 0.0, 0.0, count)
 
     parts = (place("a", "hold", 1.0, 10), place("b", "hold", 3.0, 10))
     stated = (*parts, place("all", "hold", 2.5, 20))
@@ -176,9 +176,11 @@ def test_a_stated_sum_is_used_and_not_counted_again() -> None:
 
 
 def test_many_regions_and_trajectories_are_summed_up_for_a_narrow_picture() -> None:
-    def place(number: int, region: int) -> Place:
+    def place(number: int, region: int) -> ResidualPlace:
         size = float(number)
-        return Place("image", f"t{number}", "idle", f"tile {region}", size, size, 0.0, 0.0, 5)
+        return ResidualPlace(
+            "image", f"t{number}", "idle", f"tile {region}", size, size, 0.0, 0.0, 5
+        )
 
     table = by_trajectory([place(number, region) for number in range(40) for region in range(9)])
     assert table.columns == ("image",)

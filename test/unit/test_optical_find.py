@@ -37,7 +37,7 @@ from dotsim_ros.gap.findings import (
     findings_of,
 )
 from dotsim_ros.gap.images.case import OpticalCase, Shot
-from dotsim_ros.gap.images.fit import PictureSearch, mean_squares, without_effects
+from dotsim_ros.gap.images.fit import ImageSearch, mean_squares, without_effects
 from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
 from dotsim_ros.gap.images.search import signatures_of
@@ -78,7 +78,7 @@ def signatures():
 @pytest.fixture(scope="module")
 def searched(null, signatures):
     case = case_of(FILMS, null_residual(0))
-    return PictureSearch(case, case.shots, EFFECTS, null, alpha=0.02, seed=0, signatures=signatures)
+    return ImageSearch(case, case.shots, EFFECTS, null, alpha=0.02, seed=0, signatures=signatures)
 
 
 def residuals_with(law, seed):

@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.evaluation.trajectory.trials import SETTINGS, limits_shown
 from dotsim_ros.files import whole_file
-from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.page import (
     Bullets,
     Gallery,

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.stats import t as student
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.files import parameter_path, whole_file
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
@@ -30,8 +30,6 @@ from dotsim_ros.gap.images.search import (
 )
 from dotsim_ros.gap.images.tile_noise import Correlation, TileNoise, estimate_noise
 from dotsim_ros.gap.images.tiles import TileMeter
-
-Array = NDArray[np.float64]
 
 FILE = "gap/optical_noise.npz"
 VERSION = 1
@@ -69,11 +67,11 @@ class OpticalNull:
 
     noise: TileNoise
     spurious: tuple[SpuriousSize, ...]
-    excess: Array
+    excess: FloatArray
     sensor: str
     source: str
 
-    def at(self, meter: TileMeter, camera: Array) -> TileNoise:
+    def at(self, meter: TileMeter, camera: FloatArray) -> TileNoise:
         """Return the covariance of other tiles.
 
         Args:
@@ -97,7 +95,7 @@ class OpticalNull:
         """Return whether the scatter of an effect's size is known."""
         return any(one.effect == effect.name for one in self.spurious)
 
-    def variances(self, name: str, signature: Signature) -> Array:
+    def variances(self, name: str, signature: Signature) -> FloatArray:
         """Return (P,) the variance of a signature's sizes, in squared steps.
 
         That of the probe whose shape is nearest.
@@ -116,7 +114,9 @@ class OpticalNull:
         nearest = min(known, key=lambda one: _distance(one, signature, known, step))
         return np.array([(nearest.deviation[d.name] / d.step) ** 2 for d in signature.directions])
 
-    def spurious_of(self, signatures: Mapping[str, Sequence[Signature]]) -> dict[str, list[Array]]:
+    def spurious_of(
+        self, signatures: Mapping[str, Sequence[Signature]]
+    ) -> dict[str, list[FloatArray]]:
         """Return the variances of all signatures, as `OpticalSearch` takes them."""
         return {
             name: [self.variances(name, one) for one in several]
@@ -211,7 +211,7 @@ def fit_optical_null(
     return OpticalNull(noise, tuple(spurious), excess, sensor, source)
 
 
-def _deviations(directions: Sequence[Direction], variance: Array) -> dict[str, float]:
+def _deviations(directions: Sequence[Direction], variance: FloatArray) -> dict[str, float]:
     return {
         d.name: abs(d.step) * float(np.sqrt(v)) for d, v in zip(directions, variance, strict=True)
     }

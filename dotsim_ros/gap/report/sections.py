@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import Candidate, Findings, Place, Verdict
+from dotsim_ros.gap.findings import Candidate, Findings, ResidualPlace, Verdict
 from dotsim_ros.gap.report.figures import gap_bars, heatmap, ranking, worst_frame
 from dotsim_ros.gap.report.images import picture_sections
 from dotsim_ros.gap.report.places import ALL, by_phase, by_trajectory
@@ -329,7 +329,7 @@ def _remains(f: Findings) -> Section | None:
     return Section("What remains", tuple(blocks)) if blocks else None
 
 
-def _place_row(p: Place, with_after: bool) -> tuple[str, ...]:
+def _place_row(p: ResidualPlace, with_after: bool) -> tuple[str, ...]:
     interval = f" ({p.low:.2g} to {p.high:.2g})" if p.high > 0.0 else ""
     return (
         f"{p.channel}, {p.region}, {p.phase}",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import Estimate
-from dotsim_ros.gap.findings import ChannelGap, Place, Verdict
+from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, Verdict
 from dotsim_ros.measured.measurement import Measurement, protocol_of
 from dotsim_ros.measured.recording import Phase
 
@@ -58,7 +58,7 @@ def shown(estimate: Estimate) -> str:
     return f"{estimate.name} = {estimate.value:.3g}{unit} [{estimate.low:.3g}, {estimate.high:.3g}]"
 
 
-def largest_place(places: Sequence[Place]) -> str:
+def largest_place(places: Sequence[ResidualPlace]) -> str:
     """Return where the residual is largest over all trajectories, in words."""
     every = [p for p in places if p.trajectory == "all"]
     if not every:
