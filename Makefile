@@ -27,7 +27,7 @@ help:
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make bench   frame rate, latency and their split"
-	@echo "make lint    ruff, mypy and codespell"
+	@echo "make lint    ruff, codespell and mypy"
 
 setup: $(INSTALLED)
 
@@ -57,8 +57,8 @@ soak: setup
 lint: setup
 	$(RUN) ruff check
 	$(RUN) ruff format --check
-	$(RUN) mypy
 	$(RUN) codespell
+	$(RUN) mypy
 
 clean:
 	rm -rf $(OUT) build install log
