@@ -27,7 +27,7 @@ help:
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make bench   frame rate, latency and their split"
-	@echo "make lint    ruff and mypy"
+	@echo "make lint    ruff, codespell and mypy"
 
 setup: $(INSTALLED)
 
@@ -57,6 +57,7 @@ soak: setup
 lint: setup
 	$(RUN) ruff check
 	$(RUN) ruff format --check
+	$(RUN) codespell
 	$(RUN) mypy
 
 clean:
