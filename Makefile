@@ -27,7 +27,7 @@ help:
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make bench   frame rate, latency and their split"
-	@echo "make lint    ruff, codespell and mypy"
+	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 
 setup: $(INSTALLED)
 
@@ -59,6 +59,7 @@ lint: setup
 	$(RUN) ruff format --check
 	$(RUN) codespell
 	$(RUN) mypy
+	$(RUN) lint-imports
 
 clean:
 	rm -rf $(OUT) build install log

@@ -44,6 +44,8 @@ DEVELOPMENT = [
     "check-jsonschema>=0.35",
     "codespell>=2.2",
     "colcon-common-extensions",
+    # runs as lint-imports
+    "import-linter>=2.5",
     "mypy",
     "pre-commit>=3.5",
     "ruff",

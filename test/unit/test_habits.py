@@ -140,7 +140,8 @@ def test_ci_runs_the_commands_of_make_lint() -> None:
 
 
 def test_developers_get_the_tools_of_lint_and_hooks() -> None:
-    tools = {command.split()[0] for command in lint_commands()} | {"pre-commit"}
+    named = {"lint-imports": "import-linter"}
+    tools = {named.get(c.split()[0], c.split()[0]) for c in lint_commands()} | {"pre-commit"}
     required = {re.split("[<>=]", name)[0] for name in re.findall(r'"(.+)"', extra("DEVELOPMENT"))}
     assert tools <= required
 
