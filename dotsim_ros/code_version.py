@@ -354,8 +354,11 @@ def _files_of(imported: _Import, importer: str, sources: Mapping[str, bytes]) ->
                     f"in a dictionary of {home} that is written out and says which module it is in"
                 )
     if home is None:
-        asked = f"{importer} imports {module}" if importer else f"there is no module {module}"
-        raise FileNotFoundError(f"{asked}, whose source is not there")
+        asked = f"{importer} imports {module}" if importer else f"{module} is asked for"
+        raise FileNotFoundError(
+            f"{asked}, whose source is not there; correct the name, or install the package with "
+            "its .py files"
+        )
     return _on_the_way(module, sources)
 
 
