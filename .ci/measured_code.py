@@ -9,6 +9,7 @@ import subprocess
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
+from typing import cast
 
 from dotsim_ros.code_version import PACKAGES, FolderSources, digest_of, import_closure
 
@@ -128,7 +129,9 @@ def files_behind(
         path = root.replace(".", "/") + ".py"
         if path not in sources:
             raise FileNotFoundError(f"there is no {path}")
-        sources = ChainMap({path: _only(f"_{subject}", sources[path], path)}, sources)
+        part = {path: _only(f"_{subject}", sources[path], path)}
+        # Which asks for mappings that can be written to, and writes to the first alone.
+        sources = ChainMap(part, cast(dict[str, bytes], sources))
     roots = [root, *_modules_of(STARTED.get(name, ()), sources)]
     closure = import_closure(roots, sources)
     kept = tuple(path for path in closure if PurePosixPath(path).stem not in _RECORD_KEEPERS)

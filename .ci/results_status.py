@@ -18,13 +18,15 @@ dotsim_ros/code_version.py. Older results are no error.
 
 README.md and the pages of docs/ show figures beside a link to their result, its JSON file or its
 page. Behind the link to a result that is not current stands a mark, "(measured at commit ...)";
-`--mark` puts it there and takes it away again.
+`--mark` puts it there and takes it away again. Links to results are written in place, not as
+references or HTML, which could not be marked.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import sys
 from collections import Counter
@@ -42,7 +44,13 @@ EXCEPTIONS = "not_reproducible.yaml"
 STATUS_PAGE = "status.md"
 NONE = "none"
 _COMMIT = re.compile(r"(?:.*-g)?(?P<hash>[0-9a-f]{7,40})(?P<dirty>-dirty)?")
-_LINK = re.compile(r"(?P<link>\]\((?P<target>[^()\s]+)\))(?P<mark> \(measured at [^()]*\))?")
+_LINK = re.compile(
+    r"""(?P<link>\]\(\s*<?(?P<target>[^()<>\s]+)>?(?:\s+["'][^"']*["'])?\s*\))"""
+    r"(?P<mark> \(measured at (?:an unrecorded )?commit[^()]*\))?"
+)
+_OTHER_LINK = re.compile(
+    r"""^\s*\[[^\]]+\]:\s*<?(?P<reference>[^<>\s]+)|href=["'](?P<html>[^"']+)"""
+)
 _SHOWN_DIGITS = 7
 
 
@@ -91,10 +99,12 @@ class Result:
 
     Attributes:
         file: path below docs/results.
+        shown_by: the page of its figures, or the file itself where there is none.
         origins: of its figures, and the state of each.
     """
 
     file: Path
+    shown_by: Path
     origins: tuple[tuple[Origin, State], ...]
 
     @property
@@ -140,7 +150,8 @@ def origins_of(figures: Any) -> list[Origin]:
         top = next((c for c in candidates if isinstance(c, dict) and "commit" in c), {})
     found = [
         Origin(
-            ".".join(key for key in keys if key not in ("provenance", "origin")),
+            # `origin_OF_SOMETHING` beside it is the origin of that.
+            ".".join(k.removeprefix("origin_") for k in keys if k not in ("provenance", "origin")),
             str(record["commit"]) if _COMMIT.fullmatch(str(record["commit"])) else NONE,
             str(record.get("date", top.get("date", ""))),
             str(record.get("command", top.get("command", ""))),
@@ -194,7 +205,9 @@ def read_results(checkout: Checkout) -> tuple[list[Result], dict[Path, str], lis
             for commit in allowed
             if commit not in recorded
         ]
-        results.append(Result(file, tuple(judged)))
+        page = path.with_suffix(".md")
+        shown_by = page if page.is_file() else path
+        results.append(Result(file, shown_by.relative_to(folder), tuple(judged)))
     missing = sorted(set(excused) - {result.file for result in results})
     problems += [f"{RESULTS / EXCEPTIONS}: there is no {file}: remove it" for file in missing]
     for page in sorted(folder.rglob("*.md")):
@@ -317,8 +330,7 @@ def _rows_by_commit(result: Result) -> list[tuple[str, ...]]:
 
 
 def _linked(result: Result) -> str:
-    target = result.file.as_posix()
-    return f"[{target.removesuffix('.json')}]({target})"
+    return f"[{result.file.with_suffix('').as_posix()}]({result.shown_by.as_posix()})"
 
 
 def _code(text: str) -> str:
@@ -340,32 +352,48 @@ def marked(text: str, folder: Path, results: Sequence[Result]) -> str:
         folder: in which the page lies, from the top of the checkout.
         results: of all files.
     """
-    marks = {
-        (RESULTS / result.file).with_suffix(suffix).as_posix(): result.mark
+    by_target = _by_target(results)
+
+    def with_mark(found: re.Match[str]) -> str:
+        result = by_target.get(_target(folder, found["target"]))
+        return found[0] if result is None else found["link"] + result.mark
+
+    return "\n".join(
+        line if is_code else _LINK.sub(with_mark, line) for line, is_code in _lines(text)
+    )
+
+
+def cannot_be_marked(text: str, folder: Path, results: Sequence[Result]) -> list[int]:
+    """Return the numbers of lines that link to a result in another way than in place."""
+    by_target = _by_target(results)
+    return [
+        number
+        for number, (line, is_code) in enumerate(_lines(text), 1)
+        for found in _OTHER_LINK.finditer(line)
+        if not is_code and _target(folder, found["reference"] or found["html"]) in by_target
+    ]
+
+
+def _by_target(results: Sequence[Result]) -> dict[str, Result]:
+    """Return the results by what a link to one of them leads to."""
+    return {
+        (RESULTS / result.file).with_suffix(suffix).as_posix(): result
         for result in results
         for suffix in (".json", ".md")
     }
 
-    def with_mark(found: re.Match[str]) -> str:
-        target = _plain(folder / found["target"].partition("#")[0])
-        return found["link"] + marks[target] if target in marks else found[0]
 
-    lines = []
+def _target(folder: Path, link: str) -> str:
+    """Return the path that a link on a page in a folder leads to, from the checkout's top."""
+    return os.path.normpath(folder / link.partition("#")[0]).replace(os.sep, "/")
+
+
+def _lines(text: str) -> Iterator[tuple[str, bool]]:
+    """Yield each line, and whether it is code."""
     is_code = False
     for line in text.split("\n"):
         is_code ^= line.lstrip().startswith("```")
-        lines.append(line if is_code else _LINK.sub(with_mark, line))
-    return "\n".join(lines)
-
-
-def _plain(path: Path) -> str:
-    parts: list[str] = []
-    for part in path.parts:
-        if part == ".." and parts:
-            parts.pop()
-        else:
-            parts.append(part)
-    return "/".join(parts)
+        yield line, is_code
 
 
 def pages(root: Path) -> list[Path]:
@@ -441,13 +469,18 @@ def _not_up_to_date(
         if before != page_of(results, reasons):
             problems.append(f"{status_page} is not up to date: run `make results-status`")
     for page in pages(root):
-        before = page.read_text(encoding="utf-8").split("\n")
-        after = marked("\n".join(before), page.parent.relative_to(root), results).split("\n")
+        text, folder = page.read_text(encoding="utf-8"), page.parent.relative_to(root)
+        pairs = zip(text.split("\n"), marked(text, folder, results).split("\n"), strict=True)
         problems += [
             f"{page.relative_to(root)}:{number}: expected {_marks(is_right)}, found "
             f"{_marks(is_there)}: run `make results-status`"
-            for number, (is_there, is_right) in enumerate(zip(before, after, strict=True), 1)
+            for number, (is_there, is_right) in enumerate(pairs, 1)
             if is_there != is_right
+        ]
+        problems += [
+            f"{page.relative_to(root)}:{number}: write the link to a result as [text](path), which "
+            "can be marked"
+            for number in cannot_be_marked(text, folder, results)
         ]
     return problems
 

@@ -273,6 +273,36 @@ def test_links_in_pages_of_docs_are_marked_and_those_in_code_are_not(made_up):
     )
 
 
+@pytest.mark.parametrize(
+    "link",
+    [
+        '[x](docs/results/soak.json "A title")',
+        "[x](<docs/results/soak.md>)",
+        "[x](docs/../docs/results/soak.json#rate)",
+        "[x\nover lines](docs/results/soak.json)",
+    ],
+)
+def test_every_way_to_write_a_link_in_place_is_marked(made_up, link):
+    made_up.record("soak", SOAK, "0123456789ab")
+    made_up.write({"README.md": f"See {link}.\n"})
+    made_up.run("--mark")
+    assert (made_up.root / "README.md").read_text(encoding="utf-8") == (
+        f"See {link} (measured at commit 0123456, not in this history).\n"
+    )
+    assert made_up.run("--check") == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["[x][1]\n\n[1]: docs/results/soak.json", '<a href="docs/results/soak.json">x</a>']
+)
+def test_a_link_that_cannot_be_marked_fails(made_up, capsys, text):
+    made_up.record("soak", SOAK)
+    made_up.write({"README.md": text})
+    assert made_up.run("--mark") == 0
+    assert made_up.run("--check") == 1
+    assert "write the link to a result as [text](path)" in capsys.readouterr().out
+
+
 def test_the_page_of_states_must_be_up_to_date(made_up, capsys):
     made_up.record("geometry", GEOMETRY)
     assert made_up.run("--check") == 1
