@@ -167,8 +167,8 @@ def test_a_digest_sees_what_does_something(old, new):
 
 def test_a_module_that_moves_changes_nothing():
     before = tree({"a": CODE + "\nfrom .e import E", "b": "B = 1", "e": "E = 1"})
-    moved = CODE.replace("dotsim_ros.b", "dotsim_ros.inner.deep.c") + "\nfrom ..e import E"
-    after = {"inner/z": moved, "inner/deep/c": "B = 1", "inner/__init__": '"""In."""', "e": "E = 1"}
+    moved = CODE.replace("dotsim_ros.b", "dotsim_ros.inner.deep.c") + "\nfrom ..f import E"
+    after = {"inner/z": moved, "inner/deep/c": "B = 1", "inner/__init__": '"""In."""', "f": "E = 1"}
     assert digest(before) == digest(tree(after))
 
 
