@@ -26,7 +26,7 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, PictureLaw, Takes, taken
+from dotsim_ros.evaluation.gap.hidden.images import LAWS, PictureLaw, Takes, taken
 from dotsim_ros.files import given_path, write_json
 from dotsim_ros.gap.find import case_of
 from dotsim_ros.gap.findings import Verdict

@@ -21,7 +21,7 @@ import yaml
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, Takes
+from dotsim_ros.evaluation.gap.hidden.images import LAWS, Takes
 from dotsim_ros.evaluation.gap.hidden.reality import Truth
 from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
 from dotsim_ros.gap.find import find_gap_with_pictures
