@@ -248,7 +248,7 @@ class ElasticBody:
         cells: IntArray,
         base: IntArray,
         dof_count: int,
-        environment: int = 0,
+        environment: int,
     ) -> Array:
         """Return the dense (n, n) stiffness that the listed cells add to a region of n unknowns.
 
