@@ -36,15 +36,13 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     from dotsim_ros.evaluation.loop_bag import read_loop_bag
     from dotsim_ros.evaluation.provenance import provenance, write_json
-    from dotsim_ros.evaluation.table import write_text
     from dotsim_ros.evaluation.trajectory import judge, told, trial_start
     from dotsim_ros.evaluation.trajectory_page import path_picture, trial_report
     from dotsim_ros.nodes.closed_loop import ClosedLoop, LoopSetup, policy_name
     from dotsim_ros.nodes.policy_files import policy_folder
     from dotsim_ros.tasks.paths import DomeContact, reference_path
     from dotsim_ros.tasks.policy_card import read_policy
-    from dotsim_ros.view.files import whole_file
-    from dotsim_ros.view.page import as_html, as_markdown
+    from dotsim_ros.view.page import write_page
 
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)
@@ -74,10 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         sensor=Path(setup.sensor).stem,
         origin=provenance(),
     )
-    with whole_file(arguments.out / "path.png") as part:
-        part.write_bytes(picture.png)
-    write_text(arguments.out / "report.html", as_html(page))
-    write_text(arguments.out / "report.md", as_markdown(page))
+    write_page(arguments.out, page)
     if arguments.json is not None:
         write_json(arguments.json, row | {"provenance": provenance()})
     print(told(row))
