@@ -155,13 +155,8 @@ def fit_noise_of_pictures(request: GapRequest, progress: Progress) -> OpticalNul
     Raises:
         FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
     """
-    case = case_of(request, progress)
+    case, _ = _case_without_gap(request, progress)
     count = len(case.shots) - 1
-    if count <= LEAST_TRAJECTORIES:
-        raise ValueError(
-            f"{count} trajectories with pictures are too few to tell what a model errs by, "
-            f"expected more than {LEAST_TRAJECTORIES}"
-        )
     effects = [e for e in load_effects(request.effects).values() if e.image is not None]
     source = f"{count} trajectories of {request.measured.name} with {request.sensor.name}"
     return fit_optical_null(
@@ -179,11 +174,55 @@ def case_of(request: GapRequest, progress: Progress) -> OpticalCase:
     Raises:
         FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
     """
+    return _case_and_solves(request, progress)[0]
+
+
+def _case_and_solves(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
     pictures, model = _pictures_and_model(request)
-    skins, _, _ = _skins(request, pictures, None, progress)
-    return optical_case(
+    skins, solves, _ = _skins(request, pictures, None, progress)
+    case = optical_case(
         pictures, model, skins, progress=lambda done, total: progress("pictures", done, total)
     )
+    return case, solves
+
+
+def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
+    """Return the pictures of a data set in which nothing is missing, and how many solves it took.
+
+    Raises:
+        FileNotFoundError, ValueError: as `case_of`; or too few trajectories.
+    """
+    case, solves = _case_and_solves(request, progress)
+    count = len(case.shots) - 1
+    if count <= LEAST_TRAJECTORIES:
+        raise ValueError(
+            f"{count} trajectories with pictures are too few to tell what a model errs by, "
+            f"expected more than {LEAST_TRAJECTORIES}"
+        )
+    return case, solves
+
+
+def _null_of(
+    request: GapRequest, effects: Sequence[Effect], progress: Progress
+) -> tuple[OpticalNull, list[str], int]:
+    """Return what pictures show where nothing is missing, what limits that, and how many solves it
+    took. Nothing is missing in a reference: it tells the sizes of effects that the file does not
+    know, such as the user's own."""
+    null = load_optical_null(request.optical_noise)
+    unknown = [effect for effect in effects if not null.knows(effect)]
+    if not unknown:
+        return null, [], 0
+    reason, solves = "", 0
+    if request.reference is not None:
+        try:
+            reference = replace(request, measured=request.reference)
+            case, solves = _case_without_gap(reference, progress)
+            source = f"{len(case.shots) - 1} trajectories of {request.reference.name}"
+            told = wording.told_by_reference(unknown, source)
+            return null.with_effects(unknown, case), [told], solves
+        except (FileNotFoundError, ValueError) as error:
+            reason = str(error)
+    return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], solves
 
 
 def _unusable(reason: str) -> OpticalFindings:
@@ -200,9 +239,18 @@ def _find_optical(
 ) -> tuple[OpticalFindings, tuple[FoundEffect, ...], str, int]:
     """Return the optical part, its effects for the overlay, the hash of the pictures, and how many
     solves it took."""
-    null = load_optical_null(request.optical_noise)
     pictures, model = _pictures_and_model(request)
-    warnings = list(pictures.warnings)
+    null, limits, reference_solves = _null_of(request, effects, progress)
+    warnings = [*pictures.warnings, *limits]
+    known = [effect for effect in effects if null.knows(effect)]
+    not_tried = [effect for effect in effects if effect not in known]
+    if not known:
+        sentence = f"Images: not searched. {wording.not_tried_sentence(not_tried)}"
+        names = tuple(effect.name for effect in not_tried)
+        nothing = OpticalFindings(
+            Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
+        )
+        return nothing, (), pictures.digest, reference_solves
     skins, solves, left_out = _skins(request, pictures, overlay, progress)
     warnings += left_out
     case = optical_case(
@@ -213,13 +261,6 @@ def _find_optical(
         warnings.append(
             "what is missing in the gel is unknown, so the skin in contact is not known: only "
             "frames without contact were searched for effects of the camera"
-        )
-    known = [effect for effect in effects if null.knows(effect)]
-    if len(known) < len(effects):
-        names = ", ".join(e.name for e in effects if e not in known)
-        warnings.append(
-            f"not looked for in the images: {names}; how large they seem where nothing is missing "
-            "is not known: make the noise of the images anew with --fit-optical-noise"
         )
     warnings += wording.picture_warnings(
         null.sensor, null.source, request.sensor.name, len(case.shots) - 1
@@ -236,10 +277,14 @@ def _find_optical(
     answer = search.answer()
     library = {effect.name: effect for effect in effects}
     seen = _optical_findings(case, search, answer, locked, null, library, silent, random, warnings)
+    if not_tried:
+        sentence = f"{seen.sentence} {wording.not_tried_sentence(not_tried)}"
+        names = tuple(effect.name for effect in not_tried)
+        seen = replace(seen, sentence=sentence, not_tried=names)
     found = tuple(
         FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
     )
-    return seen, found, pictures.digest, solves
+    return seen, found, pictures.digest, solves + reference_solves
 
 
 def _pictures_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:

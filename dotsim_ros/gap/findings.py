@@ -181,6 +181,7 @@ class OpticalFindings:
         trajectories, locked: names used for the search, and kept locked.
         frame_count: pictures.
         noise_source: where the thresholds come from.
+        not_tried: effects whose sizes in pictures without any effect are not known.
     """
 
     verdict: Verdict
@@ -204,6 +205,7 @@ class OpticalFindings:
     locked: tuple[str, ...] = ()
     frame_count: int = 0
     noise_source: str = ""
+    not_tried: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -323,6 +325,8 @@ def _optical_of(record: Mapping[str, Any]) -> OpticalFindings:
         **{
             **record,
             **{name: tuple(record[name]) for name in lists},
+            # Older records lack it.
+            "not_tried": tuple(record.get("not_tried", ())),
             "verdict": Verdict(record["verdict"]),
             "candidates": _candidates_of(record["candidates"]),
             "gap": None if gap is None else ChannelGap(**gap),

@@ -250,7 +250,7 @@ class ElasticBody:
         cells: IndexArray,
         base: IndexArray,
         dof_count: int,
-        environment: int = 0,
+        environment: int,
     ) -> Array:
         """Return the dense (n, n) stiffness that the listed cells add to a region of n unknowns.
 

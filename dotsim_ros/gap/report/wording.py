@@ -182,6 +182,40 @@ def picture_warnings(noise_sensor: str, noise_source: str, sensor: str, count: i
     return texts
 
 
+def not_tried_sentence(effects: Sequence[Effect]) -> str:
+    """Return which effects no image was searched for."""
+    return f"Not tried: {', '.join(_amid(effect.title) for effect in effects)}."
+
+
+def not_tried_warning(effects: Sequence[Effect], least: int, reason: str) -> str:
+    """Return why images were not searched for some effects, and what to do.
+
+    Args:
+        effects: whose sizes in images with nothing wrong are not known.
+        least: trajectories that can tell them.
+        reason: why the reference does not; empty without one.
+    """
+    text = (
+        f"not tried in the images: {', '.join(effect.name for effect in effects)}. How large they "
+        "seem where nothing is missing is not known"
+    )
+    if reason:
+        text += f", and the reference does not tell it ({reason})"
+    return (
+        f"{text}. Learn it from {least} trajectories or more with images in which nothing is "
+        "wrong: dotsim_ros find-gap --measured DIR --effects DIR --fit-optical-noise FILE, then "
+        "search with --optical-noise FILE; or give those trajectories as --reference"
+    )
+
+
+def told_by_reference(effects: Sequence[Effect], source: str) -> str:
+    """Return that the reference told what images show of some effects where nothing is missing."""
+    return (
+        f"the images' noise knows nothing of {', '.join(effect.name for effect in effects)}: their "
+        f"limits come from {source}, the reference, in which nothing is taken to be wrong"
+    )
+
+
 def _amid(title: str) -> str:
     """Return a title as it stands within a sentence; an abbreviation keeps its capitals."""
     return title if title[1:2].isupper() else title[0].lower() + title[1:]

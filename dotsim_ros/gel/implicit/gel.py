@@ -123,6 +123,7 @@ class World:
     region: GridRegion | None = None
     contraction: float = CONTRACTION
     response: ContactResponse | None = None
+    inertia_step_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,14 @@ class Inertia:
 
     stiffness: sparse.csr_matrix
     predicted_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """The linear solves of all substeps of one duration; an exact gel has no local one."""
+
+    exact: ExactTangent
+    local: LocalTangent | None
 
 
 Observer = Callable[[World, Pose | None, Point, Inertia | None, float, int], Point]
@@ -187,14 +196,12 @@ class ImplicitGel:
         )
         self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
         self._mass = d.mass_over_density * material.density_kg_m3
-        self._step_s = 0.0
-        self._exact_tangent = ExactTangent(self._single, self._mass * 0.0)
-        self._local_tangent: LocalTangent | None = None
+        local: LocalTangent | None = None
         self.refinement: Refinement | None = None
         if not exact or solver.refined:
             at_rest = LocalTangent(self._single, self._mass * 0.0)
             if not exact:
-                self._local_tangent = at_rest
+                local = at_rest
             if solver.refined:
                 self.refinement = refine(
                     shape,
@@ -204,6 +211,8 @@ class ImplicitGel:
                     material.law,
                     progress=progress,
                 )
+        # By the duration of the substep that inertia is for; 0 without inertia.
+        self._tangents = {0.0: Tangents(ExactTangent(self._single, self._mass * 0.0), local)}
         self._shape = shape
         lower, upper = shape.bounds_m()
         # So dense that no tip gets through between them.
@@ -390,23 +399,35 @@ class ImplicitGel:
         world.contraction = CONTRACTION
 
     def _prepare_memory(self, world: World, dt_s: float, environment: int) -> Inertia | None:
-        fast, history = self._relaxation[environment].step_terms(
-            dt_s, self.discretization.particle_count
-        )
+        inertia = None
+        if self.solver.dynamic:
+            stiffness = (self._mass / dt_s**2).tocsr()
+            if dt_s != world.inertia_step_s:
+                world.inertia_step_s, world.region = dt_s, None
+                self._make_tangents(dt_s, stiffness, environment)
+            inertia = Inertia(stiffness, world.displacement_m + dt_s * world.velocity_m_s)
+        self._set_relaxation(self._relaxation[environment], dt_s, environment)
+        return inertia
+
+    def _set_relaxation(self, relaxation: Relaxation, dt_s: float, environment: int) -> None:
         if self.material.prony.shares:
+            terms = relaxation.step_terms(dt_s, self.discretization.particle_count)
             for body in (self.body, self._single):
-                body.set_history(fast, history, environment)
-        if not self.solver.dynamic:
-            return None
-        stiffness = (self._mass / dt_s**2).tocsr()
-        if dt_s != self._step_s:
-            self._step_s = dt_s
-            self._exact_tangent = ExactTangent(self._single, stiffness)
-            if self._local_tangent is not None:
-                self._local_tangent = LocalTangent(self._single, stiffness)
-            for other in self.worlds:
-                other.region = None
-        return Inertia(stiffness, world.displacement_m + dt_s * world.velocity_m_s)
+                body.set_history(*terms, environment)
+
+    def _make_tangents(self, dt_s: float, stiffness: sparse.csr_matrix, environment: int) -> None:
+        """Make the linear solves of substeps with inertia (N, N), unless there are those of this
+        duration. They are of a gel without a past, so that they serve every environment and do not
+        depend on when they were made."""
+        if dt_s in self._tangents:
+            return
+        used = {world.inertia_step_s for world in self.worlds}
+        self._tangents = {k: v for k, v in self._tangents.items() if k in used}
+        local = None
+        if not self.exact:
+            self._set_relaxation(Relaxation(self.material.prony), dt_s, environment)
+            local = LocalTangent(self._single, stiffness, environment)
+        self._tangents[dt_s] = Tangents(ExactTangent(self._single, stiffness), local)
 
     def _prepare_contact(self, world: World, pose: Pose, trace: Trace) -> None:
         """Find the markers that may touch, and renew patch and region where they do not do."""
@@ -446,7 +467,8 @@ class ImplicitGel:
         self, world: World, pose: Pose | None, inertia: Inertia | None, environment: int
     ) -> EquilibriumProblem:
         """Return what the search of a substep needs to know."""
-        local = self._local_tangent
+        tangents = self._tangents[world.inertia_step_s]
+        local = tangents.local
 
         def elastic(displacement_m: FloatArray) -> tuple[float, FloatArray]:
             return self.elastic(displacement_m, inertia, environment)
@@ -467,18 +489,20 @@ class ImplicitGel:
             # At the last equilibrium the stiffness is positive definite; at a guess it need not be.
             displacement = start_m if at_m is None else at_m
             if local is None:
-                return self._exact_tangent.factor(displacement, environment)
-            region = self._region(world, near, local)
+                return tangents.exact.factor(displacement, environment)
+            region = self._region(world, near, local, environment)
             return local.factor(region, local.assemble(region, displacement, environment))
 
         def at_rest(force_n: FloatArray) -> FloatArray:
             if local is None:
-                return self._exact_tangent.factor(start_m, environment).solve(force_n)
+                return tangents.exact.factor(start_m, environment).solve(force_n)
             return local.solve_at_rest(force_n)
 
         return EquilibriumProblem(world.patch, elastic, respond, respond_now, linearise, at_rest)
 
-    def _region(self, world: World, near: NearMarkers, local: LocalTangent) -> GridRegion:
+    def _region(
+        self, world: World, near: NearMarkers, local: LocalTangent, environment: int
+    ) -> GridRegion:
         """Return the region around the near markers: the last one while it holds them."""
         if world.region is None or np.any(world.region.number[near.node] < 0):
             centre = self.skin.rest_position_m[np.union1d(near.marker, world.close)]
@@ -486,7 +510,7 @@ class ImplicitGel:
                 np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
             )
             cell = np.flatnonzero(gap < REGION_RADIUS_M).astype(np.int32)
-            world.region = local.region(cell, near.node)
+            world.region = local.region(cell, near.node, environment)
         return world.region
 
     def _start(self, world: World, pose: Pose | None) -> tuple[FloatArray, FloatArray, Lag]:

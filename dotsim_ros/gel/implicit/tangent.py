@@ -204,13 +204,14 @@ class LocalTangent:
     Args:
         body: the elastic body in single precision.
         extra: (N, N) further stiffness of every direction, such as mass over the squared step.
+        environment: the one whose material it is.
     """
 
-    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
+    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix, environment: int = 0) -> None:
         self.body = body
         discretization = body.discretization
         self.rest = np.zeros((discretization.node_count, 3), dtype=np.float32)
-        stiffness = body.stiffness(self.rest, 0) + sparse.kron(extra, sparse.eye(3))
+        stiffness = body.stiffness(self.rest, environment) + sparse.kron(extra, sparse.eye(3))
         self.compliance = inverse_of_positive(
             np.asfortranarray(stiffness.toarray().astype(np.float32))
         )
@@ -222,8 +223,9 @@ class LocalTangent:
         whole: FloatArray = step.astype(np.float64)
         return whole
 
-    def region(self, cell: IndexArray, needed_node: IndexArray) -> GridRegion:
-        """Return the region of the given cells, with further nodes that contact needs.
+    def region(self, cell: IndexArray, needed_node: IndexArray, environment: int) -> GridRegion:
+        """Return the region of the given cells, with further nodes that contact needs, and with the
+        rest stiffness of an environment's material: what relaxation remembers is part of it.
 
         Its nodes go from the farthest to those in the middle of the needed ones, which
         `LocalFactor.between` profits from.
@@ -240,7 +242,7 @@ class LocalTangent:
         base = region_base(node_of_cell[inside], number, len(dof))
         rows = self.compliance[dof]
         condensed = inverse_of_positive(np.asfortranarray(rows[:, dof]))
-        rest = self.body.region_stiffness(self.rest, inside, base, len(dof))
+        rest = self.body.region_stiffness(self.rest, inside, base, len(dof), environment)
         return GridRegion(node, number, inside, base, dof, rows.T, condensed, rest)
 
     def assemble(
