@@ -1,229 +1,677 @@
-"""What a sensor is, as data: read from a YAML file, checked, and frozen."""
+"""What a sensor is, as data: every field with its unit, range, default and meaning.
+
+A sensor is read from a YAML file, checked, frozen, and written here.
+
+    python -m dotsim_ros.specification
+
+prints the tables of all fields; with `--markdown docs/sensor_fields.md` it writes them.
+"""
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import itertools
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import yaml
 
-from dotsim_ros.files import parameter_path, whole_file
+from dotsim_ros.files import parameter_path, whole_file, write_text
+from dotsim_ros.quantity import (
+    check_fields,
+    field_table,
+    number_text,
+    quantity,
+    section_from,
+    value_text,
+)
 
 SHAPES = ("dome", "flat_pad")
 METHODS = ("implicit", "explicit")
 LAWS = ("neo_hookean", "mooney_rivlin", "yeoh")
 
-
-def _positive(section: str, **values: float) -> None:
-    for name, value in values.items():
-        if not value > 0.0:
-            raise ValueError(f"{section}.{name} is {value}, expected a positive number")
+LARGEST_LENGTH_M = 0.2
+"""Of a gel: that of a large palm. A length in millimetres is beyond it, and so is recognised."""
+LARGEST_DISTANCE_M = 0.1
+"""Of the camera from the gel's box: tactile sensors look at it from a few centimetres at most."""
+LARGEST_MEMORY_BYTES = 16e9
+"""What one sensor may take: the default dome on a grid of 1.2 mm, unrefined, still does."""
+GRAIN_SHARE = 0.6
+"""Size of the coat's fine texture, over that of a blotch."""
 
 
 @dataclass(frozen=True)
 class GelSpecification:
-    """Rest shape of the gel.
+    """Rest shape of the gel, on the base plane z = 0 and centred on the z axis."""
 
-    Attributes:
-        shape: "dome" or "flat_pad".
-        skin_spacing_m: largest distance between neighbouring skin markers.
-        outer_radius_m, core_radius_m: of a dome.
-        pad_size_m: lengths along x, y and the thickness along z of a flat pad.
-    """
-
-    shape: str = "dome"
-    skin_spacing_m: float = 0.5e-3
-    outer_radius_m: float = 0.01575
-    core_radius_m: float = 0.006
-    pad_size_m: tuple[float, float, float] = (0.02, 0.025, 0.004)
+    shape: str = quantity("dome", choices=SHAPES, help="Half a ball, or a flat block.")
+    skin_spacing_m: float = quantity(
+        0.5e-3,
+        unit="m",
+        low=5e-5,
+        high=5e-3,
+        help="Largest distance between neighbouring skin markers; at most half the dome's radius, "
+        "or half the pad's shorter side.",
+    )
+    outer_radius_m: float = quantity(
+        0.01575,
+        unit="m",
+        low=1e-3,
+        high=LARGEST_LENGTH_M,
+        help="Radius of the free surface of a dome.",
+    )
+    core_radius_m: float = quantity(
+        0.006,
+        unit="m",
+        low=0.0,
+        high=LARGEST_LENGTH_M,
+        help="Radius of the rigid core that a dome is bonded to, less than the outer radius; 0 for "
+        "none.",
+    )
+    pad_size_m: tuple[float, float, float] = quantity(
+        (0.02, 0.025, 0.004),
+        unit="m",
+        low=5e-4,
+        high=LARGEST_LENGTH_M,
+        help="Lengths of a flat pad along x and y, and its thickness along z.",
+    )
 
     def __post_init__(self) -> None:
-        if self.shape not in SHAPES:
-            raise ValueError(f"gel.shape is {self.shape!r}, expected one of {SHAPES}")
-        _positive("gel", skin_spacing_m=self.skin_spacing_m, outer_radius_m=self.outer_radius_m)
-        if not 0.0 <= self.core_radius_m < self.outer_radius_m:
+        check_fields("gel", self)
+        if self.core_radius_m >= self.outer_radius_m:
             raise ValueError(
-                f"gel.core_radius_m is {self.core_radius_m}, expected 0 or more and less than "
-                f"outer_radius_m ({self.outer_radius_m})"
+                f"gel.core_radius_m is {self.core_radius_m}, expected less than "
+                f"gel.outer_radius_m ({self.outer_radius_m} m)"
             )
+        is_dome = self.shape == "dome"
+        side_m = self.outer_radius_m if is_dome else min(self.pad_size_m[:2])
+        if self.skin_spacing_m > 0.5 * side_m:
+            raise ValueError(
+                f"gel.skin_spacing_m is {self.skin_spacing_m}, expected at most half of "
+                f"{'gel.outer_radius_m' if is_dome else 'the shorter side of gel.pad_size_m'} "
+                f"({number_text(0.5 * side_m)} m)"
+            )
+
+    @property
+    def bounds_m(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Lower and upper corner of a box around the gel."""
+        if self.shape == "dome":
+            r = self.outer_radius_m
+            return (-r, -r, 0.0), (r, r, r)
+        x, y, z = self.pad_size_m
+        return (-0.5 * x, -0.5 * y, 0.0), (0.5 * x, 0.5 * y, z)
+
+    @property
+    def extent_m(self) -> float:
+        """How far the gel reaches from the z axis, along x or y."""
+        return max(self.bounds_m[1][:2])
+
+    @property
+    def skin_area_m2(self) -> float:
+        """Area of the skin at rest."""
+        if self.shape == "dome":
+            return 2.0 * math.pi * self.outer_radius_m**2
+        return self.pad_size_m[0] * self.pad_size_m[1]
+
+    @property
+    def volume_m3(self) -> float:
+        """Volume of the gel at rest."""
+        if self.shape == "dome":
+            return 2.0 / 3.0 * math.pi * (self.outer_radius_m**3 - self.core_radius_m**3)
+        return math.prod(self.pad_size_m)
+
+    def has_behind(self, point_m: Iterable[float]) -> bool:
+        """Return whether a point (3,) lies behind the skin, where a camera sees its inner side."""
+        x, y, z = (float(v) for v in point_m)
+        if self.shape != "dome":
+            return z < self.pad_size_m[2]
+        return math.hypot(x, y, max(z, 0.0)) < self.outer_radius_m
 
 
 @dataclass(frozen=True)
 class MaterialSpecification:
-    """The gel's law: `neo_hookean` takes E and nu; the others take their constants and K.
+    """The gel's law: `neo_hookean` takes E and nu; the others take their constants and K."""
 
-    Attributes:
-        prony_shares, prony_times_s: relaxation of the shape-changing stress, empty for none.
-    """
-
-    law: str = "neo_hookean"
-    youngs_modulus_pa: float = 3.0e5
-    poisson_ratio: float = 0.48
-    c10_pa: float = 0.0
-    c01_pa: float = 0.0
-    c20_pa: float = 0.0
-    c30_pa: float = 0.0
-    bulk_modulus_pa: float = 0.0
-    prony_shares: tuple[float, ...] = ()
-    prony_times_s: tuple[float, ...] = ()
-    density_kg_m3: float = 1070.0
+    law: str = quantity("neo_hookean", choices=LAWS, help="Elastic law.")
+    youngs_modulus_pa: float = quantity(
+        3.0e5,
+        unit="Pa",
+        low=1e2,
+        high=1e9,
+        help="E of neo_hookean, from a loose jelly to a hard rubber.",
+    )
+    poisson_ratio: float = quantity(0.48, low=0.0, high=0.4999, help="nu of neo_hookean.")
+    c10_pa: float = quantity(
+        0.0, unit="Pa", low=-1e9, high=1e9, help="C10 of mooney_rivlin and yeoh."
+    )
+    c01_pa: float = quantity(0.0, unit="Pa", low=-1e9, high=1e9, help="C01 of mooney_rivlin.")
+    c20_pa: float = quantity(0.0, unit="Pa", low=-1e9, high=1e9, help="C20 of yeoh.")
+    c30_pa: float = quantity(0.0, unit="Pa", low=-1e9, high=1e9, help="C30 of yeoh.")
+    bulk_modulus_pa: float = quantity(
+        0.0,
+        unit="Pa",
+        low=0.0,
+        high=1e13,
+        help="K of mooney_rivlin and yeoh; the limit is that of the largest E at the largest nu.",
+    )
+    prony_shares: tuple[float, ...] = quantity(
+        (),
+        low=0.0,
+        high=1.0,
+        excludes_low=True,
+        help="Shares of the shape-changing stress that relax, together below 1; none: elastic.",
+    )
+    prony_times_s: tuple[float, ...] = quantity(
+        (), unit="s", low=1e-6, high=1e7, help="Times in which they relax, as many."
+    )
+    density_kg_m3: float = quantity(
+        1070.0,
+        unit="kg/m^3",
+        low=1.0,
+        high=3e4,
+        help="Density; it matters to dynamic and explicit solvers only.",
+    )
 
     def __post_init__(self) -> None:
-        if self.law not in LAWS:
-            raise ValueError(f"material.law is {self.law!r}, expected one of {LAWS}")
-        _positive("material", density_kg_m3=self.density_kg_m3)
+        check_fields("material", self)
+        if len(self.prony_shares) != len(self.prony_times_s):
+            raise ValueError(
+                f"material.prony_shares has {len(self.prony_shares)} entries and "
+                f"material.prony_times_s has {len(self.prony_times_s)}, expected as many"
+            )
+        if sum(self.prony_shares) >= 1.0:
+            raise ValueError(
+                f"material.prony_shares is {value_text(self.prony_shares)}, expected a sum below 1"
+            )
+        bulk_pa = {"bulk_modulus_pa": self.bulk_modulus_pa}
+        needed: dict[str, dict[str, float]] = {
+            "neo_hookean": {},
+            "mooney_rivlin": {"c10_pa + material.c01_pa": self.c10_pa + self.c01_pa} | bulk_pa,
+            "yeoh": {"c10_pa": self.c10_pa} | bulk_pa,
+        }
+        for name, value in needed[self.law].items():
+            if not value > 0.0:
+                raise ValueError(
+                    f"material.{name} is {value}, expected a positive number of Pa for the law "
+                    f"{self.law}"
+                )
 
 
 @dataclass(frozen=True)
 class ContactSpecification:
-    """Contact of the skin with the indenter.
+    """Contact of the skin with the indenter."""
 
-    Attributes:
-        friction_coefficient: mu of Coulomb's law.
-        stiffness: of the contact, in units of Young's modulus over 1.2 mm; the skin's penetration
-            is the pressure divided by it.
-        tangential_ratio: tangential over normal stiffness while sticking.
-    """
-
-    friction_coefficient: float = 0.4
-    stiffness: float = 60.0
-    tangential_ratio: float = 0.5
+    friction_coefficient: float = quantity(0.4, low=0.0, high=5.0, help="mu of Coulomb's law.")
+    stiffness: float = quantity(
+        60.0,
+        low=0.0,
+        high=1e5,
+        excludes_low=True,
+        help="Stiffness of the contact, in units of Young's modulus over 1.2 mm; the skin's "
+        "penetration is the pressure divided by it.",
+    )
+    tangential_ratio: float = quantity(
+        0.5,
+        low=0.0,
+        high=100.0,
+        excludes_low=True,
+        help="Tangential over normal stiffness while sticking.",
+    )
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.friction_coefficient <= 5.0:
-            raise ValueError(
-                f"contact.friction_coefficient is {self.friction_coefficient}, expected 0 to 5"
-            )
-        _positive("contact", stiffness=self.stiffness, tangential_ratio=self.tangential_ratio)
+        check_fields("contact", self)
 
 
 @dataclass(frozen=True)
 class SolverSpecification:
-    """Resolution and effort of the gel's solver.
+    """Resolution and effort of the gel's solver."""
 
-    Attributes:
-        method: "implicit" (equilibrium in every frame) or "explicit" (the paper's scheme).
-        grid_spacing_m: spacing h of the grid.
-        refined: contact acts on the skin of a grid of half the spacing (to first order).
-        tolerance_m: Newton's method ends when an iteration moves no marker farther.
-        iterations: most Newton iterations of a substep.
-        friction_passes: how many pressures limit friction in a substep, one after the other; the
-            first is extrapolated from the last substep.
-        dynamic: backward Euler with inertia instead of quasi-static steps.
-    """
-
-    method: str = "implicit"
-    grid_spacing_m: float = 2.4e-3
-    refined: bool = True
-    tolerance_m: float = 10.0e-6
-    iterations: int = 15
-    friction_passes: int = 5
-    dynamic: bool = False
+    method: str = quantity(
+        "implicit",
+        choices=METHODS,
+        help="Equilibrium in every frame, or the paper's explicit scheme (neo_hookean only).",
+    )
+    grid_spacing_m: float = quantity(
+        2.4e-3,
+        unit="m",
+        low=2e-4,
+        high=1e-2,
+        help="Spacing of the grid, at most half the gel's smallest extent; half of it takes some "
+        "30 times the memory.",
+    )
+    refined: bool = quantity(
+        True,
+        help="Whether contact acts on the skin of a grid of half the spacing (to first order).",
+    )
+    tolerance_m: float = quantity(
+        10.0e-6,
+        unit="m",
+        low=1e-12,
+        high=1e-3,
+        help="Newton's method ends when an iteration moves no marker farther.",
+    )
+    iterations: int = quantity(15, low=1, high=1000, help="Most Newton iterations of a substep.")
+    friction_passes: int = quantity(
+        5,
+        low=1,
+        high=1000,
+        help="Pressures that limit friction in a substep, one after the other; the first is "
+        "extrapolated from the last substep.",
+    )
+    dynamic: bool = quantity(
+        False, help="Whether steps are backward Euler with inertia instead of quasi-static."
+    )
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ValueError(f"solver.method is {self.method!r}, expected one of {METHODS}")
-        _positive(
-            "solver",
-            grid_spacing_m=self.grid_spacing_m,
-            tolerance_m=self.tolerance_m,
-            iterations=self.iterations,
-            friction_passes=self.friction_passes,
-        )
+        check_fields("solver", self)
 
 
 @dataclass(frozen=True)
 class CameraSpecification:
-    """The camera: an equidistant fisheye in the optical frame of REP 103.
+    """The camera: an equidistant fisheye in the optical frame of REP 103 (z forward, x right, y
+    down), behind the skin. What it looks through is taken to be clear and not to refract."""
 
-    Attributes:
-        position_m, quaternion_xyzw: pose of the optical frame in the base frame.
-        half_height_angle_deg: angle from the axis that is seen at half the image's height.
-        principal_point_px: (cx, cy).
-        distortion: k1 to k4 of the equidistant model.
-        idle_image: file of the image without contact, below `params/` or absolute.
-        residual: folder of the network that completes the image, below `params/` or absolute;
-            empty for none.
-    """
-
-    width: int = 640
-    height: int = 480
-    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0025)
-    quaternion_xyzw: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    half_height_angle_deg: float = 86.0
-    principal_point_px: tuple[float, float] = (319.5, 239.5)
-    distortion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-    idle_image: str = "images/densetact2_idle.png"
-    residual: str = ""
+    width: int = quantity(640, unit="px", low=16, high=4096, help="Width of the image.")
+    height: int = quantity(480, unit="px", low=16, high=4096, help="Height of the image.")
+    position_m: tuple[float, float, float] = quantity(
+        (0.0, 0.0, 0.0025),
+        unit="m",
+        low=-0.3,
+        high=0.3,
+        help="Place of the optical frame in the base frame: behind the skin, at most 0.1 m from "
+        "the box around the gel.",
+    )
+    quaternion_xyzw: tuple[float, float, float, float] = quantity(
+        (0.0, 0.0, 0.0, 1.0),
+        low=-1.001,
+        high=1.001,
+        help="Rotation from the optical frame to the base frame, of length 1 within 0.001.",
+    )
+    half_height_angle_deg: float = quantity(
+        86.0,
+        unit="deg",
+        low=1.0,
+        high=180.0,
+        help="Angle from the axis that is seen at half the image's height, without distortion.",
+    )
+    principal_point_px: tuple[float, float] = quantity(
+        (319.5, 239.5),
+        unit="px",
+        low=-4096.0,
+        high=8192.0,
+        help="x and y where the axis meets the image, the first pixel's centre being 0, 0; at most "
+        "an image's size outside of it.",
+    )
+    distortion: tuple[float, float, float, float] = quantity(
+        (0.0, 0.0, 0.0, 0.0), low=-100.0, high=100.0, help="k1 to k4 of the equidistant model."
+    )
+    idle_image: str = quantity(
+        "images/densetact2_idle.png",
+        help="File of the image without contact, below `params/` or absolute; empty: the image is "
+        "drawn from the sections lighting, vignetting and pattern.",
+    )
+    residual: str = quantity(
+        "",
+        help="Folder of the network that completes the image, below `params/` or absolute; empty "
+        "for none.",
+    )
 
     def __post_init__(self) -> None:
-        _positive(
-            "camera",
-            width=self.width,
-            height=self.height,
-            half_height_angle_deg=self.half_height_angle_deg,
-        )
-        if len(self.distortion) != 4:
+        check_fields("camera", self)
+        length = math.hypot(*self.quaternion_xyzw)
+        if abs(length - 1.0) > 1e-3:
             raise ValueError(
-                f"camera.distortion has {len(self.distortion)} coefficients, expected 4"
+                f"camera.quaternion_xyzw is {value_text(self.quaternion_xyzw)}, of length "
+                f"{length:.6g}, expected 1 within 0.001; normalise it"
             )
+        for size, place in zip((self.width, self.height), self.principal_point_px, strict=True):
+            if not -size <= place <= 2 * size:
+                raise ValueError(
+                    f"camera.principal_point_px is {value_text(self.principal_point_px)}, expected "
+                    f"at most an image's size outside of the {self.width}x{self.height} image"
+                )
+
+
+@dataclass(frozen=True)
+class NoiseSpecification:
+    """Noise of the camera's sensor, added to every image where it is lit; none by default.
+
+    It is drawn by the seed and by the simulated time since the sensor's last reset.
+    """
+
+    deviation_levels: float = quantity(
+        0.0, unit="grey levels of 255", low=0.0, high=50.0, help="Standard deviation; 0 for none."
+    )
+    seed: int = quantity(0, low=0, high=2**31 - 1, help="Another seed, another noise.")
+
+    def __post_init__(self) -> None:
+        check_fields("noise", self)
+
+
+@dataclass(frozen=True)
+class LightingSpecification:
+    """Nine LEDs on a ring around the z axis (three red, three green, three blue), and the coat that
+    they light. Used where the idle image has no description of its own beside it."""
+
+    radius_m: float = quantity(0.010, unit="m", low=1e-4, high=0.3, help="Radius of the ring.")
+    height_m: float = quantity(
+        0.0005, unit="m", low=-0.3, high=0.3, help="Height of the ring over the base plane."
+    )
+    azimuth_deg: tuple[float, float, float] = quantity(
+        (60.0, 180.0, -60.0),
+        unit="deg",
+        low=-720.0,
+        high=720.0,
+        help="Directions of the red, the green and the blue group, from +x towards +y.",
+    )
+    spread_deg: float = quantity(
+        12.0, unit="deg", low=0.0, high=120.0, help="Angle between two neighbours of one group."
+    )
+    crosstalk: float = quantity(
+        0.1,
+        low=0.0,
+        high=1.0,
+        help="Share of an LED's light that the camera sees in each of the other two colours.",
+    )
+    ambient_fraction: float = quantity(
+        1.0,
+        low=0.0,
+        high=1e9,
+        excludes_low=True,
+        help="Light that a press does not change, over the mean direct light at rest; the larger, "
+        "the weaker the shading.",
+    )
+    exponent: float = quantity(
+        1.0,
+        low=0.0,
+        high=10.0,
+        excludes_low=True,
+        help="Exponent of brightness over light; 1 for a camera with a linear response.",
+    )
+    gloss: float = quantity(
+        0.0,
+        low=0.0,
+        high=1e3,
+        help="Light that the coat mirrors of an LED, over what it scatters; 0 for a dull coat.",
+    )
+    gloss_exponent: float = quantity(
+        80.0,
+        low=0.0,
+        high=1e5,
+        excludes_low=True,
+        help="Sharpness of what the coat mirrors; larger is a smoother coat.",
+    )
+
+    def __post_init__(self) -> None:
+        check_fields("lighting", self)
+
+
+@dataclass(frozen=True)
+class VignettingSpecification:
+    """Loss of brightness towards the edge of the image. Used as `lighting` is."""
+
+    falloff: tuple[float, ...] = quantity(
+        (),
+        low=-100.0,
+        high=100.0,
+        help="c1, c2, ...: brightness is 1 + c1 s + c2 s^2 + ... with s the square of the distance "
+        "from the principal point over half the image's height.",
+    )
+
+    def __post_init__(self) -> None:
+        check_fields("vignetting", self)
+
+
+@dataclass(frozen=True)
+class PatternSpecification:
+    """The coat's random pattern in an idle image that is drawn."""
+
+    blotch_m: float = quantity(
+        0.22e-3, unit="m", low=1e-5, high=0.02, help="Size of the dark blotches."
+    )
+    dark_share: float = quantity(0.45, low=0.0, high=1.0, help="Part of the coat that is dark.")
+    contrast: float = quantity(
+        0.45, low=0.0, high=1.0, help="How much darker a blotch is than the coat."
+    )
+    grain: float = quantity(
+        0.06,
+        low=0.0,
+        high=1.0,
+        help="Standard deviation of the coat's fine texture over its brightness.",
+    )
+    rim_angle_deg: float = quantity(
+        92.0,
+        unit="deg",
+        low=1.0,
+        high=180.0,
+        help="Angle from the camera's axis where its mount ends the view.",
+    )
+    noise_levels: float = quantity(
+        1.0,
+        unit="grey levels of 255",
+        low=0.0,
+        high=50.0,
+        help="Standard deviation of the noise that the idle image was taken with.",
+    )
+    seed: int = quantity(0, low=0, high=2**31 - 1, help="Another seed, another pattern.")
+
+    def __post_init__(self) -> None:
+        check_fields("pattern", self)
+
+
+SECTIONS: dict[str, type[Any]] = {
+    "gel": GelSpecification,
+    "material": MaterialSpecification,
+    "contact": ContactSpecification,
+    "solver": SolverSpecification,
+    "camera": CameraSpecification,
+    "noise": NoiseSpecification,
+    "lighting": LightingSpecification,
+    "vignetting": VignettingSpecification,
+    "pattern": PatternSpecification,
+}
+WRITTEN_BY_NEED = ("noise", "lighting", "vignetting", "pattern")
+"""Sections that a written file has only where they differ from their defaults."""
 
 
 @dataclass(frozen=True)
 class SensorSpecification:
-    """A whole sensor."""
+    """A whole sensor.
 
-    name: str = "densetact2"
+    Raises:
+        ValueError: two sections contradict each other, or the sensor would take more memory than
+            `LARGEST_MEMORY_BYTES`.
+    """
+
+    name: str = quantity(
+        "densetact2", help="Name of the sensor; that of the file where it gives none."
+    )
     gel: GelSpecification = field(default_factory=GelSpecification)
     material: MaterialSpecification = field(default_factory=MaterialSpecification)
     contact: ContactSpecification = field(default_factory=ContactSpecification)
     solver: SolverSpecification = field(default_factory=SolverSpecification)
     camera: CameraSpecification = field(default_factory=CameraSpecification)
+    noise: NoiseSpecification = field(default_factory=NoiseSpecification)
+    lighting: LightingSpecification = field(default_factory=LightingSpecification)
+    vignetting: VignettingSpecification = field(default_factory=VignettingSpecification)
+    pattern: PatternSpecification = field(default_factory=PatternSpecification)
+
+    def __post_init__(self) -> None:
+        check_fields("", self)
+        if self.solver.method == "explicit" and self.material.law != "neo_hookean":
+            raise ValueError(
+                f"solver.method 'explicit' takes the law neo_hookean, not {self.material.law!r}; "
+                "choose that law or the method 'implicit'"
+            )
+        self._check_grid()
+        self._check_camera()
+        if not self.camera.idle_image:
+            check_drawable(self.gel, self.pattern)
+        self._check_memory()
+
+    def _check_grid(self) -> None:
+        lower, upper = self.gel.bounds_m
+        extent = min(b - a for a, b in zip(lower, upper, strict=True))
+        if self.solver.grid_spacing_m > 0.5 * extent:
+            raise ValueError(
+                f"solver.grid_spacing_m is {self.solver.grid_spacing_m}, expected at most half the "
+                f"gel's smallest extent ({number_text(0.5 * extent)} m)"
+            )
+
+    def _check_camera(self) -> None:
+        place, (lower, upper) = self.camera.position_m, self.gel.bounds_m
+        gaps = (max(a - p, p - b, 0.0) for a, p, b in zip(lower, place, upper, strict=True))
+        distance = math.hypot(*gaps)
+        if distance > LARGEST_DISTANCE_M:
+            raise ValueError(
+                f"camera.position_m is {value_text(place)}, {number_text(round(distance, 6))} m "
+                f"from the gel, expected at most {LARGEST_DISTANCE_M} m"
+            )
+        if not self.gel.has_behind(place):
+            raise ValueError(
+                f"camera.position_m is {value_text(place)}, in front of the skin; expected a place "
+                "behind it, where the camera sees its inner side"
+            )
+
+    def _check_memory(self) -> None:
+        size = size_of(self)
+        if size.memory_bytes > LARGEST_MEMORY_BYTES:
+            raise ValueError(
+                f"the sensor would take {size.memory_bytes / 1e9:.0f} GB of memory, expected at "
+                f"most {LARGEST_MEMORY_BYTES / 1e9:.0f} GB: {size.grid_node_count} grid nodes at a "
+                f"solver.grid_spacing_m of {number_text(self.solver.grid_spacing_m)}, "
+                f"{size.skin_marker_count} skin markers at a gel.skin_spacing_m of "
+                f"{number_text(self.gel.skin_spacing_m)}, an image of "
+                f"{self.camera.width}x{self.camera.height}; most of it is for {size.largest_part}"
+            )
 
 
-Section = TypeVar("Section")
+@dataclass(frozen=True)
+class SensorSize:
+    """How large a sensor is, estimated from its fields alone.
+
+    Attributes:
+        skin_marker_count: of the skin, within 12 %.
+        grid_node_count: of the grid, within 12 %.
+        memory_bytes: the most that it takes at any time on a CPU, within a third.
+        largest_part: what most of the memory is for: the grid, the skin or the image.
+    """
+
+    skin_marker_count: int
+    grid_node_count: int
+    memory_bytes: float
+    largest_part: str
 
 
-def _section(kind: type[Section], name: str, values: Any, source: str) -> Section:
-    if not isinstance(values, dict):
-        raise ValueError(f"{source}: section {name!r} is no mapping of names to values")
-    fields = {f.name: f for f in dataclasses.fields(kind)}  # type: ignore[arg-type]
-    unknown = sorted(set(values) - set(fields))
-    if unknown:
+def size_of(sensor: SensorSpecification) -> SensorSize:
+    """Return how large a sensor will be, without making it.
+
+    The memory's factors are fitted to what 13 sensors took, of 0.25 to 11 GB.
+    """
+    gel, solver, camera = sensor.gel, sensor.solver, sensor.camera
+    spacing_m = solver.grid_spacing_m
+    markers, nodes = _skin_marker_count(gel), _grid_node_count(gel, spacing_m)
+    if solver.method == "explicit":
+        # Eight particles a cell.
+        grid_bytes = 450.0 * 8.0 * gel.volume_m3 / spacing_m**3
+    else:
+        # The inverse of the stiffness, dense, while it is computed; then that of contact.
+        square = (3.0 * nodes) ** 2
+        refined = _refinement_bytes(gel, 0.5 * spacing_m) if solver.refined else 0.0
+        grid_bytes = max(22.0 * square, 8.0 * square + refined)
+    parts = {
+        "the grid": grid_bytes,
+        "the skin": 1000.0 * markers,
+        "the image": 170.0 * camera.width * camera.height,
+    }
+    total = 0.25e9 + sum(parts.values())
+    return SensorSize(round(markers), round(nodes), total, max(parts, key=parts.__getitem__))
+
+
+def _skin_marker_count(gel: GelSpecification) -> float:
+    """Return the number of markers, in rows of equilateral triangles."""
+    spacing_m, row_m = gel.skin_spacing_m, math.sqrt(0.75) * gel.skin_spacing_m
+    if gel.shape == "dome":
+        # The edges of a geodesic sphere are up to a third shorter than its longest ones.
+        return 1.24 * gel.skin_area_m2 / (spacing_m * row_m)
+    x, y, _ = gel.pad_size_m
+    return (x / spacing_m + 1.0) * (y / row_m + 1.0)
+
+
+def _nodes_along(gel: GelSpecification, spacing_m: float) -> tuple[float, float, float]:
+    """Return the number of nodes along the box around the gel: a cell's node and one beside it."""
+    _, upper = gel.bounds_m
+    x, y, z = (math.ceil(number / spacing_m - 1e-9) for number in upper)
+    return 2.0 * x + 2.0, 2.0 * y + 2.0, z + 1.0
+
+
+def _grid_node_count(gel: GelSpecification, spacing_m: float) -> float:
+    if gel.shape != "dome":
+        return math.prod(_nodes_along(gel, spacing_m))
+    # Nodes reach one and a half cells beyond the gel: half a ball, thickened by a cube of 3 h.
+    r, h = gel.outer_radius_m, 3.0 * spacing_m
+    volume = 0.5 * (h**3 + 6.0 * h**2 * r + 3.0 * math.pi * h * r**2 + 4.0 / 3.0 * math.pi * r**3)
+    hole = 2.0 / 3.0 * math.pi * max(0.0, gel.core_radius_m - math.sqrt(0.75) * h) ** 3
+    return (volume - hole) / spacing_m**3
+
+
+def _refinement_bytes(gel: GelSpecification, spacing_m: float) -> float:
+    """Return what the refinement's grid and its table take."""
+    along = _nodes_along(gel, spacing_m)
+    # Slabs of three planes, factored densely with the coupling of each to the next.
+    factor = 216.0 * _grid_node_count(gel, spacing_m) ** 2 / max(along)
+    # Pairs of nodes beside the skin, up to 7 mm apart.
+    layers = 4.4 if gel.shape == "dome" else 3.0
+    if gel.shape == "dome":
+        beside = layers * gel.skin_area_m2 / spacing_m**2
+    else:
+        beside = layers * along[0] * along[1]
+    near = 0.85 * min(beside, layers * math.pi * (7e-3 / spacing_m) ** 2)
+    return factor + 300.0 * beside * near
+
+
+def check_drawable(gel: GelSpecification, pattern: PatternSpecification) -> None:
+    """Refuse a pattern too fine to be drawn on a gel of this size.
+
+    Raises:
+        ValueError: it would take more than some gigabytes.
+    """
+    # A dome's pattern is cut from a block, a pad's is drawn flat.
+    cells, name = (400, "outer_radius_m") if gel.shape == "dome" else (8000, "pad_size_m")
+    smallest_m = 2.0 * gel.extent_m / (GRAIN_SHARE * cells)
+    if pattern.blotch_m < smallest_m:
         raise ValueError(
-            f"{source}: section {name!r} has unknown entries {unknown}; known are {sorted(fields)}"
+            f"pattern.blotch_m is {number_text(pattern.blotch_m)}, expected at least "
+            # Rounded up.
+            f"{number_text(float(f'{1.005 * smallest_m:.3g}'))} m to be drawn on a gel of this "
+            f"gel.{name}; or name an image in camera.idle_image"
         )
-    converted: dict[str, Any] = {}
-    for key, value in values.items():
-        default = fields[key].default
-        try:
-            if isinstance(default, tuple):
-                converted[key] = tuple(float(v) for v in value)
-            elif isinstance(default, bool):
-                if not isinstance(value, bool):
-                    raise ValueError("expected true or false")
-                converted[key] = value
-            elif isinstance(default, int):
-                converted[key] = int(value)
-            elif isinstance(default, float):
-                converted[key] = float(value)
-            else:
-                converted[key] = str(value)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{source}: {name}.{key} is {value!r}: {error}") from error
-    try:
-        return kind(**converted)
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
 
 
 def sensor_path(source: str | Path) -> Path:
     """Return the file of a sensor, given itself or by the sensor's name."""
     path = Path(source)
     return path if path.suffix in (".yaml", ".yml") else parameter_path(f"sensors/{source}.yaml")
+
+
+class _SensorLoader(yaml.SafeLoader):
+    """Reads YAML as `yaml.safe_load`, but refuses a name that is given twice."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen = set()
+        for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                continue
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"{key.value!r} is given twice", key.start_mark
+                )
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
 
 
 def load_sensor(source: str | Path) -> SensorSpecification:
@@ -235,8 +683,8 @@ def load_sensor(source: str | Path) -> SensorSpecification:
     """
     path = sensor_path(source)
     try:
-        document = yaml.safe_load(path.read_text())
-    except yaml.YAMLError as error:
+        document = yaml.load(path.read_text(encoding="utf-8"), _SensorLoader)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f"{path} is not valid YAML: {error}") from error
     return sensor_from(document, str(path), name=path.stem)
 
@@ -255,21 +703,17 @@ def sensor_from(document: Any, source: str, *, name: str = "") -> SensorSpecific
     """
     if not isinstance(document, dict):
         raise ValueError(f"{source} holds no mapping; see params/sensors/densetact2.yaml")
-    kinds: dict[str, type[Any]] = {
-        "gel": GelSpecification,
-        "material": MaterialSpecification,
-        "contact": ContactSpecification,
-        "solver": SolverSpecification,
-        "camera": CameraSpecification,
-    }
-    unknown = sorted(set(document) - set(kinds) - {"name"})
+    unknown = sorted(str(section) for section in set(document) - set(SECTIONS) - {"name"})
     if unknown:
-        raise ValueError(f"{source}: unknown sections {unknown}; known are {sorted(kinds)}")
-    sections = {
-        section: _section(kind, section, document.get(section) or {}, source)
-        for section, kind in kinds.items()
-    }
-    return SensorSpecification(name=str(document.get("name", name)), **sections)
+        raise ValueError(f"{source}: unknown sections {unknown}; known are {sorted(SECTIONS)}")
+    try:
+        sections = {
+            section: section_from(kind, section, document.get(section))
+            for section, kind in SECTIONS.items()
+        }
+        return SensorSpecification(name=document.get("name", name), **sections)
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
 
 
 def write_sensor(path: Path, specification: SensorSpecification, comment: str) -> None:
@@ -286,8 +730,10 @@ def write_sensor(path: Path, specification: SensorSpecification, comment: str) -
     if path.suffix not in (".yaml", ".yml"):
         raise ValueError(f"{path}: a sensor's file must end in .yaml")
     document: dict[str, Any] = {"name": specification.name}
-    for section in ("gel", "material", "contact", "solver", "camera"):
-        document[section] = _plain(dataclasses.asdict(getattr(specification, section)))
+    for section, kind in SECTIONS.items():
+        values = getattr(specification, section)
+        if section not in WRITTEN_BY_NEED or values != kind():
+            document[section] = _plain(dataclasses.asdict(values))
     head = "".join(f"# {line}\n" for line in comment.splitlines())
     with whole_file(path) as part:
         part.write_text(head + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
@@ -306,3 +752,95 @@ def _plain(values: dict[str, Any]) -> dict[str, Any]:
     return {
         name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
     }
+
+
+_HEAD = """\
+# The fields of a sensor's file
+
+A sensor is one YAML file. `python -m dotsim_ros.specification` prints this page from the code that
+reads it.
+
+```yaml
+name: my_pad
+gel:
+  shape: flat_pad
+  pad_size_m: [0.03, 0.03, 0.005]
+solver:
+  grid_spacing_m: 0.002
+camera:
+  position_m: [0.0, 0.0, -0.02]
+  half_height_angle_deg: 35.0
+  idle_image: ""
+lighting:
+  radius_m: 0.02
+  height_m: -0.004
+```
+
+- Load it by its path, or put it into `params/sensors/` and load it by its name: parameter `sensor`
+  of `tactile_sim`, option `--sensor` of the commands, `load_sensor` in Python. A section or a field
+  that is left out has its default.
+- Lengths are in metres and all else in SI units, angles in degrees where the name ends so. The base
+  plane of the gel is z = 0, +z points out of the gel, and the z axis is its middle.
+- A value that is unknown, of another type or out of its range is refused with the name of the
+  field, the value and the range: nothing is rounded, and text is no number (YAML reads `3e5` as
+  text: write `3.0e+5`). Numbers are finite.
+- What contradicts is refused, too: a core as large as its dome, a grid wider than half the gel's
+  smallest extent, a camera in front of the skin or more than {distance} m from the gel, an explicit
+  solver with another law than its own, and a sensor that would take more than {gigabytes} GB of
+  memory. How much it takes is worked out beforehand, within a third, by
+  `dotsim_ros.specification.size_of`.
+
+**Idle image.** The simulated image is the idle image, warped and shaded anew
+([idle_image.md](idle_image.md)). Where `camera.idle_image` is empty it is drawn, from the sections
+`lighting`, `vignetting` and `pattern`, in a few seconds when the sensor is made; to keep it as a
+file:
+
+```bash
+python -m dotsim_ros.optics.pattern my_pad_idle.png --sensor my_pad.yaml
+```
+
+writes the image, and beside it the lights that it was drawn with, as a file that describes an idle
+image. Such a file comes before the sensor's own sections `lighting` and `vignetting`.
+
+**Flat pads.** `flat_pad` is a block of gel on a clear plate at z = 0. The camera stands below and
+looks up at the inner side of the upper face, the only one that is seen.
+`params/sensors/flat_pad.yaml` is one, made with the command above.
+
+**Noise.** `noise` adds normal noise to every image of `TactileSensor`. It is drawn by `noise.seed`
+and the frame's time since the last `reset`: the same motion after a reset gives the same images to
+the last bit, and `reset(noise_seed=7)` other ones. `tactile_sim` draws it by the frame's stamp
+instead, and its parameter `image_noise_levels` comes before the sensor's own where it is not
+negative.
+"""
+
+
+def field_page() -> str:
+    """Return the documentation of a sensor's file, in Markdown."""
+    parts = [
+        _HEAD.format(distance=LARGEST_DISTANCE_M, gigabytes=f"{LARGEST_MEMORY_BYTES / 1e9:.0f}"),
+        "\n## Top level\n\nThe name, and the sections below.\n\n",
+        field_table(SensorSpecification),
+    ]
+    for section, kind in SECTIONS.items():
+        meaning = " ".join((kind.__doc__ or "").split())
+        parts.append(f"\n## `{section}`\n\n{meaning}\n\n{field_table(kind)}")
+    return "".join(parts)
+
+
+def main() -> None:
+    """Print the documentation of a sensor's file, or write it."""
+    parser = argparse.ArgumentParser(
+        prog="python -m dotsim_ros.specification",
+        description="Print every field of a sensor's file with its unit, range and default.",
+        epilog="example: python -m dotsim_ros.specification --markdown docs/sensor_fields.md",
+    )
+    parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the page to this file")
+    arguments = parser.parse_args()
+    if arguments.markdown is None:
+        print(field_page(), end="")
+    else:
+        write_text(arguments.markdown, field_page())
+
+
+if __name__ == "__main__":
+    main()

@@ -8,8 +8,11 @@ import numpy as np
 
 from dotsim_ros.arrays import Float32Array
 from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.specification import LightingSpecification, VignettingSpecification
 
 RED, GREEN, BLUE = np.eye(3)
+
+_STATED = LightingSpecification()
 
 
 @dataclass(frozen=True)
@@ -27,11 +30,11 @@ class PointLight:
 
 def led_ring(
     *,
-    radius_m: float = 0.010,
-    height_m: float = 0.0005,
-    azimuth_deg: tuple[float, float, float] = (60.0, 180.0, -60.0),
-    spread_deg: float = 12.0,
-    crosstalk: float = 0.1,
+    radius_m: float = _STATED.radius_m,
+    height_m: float = _STATED.height_m,
+    azimuth_deg: tuple[float, float, float] = _STATED.azimuth_deg,
+    spread_deg: float = _STATED.spread_deg,
+    crosstalk: float = _STATED.crosstalk,
 ) -> tuple[PointLight, ...]:
     """Return nine LEDs on a ring around the axis: three red, three green, three blue.
 
@@ -77,10 +80,29 @@ class Lighting:
     """
 
     lights: tuple[PointLight, ...] = field(default_factory=led_ring)
-    ambient_fraction: float = 1.0
-    exponent: float = 1.0
-    gloss: float = 0.0
-    gloss_exponent: float = 80.0
+    ambient_fraction: float = _STATED.ambient_fraction
+    exponent: float = _STATED.exponent
+    gloss: float = _STATED.gloss
+    gloss_exponent: float = _STATED.gloss_exponent
+
+    @classmethod
+    def from_specification(cls, specification: LightingSpecification) -> Lighting:
+        """Return the lights of a sensor's file."""
+        s = specification
+        ring = led_ring(
+            radius_m=s.radius_m,
+            height_m=s.height_m,
+            azimuth_deg=s.azimuth_deg,
+            spread_deg=s.spread_deg,
+            crosstalk=s.crosstalk,
+        )
+        return cls(
+            ring,
+            ambient_fraction=s.ambient_fraction,
+            exponent=s.exponent,
+            gloss=s.gloss,
+            gloss_exponent=s.gloss_exponent,
+        )
 
     def __post_init__(self) -> None:
         if not self.lights:
@@ -107,6 +129,11 @@ class Vignetting:
     """
 
     falloff: tuple[float, ...] = ()
+
+    @classmethod
+    def from_specification(cls, specification: VignettingSpecification) -> Vignetting:
+        """Return the vignetting of a sensor's file."""
+        return cls(specification.falloff)
 
     def brightness(self, camera: FisheyeCamera) -> Float32Array:
         """Return (H, W) brightness relative to the principal point.
