@@ -20,6 +20,7 @@ from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.loading import completion_network
+from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import (
     SensorSpecification,
@@ -72,6 +73,9 @@ class Frame:
 class TactileSensor:
     """One sensor with one indenter.
 
+    The noise of an image is drawn by the sensor's `noise.seed` and the frame's `time_s`, so the
+    same motion after a reset gives the same images to the last bit; `reset` can take another seed.
+
     Args:
         specification: what the sensor is.
         indenter: what presses it.
@@ -98,6 +102,7 @@ class TactileSensor:
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
         self._set_idle(read_idle_frame(given_path(specification.camera.idle_image), self.camera))
+        self._noise = specification.noise
         self._time_s = 0.0
 
     @property
@@ -108,7 +113,7 @@ class TactileSensor:
 
     @property
     def idle_image(self) -> ImageArray:
-        """The image without contact, (H, W, 3) uint8."""
+        """The image without contact and without noise, (H, W, 3) uint8."""
         return self._idle.image
 
     def _set_idle(self, idle: IdleFrame) -> None:
@@ -148,8 +153,17 @@ class TactileSensor:
         self.indenter = indenter
         self._time_s = 0.0
 
-    def reset(self) -> None:
-        """Return to rest."""
+    def reset(self, *, noise_seed: int | None = None) -> None:
+        """Return to rest; time begins anew, and with it the noise of the images.
+
+        Args:
+            noise_seed: that the noise is drawn by from now on, in place of the one before.
+
+        Raises:
+            ValueError: the seed is out of range.
+        """
+        if noise_seed is not None:
+            self._noise = replace(self._noise, seed=noise_seed)
         self._gel.reset()
         self._time_s = 0.0
 
@@ -203,7 +217,8 @@ class TactileSensor:
         start = clock()
         view = self._renderer.render(gel.skin_position_m)
         seen = clock()
-        image = self._image.render(view)
+        moment = (self._noise.seed, round(1e9 * gel.time_s))
+        image = with_noise(self._image.render(view), self._noise.deviation_levels, moment)
         timings = {**gel.timings_s, "depth": seen - start, "image": clock() - seen}
         return Frame(
             time_s=gel.time_s,

@@ -38,7 +38,7 @@ from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TactileSimParamete
 from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
 from dotsim_ros.sensor import TactileSensor
-from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor
 from msg_adapters import Status
 
 REALTIME_ITERATIONS = 2
@@ -78,7 +78,7 @@ class TactileSim(WorkingNode):
         self._faults = FaultLog()
         self._newest = NewestMotion()
         self._pace = self._new_pace()
-        self._outputs = FramePublishers(self, sensor, self._settings)
+        self._outputs = FramePublishers(self, sensor, self._settings, noise=specification.noise)
         self._input = MotionInput(
             self,
             self._settings,
@@ -144,6 +144,9 @@ class TactileSim(WorkingNode):
                 tolerance_m=max(REALTIME_TOLERANCE_M, exact.tolerance_m),
             )
             specification = replace(specification, solver=solver)
+        # Drawn by the stamp as an image is published, after the effects: an image that stands still
+        # has new noise, too.
+        specification = replace(specification, noise=NoiseSpecification())
         sensor = TactileSensor(
             specification,
             indenter=indenter_of(self._settings.indenter),

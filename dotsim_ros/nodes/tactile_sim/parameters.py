@@ -8,11 +8,15 @@ import numpy as np
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.quantity import check_value, quantities_of
+from dotsim_ros.specification import NoiseSpecification, SolverSpecification
 
 REALTIME, LOCKSTEP = "realtime", "lockstep"
 POSE, TWIST, ANY = "pose", "twist", "any"
 TWIST_STAMPED, TWIST_PLAIN = "TwistStamped", "Twist"
-SMALLEST_GRID_M = 1.0e-3
+LARGEST_GRID_M = quantities_of(SolverSpecification)["grid_spacing_m"][1].high
+LARGEST_NOISE_LEVELS = quantities_of(NoiseSpecification)["deviation_levels"][1].high
+SENSORS_OWN = -1.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +51,7 @@ class TactileSimParameters:
         "Spacing of the gel's grid in place of the sensor's own, for a rate that this machine does "
         "not reach otherwise; 0: as in the sensor's file. docs/gel.md tells what it costs.",
         minimum=0.0,
-        maximum=0.01,
+        maximum=LARGEST_GRID_M,
         read_only=True,
     )
     rate_hz: float = option(
@@ -125,10 +129,11 @@ class TactileSimParameters:
         read_only=True,
     )
     image_noise_levels: float = option(
-        0.0,
-        "Standard deviation of the camera's noise, in grey levels of 255.",
-        minimum=0.0,
-        maximum=50.0,
+        SENSORS_OWN,
+        "Standard deviation of the camera's noise, in grey levels of 255, in place of the sensor's "
+        "own; negative: as in the sensor's file.",
+        minimum=SENSORS_OWN,
+        maximum=LARGEST_NOISE_LEVELS,
     )
     effects: str = option(
         "",
@@ -163,11 +168,9 @@ class TactileSimParameters:
             if len(getattr(self, name)) != length:
                 raise ValueError(f"{name} needs {length} numbers, got {len(getattr(self, name))}")
         self.start_pose()
-        if 0.0 < self.grid_spacing_m < SMALLEST_GRID_M:
-            raise ValueError(
-                f"grid_spacing_m is {self.grid_spacing_m}, expected {SMALLEST_GRID_M} or more, or "
-                "0 for the sensor's own: a finer grid has too many nodes to be solved"
-            )
+        if self.grid_spacing_m != 0.0:
+            spacing, name = self.grid_spacing_m, "grid_spacing_m"
+            check_value(SolverSpecification, name, spacing, called=name)
         if (self.image_size_px[0] == 0) != (self.image_size_px[1] == 0):
             raise ValueError(
                 f"image_size_px is {list(self.image_size_px)}: give both width and height, or two "

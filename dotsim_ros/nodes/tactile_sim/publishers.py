@@ -16,11 +16,12 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 import msg_adapters
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
-from dotsim_ros.tasks.policy.looks import with_noise
+from dotsim_ros.optics.noise import with_noise
 
 if TYPE_CHECKING:
     from dotsim_ros.nodes.tactile_sim.session import SensorMoment
     from dotsim_ros.sensor import Frame, TactileSensor
+    from dotsim_ros.specification import NoiseSpecification
 
 # Reliable serves best-effort readers too; 5 is what viewers ask for.
 FRAME_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
@@ -39,13 +40,21 @@ class FramePublishers:
         node: owns the publishers.
         sensor: whose camera and skin the frames are of.
         parameters: frames, crop, size and encodings.
+        noise: that images get where the parameters set none; the sensor itself must add none.
 
     Raises:
         ValueError: the crop or the size does not fit the camera.
     """
 
-    def __init__(self, node: Node, sensor: TactileSensor, parameters: TactileSimParameters) -> None:
-        self._sensor = sensor
+    def __init__(
+        self,
+        node: Node,
+        sensor: TactileSensor,
+        parameters: TactileSimParameters,
+        *,
+        noise: NoiseSpecification,
+    ) -> None:
+        self._sensor, self._noise = sensor, noise
         self.configure(parameters)
         self._image = self._publisher(node, Image, "image_raw")
         self._compressed = self._publisher(node, CompressedImage, "image_raw/compressed")
@@ -144,7 +153,10 @@ class FramePublishers:
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """Return an image with the camera's noise, which the stamp draws: the raw and the
         compressed image of a frame have the same, and so has a frame that is simulated again."""
-        return with_noise(rgb, self._parameters.image_noise_levels, stamp_ns)
+        levels = self._parameters.image_noise_levels
+        if levels < 0.0:
+            return with_noise(rgb, self._noise.deviation_levels, (self._noise.seed, stamp_ns))
+        return with_noise(rgb, levels, stamp_ns)
 
     @staticmethod
     def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:

@@ -17,6 +17,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics.idle import IdleFrame, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
+from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import CameraSpecification, SensorSpecification
@@ -158,18 +159,3 @@ class Look:
         image = self._exposed(seen, self._gain * flicker)
         seed = int(self._random.integers(2**31))
         return with_noise(image, self._noise_levels, seed)
-
-
-def with_noise(image: ImageArray, levels: float, seed: int) -> ImageArray:
-    """Return the image with normal noise of a standard deviation in grey levels, where it is lit.
-
-    It is drawn for a small part and repeated: much faster, and no different to a network.
-    """
-    if levels <= 0.0:
-        return image
-    height, width = image.shape[:2]
-    tile = np.random.default_rng(seed).standard_normal((61, 67, 3), dtype=np.float32) * levels
-    times = (height // 61 + 1, width // 67 + 1, 1)
-    noise = np.tile(np.rint(tile).astype(np.int16), times)[:height, :width]
-    noisy = cv2.add(image.astype(np.int16), noise)
-    return np.where(image > 0, np.clip(noisy, 0, 255), 0).astype(np.uint8)
