@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
-from dotsim_ros.files import given_path
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
-from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
+from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.loading import completion_network
 from dotsim_ros.optics.noise import with_noise
+from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import (
     SensorSpecification,
@@ -101,7 +101,7 @@ class TactileSensor:
         self._network = completion_network(specification, self.camera)
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
-        self._set_idle(read_idle_frame(given_path(specification.camera.idle_image), self.camera))
+        self._set_idle(idle_frame_of(specification, self.camera))
         self._noise = specification.noise
         self._time_s = 0.0
 

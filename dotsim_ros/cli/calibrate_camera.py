@@ -80,7 +80,7 @@ def run(arguments: argparse.Namespace) -> int:
         summary_lines,
     )
     from dotsim_ros.calibration.camera.score import score_frames
-    from dotsim_ros.files import given_path, write_image, write_json
+    from dotsim_ros.files import write_image, write_json
     from dotsim_ros.geometry.camera import FisheyeCamera
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.trajectory import Topics
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.data, sensor, presses=[*train, *held_out], progress=_say, topics=topics
     )
     height, width = filmed.idle.shape[:2]
-    lights, falloff = read_lights(given_path(stated.camera.idle_image).with_suffix(".yaml"))
+    lights, falloff = read_lights(stated)
     start = CameraModel(
         FisheyeCamera.from_specification(stated.camera).scaled(width, height), lights, falloff
     )

@@ -288,10 +288,11 @@ def _optics(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.optics.split import WAYS
     from dotsim_ros.files import cache_directory
     from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.optics.idle import lights_of
     from dotsim_ros.optics.idle_check import read_idle_images
     from dotsim_ros.provenance import provenance
     from dotsim_ros.specification import load_sensor
-    from dotsim_ros.twin.footage import camera_for, lights_of, read_filmed_data, render_filmed
+    from dotsim_ros.twin.footage import camera_for, read_filmed_data, render_filmed
 
     settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
     data_set = read_data_set(arguments.data)

@@ -13,14 +13,14 @@ import numpy as np
 import yaml
 
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.files import given_path, parameter_path, whole_file, write_image, write_json
+from dotsim_ros.files import parameter_path, whole_file, write_image, write_json
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, fit_network
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.learning.preview import write_preview
 from dotsim_ros.learning.training import TrainingProgress
 from dotsim_ros.metrics.images import image_psnr_db
-from dotsim_ros.optics.idle import fine_path
+from dotsim_ros.optics.idle import description_of, fine_path, lights_of
 from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, write_sensor
@@ -29,7 +29,6 @@ from dotsim_ros.twin.footage import (
     OpticalData,
     OpticalPress,
     camera_for,
-    lights_of,
     read_filmed_data,
     render_filmed,
 )
@@ -197,8 +196,8 @@ def _write_sensor(request: TrainOpticsRequest, filmed: FilmedData) -> None:
     write_image(out / IDLE, filmed.idle)
     if filmed.fine is not None:
         write_image(fine_path(out / IDLE), filmed.fine)
-    described = given_path(request.sensor.camera.idle_image).with_suffix(".yaml")
-    if described.exists():
+    described = description_of(request.sensor)
+    if described is not None:
         lights = yaml.safe_load(described.read_text(encoding="utf-8")) or {}
         # The disc is that of another image: this one shows the camera's own view.
         lights.pop("disc", None)

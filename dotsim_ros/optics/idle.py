@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +11,15 @@ import numpy as np
 import yaml
 
 from dotsim_ros.arrays import BoolArray, ImageArray
+from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
-from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
+from dotsim_ros.optics.lighting import Lighting, Vignetting
+from dotsim_ros.quantity import section_from
+from dotsim_ros.specification import (
+    LightingSpecification,
+    SensorSpecification,
+    VignettingSpecification,
+)
 
 DARK_LEVEL = 10
 """Grey level up to which a pixel counts as unlit."""
@@ -191,13 +198,24 @@ class IdleFrame:
     fine: ImageArray | None = None
 
 
-def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
+def read_idle_frame(
+    path: Path,
+    camera: FisheyeCamera,
+    *,
+    lighting: Lighting | None = None,
+    vignetting: Vignetting | None = None,
+) -> IdleFrame:
     """Read an idle frame and bring it to the sensor's camera.
 
     A YAML file of the same name beside the image may describe it, in three optional sections:
-    `disc` (the fields of LitDisc; without it the image must show the camera's own view), `lighting`
-    (the arguments of led_ring, and Lighting's other fields) and `vignetting` (`falloff`). So may a
-    image NAME_fine.png of samples between the image's pixels, as train-optics learns it.
+    `disc` (the fields of LitDisc; without it the image must show the camera's own view), and
+    `lighting` and `vignetting` as a sensor's file has them. So may an image NAME_fine.png of
+    samples between the image's pixels, as train-optics learns it.
+
+    Args:
+        path: of the image.
+        camera: the sensor's.
+        lighting, vignetting: of an image that nothing describes; None for the defaults.
 
     Raises:
         FileNotFoundError: no such image.
@@ -206,7 +224,7 @@ def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
     """
     image = _read_image(path)
     description = path.with_suffix(".yaml")
-    disc, lighting, vignetting = None, Lighting(), Vignetting()
+    disc, lighting, vignetting = None, lighting or Lighting(), vignetting or Vignetting()
     if description.exists():
         disc, lighting, vignetting = read_description(description)
     try:
@@ -233,9 +251,6 @@ def _read_image(path: Path) -> ImageArray:
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-_WHOLE = tuple(entry.name for entry in fields(Lighting) if entry.name != "lights")
-
-
 def _numbers(section: dict[str, Any]) -> dict[str, Any]:
     return {
         name: tuple(float(entry) for entry in value) if isinstance(value, list) else float(value)
@@ -243,22 +258,67 @@ def _numbers(section: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _read_sections(
+    path: Path,
+) -> tuple[LitDisc | None, LightingSpecification, VignettingSpecification]:
+    try:
+        document = yaml.safe_load(path.read_text()) or {}
+        unknown = sorted(map(str, set(document) - {"disc", "lighting", "vignetting"}))
+        if unknown:
+            raise ValueError(f"unknown sections {unknown}; known are disc, lighting, vignetting")
+        disc = LitDisc(**_numbers(document["disc"])) if "disc" in document else None
+        lighting = section_from(LightingSpecification, "lighting", document.get("lighting"))
+        vignetting = section_from(VignettingSpecification, "vignetting", document.get("vignetting"))
+    except (TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
+        raise ValueError(f"{path} describes no idle image: {error}") from error
+    return disc, lighting, vignetting
+
+
 def read_description(path: Path) -> tuple[LitDisc | None, Lighting, Vignetting]:
     """Read what is known of an idle image; see `read_idle_frame`.
 
     Raises:
-        ValueError: an entry is unknown, missing or of the wrong type; the message names the file.
+        ValueError: an entry is unknown, missing, of the wrong type or out of range; the message
+            names the file.
     """
-    try:
-        document = yaml.safe_load(path.read_text()) or {}
-        unknown = sorted(set(document) - {"disc", "lighting", "vignetting"})
-        if unknown:
-            raise ValueError(f"unknown sections {unknown}; known are disc, lighting, vignetting")
-        disc = LitDisc(**_numbers(document["disc"])) if "disc" in document else None
-        ring = _numbers(document.get("lighting", {}))
-        whole = {name: ring.pop(name) for name in _WHOLE if name in ring}
-        lighting = Lighting(led_ring(**ring), **whole)
-        vignetting = Vignetting(**_numbers(document.get("vignetting", {})))
-    except (TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
-        raise ValueError(f"{path} describes no idle image: {error}") from error
-    return disc, lighting, vignetting
+    disc, lighting, vignetting = _read_sections(path)
+    return (
+        disc,
+        Lighting.from_specification(lighting),
+        Vignetting.from_specification(vignetting),
+    )
+
+
+def description_of(sensor: SensorSpecification) -> Path | None:
+    """Return the file that describes a sensor's idle image; None where there is none.
+
+    Raises:
+        FileNotFoundError: the sensor names an image that is not there.
+    """
+    if not sensor.camera.idle_image:
+        return None
+    path = given_path(sensor.camera.idle_image).with_suffix(".yaml")
+    return path if path.exists() else None
+
+
+def stated_lights(
+    sensor: SensorSpecification,
+) -> tuple[LightingSpecification, VignettingSpecification]:
+    """Return lights and vignetting that the description beside a sensor's idle image states, or
+    the sensor's file where there is none.
+
+    Raises:
+        FileNotFoundError: the sensor names an image that is not there.
+        ValueError: as `read_description`.
+    """
+    description = description_of(sensor)
+    if description is None:
+        return sensor.lighting, sensor.vignetting
+    _, lighting, vignetting = _read_sections(description)
+    return lighting, vignetting
+
+
+def lights_of(sensor: SensorSpecification) -> tuple[Lighting, Vignetting]:
+    """Return what `stated_lights` does, ready for rendering."""
+    lighting, vignetting = stated_lights(sensor)
+    return Lighting.from_specification(lighting), Vignetting.from_specification(vignetting)

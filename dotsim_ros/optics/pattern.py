@@ -1,162 +1,239 @@
-"""Renders an idle frame for a sensor without a photograph: a DenseTact's random pattern on a dome.
+"""Idle frames for sensors without a photograph: a random pattern on the gel, lit by the LEDs.
 
     python -m dotsim_ros.optics.pattern params/images/densetact2_idle.png
 
 writes the image that `params/sensors/densetact2.yaml` names, the same for one seed. LEDs and
-vignetting are those of the YAML file beside the image, which the shading uses later.
+vignetting are those of the YAML file beside the image, which the shading uses later; without one
+they are the sensor's own, and are written beside it.
 """
 
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
+import dataclasses
 from pathlib import Path
 
 import cv2
 import numpy as np
 import warp as wp
+import yaml
 from scipy import ndimage
 
-from dotsim_ros.arrays import FloatArray, ImageArray
-from dotsim_ros.files import write_image
+from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
+from dotsim_ros.files import given_path, write_image, write_text
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import read_description
+from dotsim_ros.optics.idle import IdleFrame, lights_of, read_description, read_idle_frame
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
-from dotsim_ros.specification import load_sensor
+from dotsim_ros.specification import (
+    GRAIN_SHARE,
+    GelSpecification,
+    PatternSpecification,
+    SensorSpecification,
+    check_drawable,
+    load_sensor,
+)
 
-
-@dataclass(frozen=True)
-class PatternStyle:
-    """How the dome's coat and the camera look.
-
-    Attributes:
-        blotch_m: size of the dark blotches.
-        dark_share: part of the coat that is dark.
-        contrast: how much darker a blotch is than the coat, 0 to 1.
-        grain: standard deviation of the coat's fine texture, relative.
-        rim_angle_deg: angle from the axis where the lit disc ends.
-        noise_levels: standard deviation of the camera's noise, grey levels of 255.
-        supersampling: rays a pixel along each axis.
-    """
-
-    blotch_m: float = 0.00022
-    dark_share: float = 0.45
-    contrast: float = 0.45
-    grain: float = 0.06
-    rim_angle_deg: float = 92.0
-    noise_levels: float = 1.0
-    supersampling: int = 3
+SUPERSAMPLING = 3
+"""Rays a pixel along each axis."""
+CLUSTER_BLOTCHES = 4.0
+"""Size of the clusters of blotches, in blotches."""
 
 
 def _smooth_noise(
     points_m: FloatArray, extent_m: float, size_m: float, random: np.random.Generator
 ) -> FloatArray:
-    """Return noise of unit variance at points (N, 3), with features of a size."""
+    """Return noise of unit variance at points (N, 3) or (N, 2), with features of a size."""
     count = int(np.ceil(2.0 * extent_m / size_m)) + 4
-    volume = ndimage.gaussian_filter(random.standard_normal((count, count, count)), 0.9)
-    volume /= volume.std()
+    block = random.standard_normal((count,) * points_m.shape[1])
+    block = ndimage.gaussian_filter(block, 0.9)
+    block /= block.std()
     index = (points_m + extent_m) / size_m + 2.0
-    return np.asarray(ndimage.map_coordinates(volume, index.T, order=3, mode="nearest"))
+    return np.asarray(ndimage.map_coordinates(block, index.T, order=3, mode="nearest"))
 
 
 def _albedo(
-    points_m: FloatArray, radius_m: float, style: PatternStyle, random: np.random.Generator
+    points_m: FloatArray,
+    extent_m: float,
+    pattern: PatternSpecification,
+    random: np.random.Generator,
 ) -> FloatArray:
-    blotches = _smooth_noise(points_m, radius_m, style.blotch_m, random)
-    clusters = _smooth_noise(points_m, radius_m, 4.0 * style.blotch_m, random)
+    blotches = _smooth_noise(points_m, extent_m, pattern.blotch_m, random)
+    clusters = _smooth_noise(points_m, extent_m, CLUSTER_BLOTCHES * pattern.blotch_m, random)
     field = blotches + 0.35 * clusters
-    edge = np.quantile(field, style.dark_share)
-    coat = 1.0 - style.contrast / (1.0 + np.exp((field - edge) / 0.2))
-    grain = _smooth_noise(points_m, radius_m, 0.6 * style.blotch_m, random)
-    return np.clip(coat * (1.0 + style.grain * grain), 0.0, None)
+    edge = np.quantile(field, pattern.dark_share)
+    coat = 1.0 - pattern.contrast / (1.0 + np.exp((field - edge) / 0.2))
+    grain = _smooth_noise(points_m, extent_m, GRAIN_SHARE * pattern.blotch_m, random)
+    return np.clip(coat * (1.0 + pattern.grain * grain), 0.0, None)
+
+
+def _seen_skin(
+    gel: GelSpecification, origin: FloatArray, rays: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return where rays (..., 3) from behind the skin meet it, and which (...,) do."""
+    # A ray along the skin or from it has no such place.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if gel.shape == "dome":
+            along = rays @ origin
+            below = float(origin @ origin) - gel.outer_radius_m**2
+            depth = -along + np.sqrt(along**2 - below)
+        else:
+            depth = (gel.pad_size_m[2] - origin[2]) / rays[..., 2]
+        points = origin + depth[..., None] * rays
+    if gel.shape == "dome":
+        return points, points[..., 2] >= 0.0
+    x, y, _ = gel.pad_size_m
+    inside = (np.abs(points[..., 0]) <= 0.5 * x) & (np.abs(points[..., 1]) <= 0.5 * y)
+    return points, (depth > 0.0) & inside
 
 
 def render_idle_image(
     camera: FisheyeCamera,
-    radius_m: float,
+    gel: GelSpecification,
     *,
     lighting: Lighting,
     vignetting: Vignetting,
-    style: PatternStyle,
-    seed: int,
+    pattern: PatternSpecification,
+    supersampling: int = SUPERSAMPLING,
 ) -> ImageArray:
-    """Return (H, W, 3) uint8: a dome of this radius, its centre at the base frame's origin, painted
-    with a random pattern and lit by the LEDs.
+    """Return (H, W, 3) uint8: a gel painted with a random pattern and lit by the LEDs.
+
+    Args:
+        camera: that sees it.
+        gel: its shape.
+        lighting: the LEDs.
+        vignetting: of the camera.
+        pattern: of the coat.
+        supersampling: rays a pixel along each axis.
 
     Raises:
-        ValueError: the camera is not inside the dome.
+        ValueError: the camera is in front of the skin or sees none of it, or the pattern is too
+            fine to be drawn.
     """
-    random = np.random.default_rng(seed)
     origin = camera.pose.position_m
-    depth_of_centre = float(origin @ origin) - radius_m**2
-    if depth_of_centre >= 0.0:
+    if not gel.has_behind(origin):
         raise ValueError(
-            f"the camera at {origin.tolist()} m is outside of the dome of {radius_m} m radius"
+            f"the camera at {origin.tolist()} m is outside of the gel, in front of its skin; "
+            "expected a place behind the skin"
         )
-    fine = camera.scaled(camera.width * style.supersampling, camera.height * style.supersampling)
+    check_drawable(gel, pattern)
+    random = np.random.default_rng(pattern.seed)
+    fine = camera.scaled(camera.width * supersampling, camera.height * supersampling)
     optical_rays, imaged = fine.rays()
-    rays = optical_rays @ camera.pose.rotation().T
-    along = rays @ origin
-    depth = -along + np.sqrt(along**2 - depth_of_centre)
-    points = origin + depth[..., None] * rays
-    rim = np.radians(style.rim_angle_deg)
+    points, on_skin = _seen_skin(gel, origin, optical_rays @ camera.pose.rotation().T)
+    rim = np.radians(pattern.rim_angle_deg)
     angle = np.arccos(np.clip(optical_rays[..., 2], -1.0, 1.0))
     # The lens mount shades the rim over half a degree.
     open_share = np.clip((rim - angle) / np.radians(0.5) + 0.5, 0.0, 1.0)
-    lit = imaged & (points[..., 2] >= 0.0) & (open_share > 0.0)
+    lit = imaged & on_skin & (open_share > 0.0)
+    if not lit.any():
+        raise ValueError(
+            f"the camera at {origin.tolist()} m sees nothing of the gel; turn it towards the skin"
+        )
 
     seen = points[lit]
+    is_dome = gel.shape == "dome"
+    normal = seen / gel.outer_radius_m if is_dome else np.tile([0.0, 0.0, 1.0], (len(seen), 1))
     device = wp.get_device("cpu")
     light = direct_light(
         wp.array(camera.to_optical(seen).astype(np.float32), dtype=wp.vec3, device=device),
         wp.array(
-            (seen / radius_m @ camera.pose.rotation()).astype(np.float32),
-            dtype=wp.vec3,
-            device=device,
+            (normal @ camera.pose.rotation()).astype(np.float32), dtype=wp.vec3, device=device
         ),
         leds_of(lighting, camera, device),
         lighting,
     ).numpy()
     light = light + lighting.ambient_fraction * light.mean(axis=0)
+    mean = light.mean(axis=0)
+    if not (np.all(np.isfinite(light)) and np.all(mean > 0.0)):
+        raise ValueError(
+            "the LEDs do not light the skin from behind in all three colours; lower "
+            "lighting.height_m, or give the LEDs some crosstalk"
+        )
     # Each colour of LED is driven to the same brightness.
-    light = (light / light.mean(axis=0)) ** lighting.exponent
-    radiance = np.zeros((*depth.shape, 3))
-    radiance[lit] = (_albedo(seen, radius_m, style, random) * open_share[lit])[:, None] * light
+    light = (light / mean) ** lighting.exponent
+    albedo = _albedo(seen if is_dome else seen[:, :2], gel.extent_m, pattern, random)
+    radiance = np.zeros((*on_skin.shape, 3))
+    radiance[lit] = (albedo * open_share[lit])[:, None] * light
     radiance = (
         cv2.resize(radiance, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
         * vignetting.brightness(camera)[..., None]
     )
     radiance = cv2.GaussianBlur(radiance, (0, 0), 0.6)
-    levels = 225.0 * radiance / np.quantile(radiance.max(axis=2), 0.99)
+    brightest = radiance.max(axis=2)
+    # A gel that fills less than a hundredth of the image is not to be blown out.
+    levels = 225.0 * radiance / (np.quantile(brightest, 0.99) or brightest.max())
     # Highlights roll off instead of clipping, as on a sensor with a knee in its response.
     levels = np.where(levels > 180.0, 180.0 + 75.0 * np.tanh((levels - 180.0) / 75.0), levels)
-    levels += style.noise_levels * random.standard_normal(levels.shape) * (levels > 0.5)
+    levels += pattern.noise_levels * random.standard_normal(levels.shape) * (levels > 0.5)
     return np.clip(np.rint(levels), 0.0, 255.0).astype(np.uint8)
+
+
+def idle_frame_of(sensor: SensorSpecification, camera: FisheyeCamera) -> IdleFrame:
+    """Return a sensor's idle frame in a camera: read from the file that it names, or drawn where it
+    names none.
+
+    Args:
+        sensor: the sensor.
+        camera: its own, or one of another size or direction at the same place.
+
+    Raises:
+        FileNotFoundError: no such image.
+        ValueError: as `read_idle_frame` and `render_idle_image`.
+    """
+    lighting, vignetting = lights_of(sensor)
+    if sensor.camera.idle_image:
+        path = given_path(sensor.camera.idle_image)
+        return read_idle_frame(path, camera, lighting=lighting, vignetting=vignetting)
+    image = render_idle_image(
+        camera, sensor.gel, lighting=lighting, vignetting=vignetting, pattern=sensor.pattern
+    )
+    return IdleFrame(image, lighting, vignetting)
+
+
+def _describe(sensor: SensorSpecification, path: Path) -> None:
+    """Write a sensor's own lights and vignetting beside an image that is drawn with them."""
+    sections = {
+        "lighting": dataclasses.asdict(sensor.lighting),
+        "vignetting": dataclasses.asdict(sensor.vignetting),
+    }
+    plain = {
+        section: {
+            name: list(value) if isinstance(value, tuple) else value
+            for name, value in values.items()
+        }
+        for section, values in sections.items()
+    }
+    head = f"# LEDs, coat and vignetting that {path.with_suffix('.png').name} was drawn with.\n"
+    write_text(path, head + yaml.safe_dump(plain, sort_keys=False))
 
 
 def main() -> None:
     """Render the idle frame of a sensor's file."""
     parser = argparse.ArgumentParser(
-        description="Render an idle frame for a dome without a photograph.",
+        description="Render an idle frame for a sensor without a photograph.",
         epilog="example: python -m dotsim_ros.optics.pattern params/images/densetact2_idle.png",
     )
     parser.add_argument("out", type=Path, help="PNG file to write")
     parser.add_argument("--sensor", default="densetact2", help="name or YAML file of the sensor")
-    parser.add_argument("--seed", type=int, default=0, help="of pattern and noise")
+    parser.add_argument(
+        "--seed", type=int, help="of pattern and noise, in place of the sensor's pattern.seed"
+    )
     arguments = parser.parse_args()
     sensor = load_sensor(arguments.sensor)
+    pattern = sensor.pattern
+    if arguments.seed is not None:
+        pattern = dataclasses.replace(pattern, seed=arguments.seed)
     description = arguments.out.with_suffix(".yaml")
-    lighting, vignetting = Lighting(), Vignetting()
-    if description.exists():
-        _, lighting, vignetting = read_description(description)
+    if not description.exists():
+        _describe(sensor, description)
+    _, lighting, vignetting = read_description(description)
     image = render_idle_image(
         FisheyeCamera.from_specification(sensor.camera),
-        sensor.gel.outer_radius_m,
+        sensor.gel,
         lighting=lighting,
         vignetting=vignetting,
-        style=PatternStyle(),
-        seed=arguments.seed,
+        pattern=pattern,
     )
     write_image(arguments.out, image)
 

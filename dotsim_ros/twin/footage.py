@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
-from dotsim_ros.files import cache_directory, given_path
+from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
@@ -25,7 +25,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
-from dotsim_ros.optics.idle import lit_region, read_description
+from dotsim_ros.optics.idle import lights_of, lit_region
 from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -288,15 +288,6 @@ def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> F
         return FisheyeCamera.from_specification(sensor.camera).scaled(width, height)
     except ValueError as error:
         raise ValueError(f"{source}: measured images do not fit the camera: {error}") from error
-
-
-def lights_of(sensor: SensorSpecification) -> tuple[Lighting, Vignetting]:
-    """Return what the description beside the sensor's idle image states, or the defaults."""
-    description = given_path(sensor.camera.idle_image).with_suffix(".yaml")
-    if not description.exists():
-        return Lighting(), Vignetting()
-    _, lighting, vignetting = read_description(description)
-    return lighting, vignetting
 
 
 def render_filmed(

@@ -18,9 +18,9 @@ from dotsim_ros.calibration.camera.score import score_frames, summarize_frames
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
+from dotsim_ros.optics.pattern import render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import load_sensor
+from dotsim_ros.specification import GelSpecification, PatternSpecification, load_sensor
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
 RADIUS_M = 0.01575
@@ -58,11 +58,10 @@ def filmed(true):
     skin = dome_skin(RADIUS_M, 0.8e-3)
     idle = render_idle_image(
         true.camera,
-        RADIUS_M,
+        GelSpecification(outer_radius_m=RADIUS_M),
         lighting=true.lights.lighting(),
         vignetting=true.vignetting,
-        style=PatternStyle(noise_levels=0.0),
-        seed=0,
+        pattern=PatternSpecification(noise_levels=0.0),
     )
     renderer = SkinRenderer(true.camera, skin)
     images = ImageRenderer(true.camera, skin, idle, lighting=true.lights.lighting())

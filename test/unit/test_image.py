@@ -13,9 +13,9 @@ from dotsim_ros.optics import kernels
 from dotsim_ros.optics.idle import LitDisc, fit_idle_image, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, PointLight, Vignetting
-from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
+from dotsim_ros.optics.pattern import render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import load_sensor
+from dotsim_ros.specification import GelSpecification, PatternSpecification, load_sensor
 
 RADIUS_M = 0.01575
 UNCHANGING = Lighting(ambient_fraction=1e9)
@@ -209,11 +209,11 @@ def test_rendered_idle_image_repeats_and_looks_lit(camera):
     def render(seed):
         return render_idle_image(
             camera,
-            RADIUS_M,
+            GelSpecification(outer_radius_m=RADIUS_M),
             lighting=Lighting(),
             vignetting=Vignetting(),
-            style=PatternStyle(supersampling=1),
-            seed=seed,
+            pattern=PatternSpecification(seed=seed),
+            supersampling=1,
         )
 
     image = render(3)

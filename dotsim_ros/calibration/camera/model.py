@@ -7,19 +7,17 @@ deviation that says how far a unit is from what its maker states.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-import yaml
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.optics.idle import read_description
+from dotsim_ros.optics.idle import stated_lights
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
-from dotsim_ros.specification import CameraSpecification
+from dotsim_ros.specification import CameraSpecification, SensorSpecification
 
 REFERENCE_HEIGHT_PX = 240.0
 """Image height that parameters in pixels are stated for."""
@@ -82,21 +80,15 @@ class CameraModel:
         return Vignetting(self.falloff)
 
 
-def read_lights(description: Path) -> tuple[RingLights, tuple[float, ...]]:
-    """Return ring and falloff that the file beside an idle image states; defaults without a file.
+def read_lights(sensor: SensorSpecification) -> tuple[RingLights, tuple[float, ...]]:
+    """Return ring and falloff that the file beside a sensor's idle image states, or the sensor's.
 
     Raises:
-        ValueError: it describes no idle image.
+        FileNotFoundError: the sensor names an image that is not there.
+        ValueError: the file describes no idle image.
     """
-    if not description.exists():
-        return RingLights(), ()
-    _, _, vignetting = read_description(description)
-    stated: dict[str, Any] = (yaml.safe_load(description.read_text()) or {}).get("lighting", {})
-    values: dict[str, Any] = {
-        name: tuple(map(float, value)) if isinstance(value, list) else float(value)
-        for name, value in stated.items()
-    }
-    return RingLights(**values), vignetting.falloff
+    lighting, vignetting = stated_lights(sensor)
+    return RingLights(**asdict(lighting)), vignetting.falloff
 
 
 def describe_lights(model: CameraModel) -> dict[str, dict[str, Any]]:

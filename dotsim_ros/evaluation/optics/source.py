@@ -13,13 +13,13 @@ from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import read_press
+from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.footage import (
     FilmedData,
     OpticalData,
     OpticalPress,
-    lights_of,
     render_filmed,
 )
 

@@ -21,7 +21,8 @@ from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key
 from dotsim_ros.files import given_path, whole_file, write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import read_idle_frame, resample
+from dotsim_ros.optics.idle import description_of, resample
+from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor, sensor_path
 from dotsim_ros.tasks.control.loop_recording import LoopRecording
@@ -172,15 +173,15 @@ def write_shifted(folder: Path, source: str) -> Path:
     turned = Rotation.from_quat(sensor.camera.quaternion_xyzw) * turn
     camera = document["camera"]
     camera["quaternion_xyzw"] = [float(number) for number in turned.as_quat()]
-    idle = given_path(sensor.camera.idle_image)
     own = FisheyeCamera.from_specification(sensor.camera)
     x, y, z, w = camera["quaternion_xyzw"]
     tilted = FisheyeCamera.from_specification(replace(sensor.camera, quaternion_xyzw=(x, y, z, w)))
-    seen = resample(read_idle_frame(idle, own).image, own, tilted)
+    seen = resample(idle_frame_of(sensor, own).image, own, tilted)
     idle_file = folder.absolute() / "shifted_idle.png"
     write_image(idle_file, np.rint(DIMMED * seen).astype(np.uint8))
-    if idle.with_suffix(".yaml").is_file():
-        shutil.copyfile(idle.with_suffix(".yaml"), idle_file.with_suffix(".yaml"))
+    description = description_of(sensor)
+    if description is not None:
+        shutil.copyfile(description, idle_file.with_suffix(".yaml"))
     camera["idle_image"] = str(idle_file)
     path = folder / "shifted.yaml"
     with whole_file(path) as part:

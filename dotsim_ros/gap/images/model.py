@@ -119,17 +119,16 @@ class TwinCamera:
         idle: ImageArray | None = None,
     ) -> None:
         # Loaded on use: they start Warp.
-        from dotsim_ros.files import given_path
         from dotsim_ros.gel.make import skin_of
         from dotsim_ros.geometry.camera import FisheyeCamera
-        from dotsim_ros.optics.idle import read_idle_frame
         from dotsim_ros.optics.image import ImageRenderer
         from dotsim_ros.optics.network.loading import completion_network
+        from dotsim_ros.optics.pattern import idle_frame_of
         from dotsim_ros.optics.renderer import SkinRenderer
 
         full = FisheyeCamera.from_specification(sensor.camera)
         self.camera: FisheyeCamera = full.scaled(width, height)
-        frame = read_idle_frame(given_path(sensor.camera.idle_image), self.camera)
+        frame = idle_frame_of(sensor, self.camera)
         self.idle: ImageArray = frame.image if idle is None else idle
         skin = skin_of(sensor.gel)
         self._triangles = skin.triangles

@@ -11,16 +11,19 @@ import cv2
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray, ImageArray
-from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.optics.idle import IdleFrame, read_idle_frame
+from dotsim_ros.optics.idle import IdleFrame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
 from dotsim_ros.optics.noise import with_noise
-from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
+from dotsim_ros.optics.pattern import idle_frame_of, render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import CameraSpecification, SensorSpecification
+from dotsim_ros.specification import (
+    CameraSpecification,
+    PatternSpecification,
+    SensorSpecification,
+)
 
 OWN_COAT_SHARE = 0.3
 """Of the looks that keep the sensor's own idle image and lights."""
@@ -93,21 +96,21 @@ def _idle_frame(
         gloss_exponent=float(random.uniform(50.0, 110.0)),
     )
     vignetting = Vignetting((float(random.uniform(-0.3, 0.0)),))
-    style = PatternStyle(
+    pattern = PatternSpecification(
         blotch_m=float(np.exp(random.uniform(np.log(0.2e-3), np.log(0.55e-3)))),
         dark_share=float(random.uniform(0.25, 0.6)),
         contrast=float(random.uniform(0.3, 0.75)),
         grain=float(random.uniform(0.02, 0.1)),
         noise_levels=0.5,
-        supersampling=1,
+        seed=int(random.integers(2**31)),
     )
     image = render_idle_image(
         camera,
-        sensor.gel.outer_radius_m,
+        sensor.gel,
         lighting=lighting,
         vignetting=vignetting,
-        style=style,
-        seed=int(random.integers(2**31)),
+        pattern=pattern,
+        supersampling=1,
     )
     return IdleFrame(image, lighting, vignetting)
 
@@ -134,7 +137,7 @@ class Look:
     ) -> None:
         camera = FisheyeCamera.from_specification(_camera(sensor.camera, ranges, random))
         if random.uniform() < OWN_COAT_SHARE:
-            frame = read_idle_frame(given_path(sensor.camera.idle_image), camera)
+            frame = idle_frame_of(sensor, camera)
         else:
             frame = _idle_frame(sensor, camera, random)
         self._renderer = SkinRenderer(camera, skin)

@@ -1,0 +1,85 @@
+"""The node with other sensors: a flat pad by its name, and one whose camera has noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from harness import APEX_M, Client, Executable, LockstepPress, sensor
+
+from dotsim_ros.specification import load_sensor, sensor_path
+
+LOCKSTEP = {"clock": "lockstep", "diagnostics_period_s": 0.1}
+MODULE = "dotsim_ros.nodes.tactile_sim.node"
+
+
+def test_a_flat_pad_is_pressed_and_seen() -> None:
+    top_m = load_sensor("flat_pad").gel.pad_size_m[2]
+    with sensor(sensor="flat_pad", **LOCKSTEP) as (node, client):
+        press = LockstepPress(client)
+        away = press.frame_at((0.0, 0.0, top_m + 0.05))
+        touched = press.frame_at((0.0, 0.0, top_m - 0.001))
+        assert away.force_n().tolist() == [0.0, 0.0, 0.0]
+        assert touched.force_n()[2] > 0.5
+        middle = (240, 320)
+        sunk_m = away.depth_m()[middle] - touched.depth_m()[middle]
+        assert sunk_m == pytest.approx(0.001, abs=4e-5)
+        change = np.abs(touched.image().astype(float) - away.image()).max(axis=2)
+        dent, far = change[190:290, 270:370].mean(), change[60:120, 100:160].mean()
+        assert dent > 10.0
+        assert far < 0.2 * dent
+        cloud = touched.cloud()
+        assert np.abs(cloud.position[:, 2] - top_m).max() == pytest.approx(0.001, abs=4e-5)
+        assert node.interrupt() == 0
+
+
+@pytest.fixture
+def noisy_sensor(tmp_path: Path) -> Path:
+    document = yaml.safe_load(sensor_path("densetact2").read_text())
+    document["noise"] = {"deviation_levels": 3.0, "seed": 2}
+    path = tmp_path / "noisy.yaml"
+    path.write_text(yaml.safe_dump(document))
+    return path
+
+
+def idle_image(client: Client, stamp_ns: int) -> np.ndarray:
+    client.send((0.0, 0.0, APEX_M + 0.05), stamp_ns=stamp_ns)
+    return client.whole_frame(stamp_ns).image().astype(float)
+
+
+def test_the_sensors_noise_is_published_unless_the_parameter_is_set(noisy_sensor: Path) -> None:
+    with sensor(sensor=noisy_sensor, **LOCKSTEP) as (_, client):
+        first, second, third = (idle_image(client, 10**10 + k * 10**9) for k in range(3))
+        assert client.set_parameters(image_noise_levels=0.0).successful
+        clean = idle_image(client, 10**10 + 3 * 10**9)
+        assert np.array_equal(clean, idle_image(client, 10**10 + 4 * 10**9))
+        lit = clean.min(axis=2) > 50.0
+        for image in (first, second, third):
+            assert (image - clean)[lit].std() == pytest.approx(3.0, rel=0.1)
+        assert not np.array_equal(first, second)
+        assert client.set_parameters(image_noise_levels=-1.0).successful
+        assert (idle_image(client, 10**10 + 5 * 10**9) - clean)[lit].std() > 2.0
+
+
+def test_a_sensor_in_millimetres_is_refused_with_what_was_meant(tmp_path: Path) -> None:
+    path = tmp_path / "millimetres.yaml"
+    path.write_text("gel: {outer_radius_m: 15.75}\n")
+    node = Executable(MODULE, {"sensor": path})
+    try:
+        assert node.exit_status() != 0
+        assert "gel.outer_radius_m is 15.75, expected a number from 0.001 to 0.2 m" in node.log
+        assert "did you mean 0.01575 (metres)?" in node.log
+        assert "Traceback" not in node.log
+    finally:
+        node.end()
+
+
+def test_a_grid_that_no_machine_holds_is_refused() -> None:
+    node = Executable(MODULE, {"grid_spacing_m": 0.0005})
+    try:
+        assert node.exit_status() != 0
+        assert "GB of memory, expected at most 16 GB" in node.log
+    finally:
+        node.end()
