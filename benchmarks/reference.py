@@ -33,14 +33,15 @@ from dotsim_ros.geometry.indenter import (
     load_indenter,
     sphere,
 )
+from dotsim_ros.geometry.surface import indenter_surface
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.provenance import provenance
 from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
 from dotsim_ros.reference.comparison import FrameComparison, compare
-from dotsim_ros.reference.data_set import ReferenceDataSet, SolvedPress, read_solved_presses
+from dotsim_ros.reference.data_set import SolvedPress, read_solved_presses
 from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
 from dotsim_ros.reference.results import solved_press
 from dotsim_ros.reference.run import CalculixError, calculix_version
-from dotsim_ros.reference.surface import indenter_surface
 from dotsim_ros.specification import (
     ContactSpecification,
     MaterialSpecification,
@@ -170,7 +171,7 @@ def solve_missing(
     begun = monotonic()
     version = calculix_version()
     skin = skin_of(load_sensor("densetact2").gel)
-    data_set = ReferenceDataSet(directory, skin)
+    data_set = DataSetWriter(directory, skin)
     failures = []
     for press in presses:
         notes = press.notes() | {"calculix": version}

@@ -69,10 +69,10 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.files import write_json
     from dotsim_ros.gel.make import skin_of
     from dotsim_ros.geometry.indenter import load_indenter
+    from dotsim_ros.measured.data_set_writer import DataSetWriter
     from dotsim_ros.provenance import provenance
     from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
     from dotsim_ros.reference.comparison import compare
-    from dotsim_ros.reference.data_set import ReferenceDataSet
     from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
     from dotsim_ros.reference.results import solved_press
     from dotsim_ros.reference.run import CalculixError, calculix_version
@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
         contact = replace(specification.contact, friction_coefficient=arguments.friction)
         specification = replace(specification, contact=contact)
     skin = skin_of(specification.gel)
-    data_set = ReferenceDataSet(arguments.out, skin)
+    data_set = DataSetWriter(arguments.out, skin)
     settings: ReferenceSettings | AxisymmetricSettings = (
         AxisymmetricSettings() if arguments.axisymmetric else ReferenceSettings()
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind
+from dotsim_ros.geometry.surface import meridian
 from dotsim_ros.reference.deck import (
     EARLY_M,
     MM,
@@ -24,7 +25,6 @@ from dotsim_ros.reference.deck import (
     material_lines,
 )
 from dotsim_ros.reference.mesh import growing_marks, halved_marks
-from dotsim_ros.reference.surface import meridian
 from dotsim_ros.specification import ContactSpecification, GelSpecification
 
 FloatArray = NDArray[np.float64]

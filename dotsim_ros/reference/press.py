@@ -14,11 +14,11 @@ from dotsim_ros.gel.make import law_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.measured.scripted import Site
 from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
 from dotsim_ros.reference.deck import Deck, StepControl, near_part
 from dotsim_ros.reference.mesh import dome_mesh, pressed_place
-from dotsim_ros.reference.surface import indenter_surface
 from dotsim_ros.specification import SensorSpecification
 
 START_GAP_M = 20e-6

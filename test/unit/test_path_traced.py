@@ -27,8 +27,8 @@ from dotsim_ros.evaluation.gap.hidden.rendered_unit import IDLE_COUNT, Studio, c
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
-from dotsim_ros.reference.data_set import ReferenceDataSet
 from dotsim_ros.specification import load_sensor
 
 SKIN = skin_of(load_sensor("sensor_a").gel)
@@ -64,7 +64,7 @@ def renderer_of(mitsuba):
 def studio(mitsuba, tmp_path_factory):
     """A studio whose source is one press at the apex."""
     folder = tmp_path_factory.mktemp("source")
-    data_set = ReferenceDataSet(folder, SKIN)
+    data_set = DataSetWriter(folder, SKIN)
     beside = np.linalg.norm(REST_M - [0.0, 0.0, RADIUS_M], axis=1)
     dent = 2.0e-3 * np.exp(-0.5 * (beside / 3.0e-3) ** 2)[:, None] * [0.0, 0.0, -1.0]
     skins = np.stack([REST_M + share * dent for share in (0.0, 0.5, 1.0)])

@@ -11,10 +11,12 @@ from dotsim_ros.cli.main import main
 from dotsim_ros.gel.material import MooneyRivlin, NeoHookean, Yeoh
 from dotsim_ros.geometry.indenter import load_indenter, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.scripted import Site
 from dotsim_ros.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
-from dotsim_ros.reference.data_set import ReferenceDataSet, read_solved_presses
+from dotsim_ros.reference.data_set import read_solved_presses
 from dotsim_ros.reference.deck import EARLY_M, Deck, StepControl
 from dotsim_ros.reference.mesh import (
     Press,
@@ -31,7 +33,6 @@ from dotsim_ros.reference.press import (
 )
 from dotsim_ros.reference.results import solved_press, stamps_ns
 from dotsim_ros.reference.run import CalculixError, CalculixMissingError, calculix_path, solve
-from dotsim_ros.reference.surface import indenter_surface
 from dotsim_ros.specification import (
     ContactSpecification,
     GelSpecification,
@@ -410,7 +411,7 @@ def test_measured_data_is_no_reference(tmp_path):
 def test_broken_off_or_changed_trajectory_does_not_count_as_solved(reference, tmp_path):
     _, out = reference
     _, (solved,) = read_solved_presses(out)
-    data_set = ReferenceDataSet(tmp_path, read_data_set(out).skin_mesh())
+    data_set = DataSetWriter(tmp_path, read_data_set(out).skin_mesh())
     press = ReferencePress(solved.specification, sphere(4e-3), 0.5e-3, 1, tilt_deg=25.0)
     name, notes = solved.trajectory.name, press.notes()
     assert not data_set.holds(name, notes)

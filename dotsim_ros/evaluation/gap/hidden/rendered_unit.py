@@ -26,6 +26,7 @@ from dotsim_ros.evaluation.gap.hidden.path_traced import (
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.trajectory import (
     ImageChannel,
     PoseChannel,
@@ -33,7 +34,6 @@ from dotsim_ros.measured.trajectory import (
     Trajectory,
     WrenchChannel,
 )
-from dotsim_ros.reference.data_set import ReferenceDataSet
 
 Array = NDArray[np.float64]
 ByteImage = NDArray[np.uint8]
@@ -138,7 +138,7 @@ class Studio:
             raise FileExistsError(f"{directory} exists; name a folder that does not")
         directory.mkdir(parents=True)
         shutil.copytree(self._source.directory / "indenters", directory / "indenters")
-        data_set = ReferenceDataSet(directory, self.skin)
+        data_set = DataSetWriter(directory, self.skin)
         random = np.random.default_rng([seed, 1])
         for number in range(IDLE_COUNT):
             picture = self.picture(unit, None, 0.0, random)
@@ -161,7 +161,7 @@ class Studio:
                 trajectory, image=ImageChannel(stamp_ns, np.stack(pictures)), name=name
             )
             mesh = directory / "indenters" / f"{self._entries[name].indenter}.stl"
-            data_set.add(measured, load_indenter(mesh), {"images": True})
+            data_set.add(measured, load_indenter(mesh))
             if progress is not None:
                 progress(number + 1, len(names))
 

@@ -14,11 +14,11 @@ from dotsim_ros.evaluation.gap.hidden.reality import Truth, answer_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.motion import Motion
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.scripted import Site, press_hold_release, slide
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
-from dotsim_ros.reference.data_set import ReferenceDataSet
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
@@ -100,7 +100,7 @@ def measure_unit(
     stiffness = values.youngs_modulus_pa * (1.0 + UNIT_STIFFNESS * random.standard_normal())
     values = replace(values, youngs_modulus_pa=stiffness)
     simulator = GelSimulator(sensor, skin, tolerance_m=5.0e-6)
-    data_set = ReferenceDataSet(directory, skin)
+    data_set = DataSetWriter(directory, skin)
     planned = [p for p in protocols(random) if not only or p[0] in only]
     session_s = 0.0
     for number, (name, indenter_name, motion, time_s) in enumerate(planned):
@@ -132,7 +132,7 @@ def measure_unit(
         except SolveError:
             continue
         session_s += float(np.ptp(time_s))
-        data_set.add(_measured(press, skin_m, force_n, skin.rest_position_m, random), indenter, {})
+        data_set.add(_measured(press, skin_m, force_n, skin.rest_position_m, random), indenter)
         if progress is not None:
             progress(number + 1, len(planned))
 
