@@ -38,6 +38,8 @@ from dotsim_ros.provenance import provenance
 
 Array = NDArray[np.float64]
 
+FIGURES, PAGE = "report.json", "report.html"
+
 
 def figures(calibration: Calibration, *, seed: int) -> dict[str, Any]:
     """Return all figures of a calibration, ready for JSON."""
@@ -165,8 +167,8 @@ def _percent(value: float | None) -> str:
 def write_report(directory: Path, calibration: Calibration, *, seed: int) -> Path:
     """Write report.json and report.html below a directory; return the page's path."""
     numbers = figures(calibration, seed=seed)
-    write_json(directory / "report.json", numbers)
-    page = directory / "report.html"
+    write_json(directory / FIGURES, numbers)
+    page = directory / PAGE
     with whole_file(page) as part:
         part.write_text(as_html(page_of(calibration, numbers)), encoding="utf-8")
     return page

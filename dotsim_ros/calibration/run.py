@@ -138,7 +138,7 @@ def measured_skin(data_set: DataSet, sensor: SensorSpecification) -> tuple[SkinM
         return skin_of(sensor.gel), False
 
 
-def calibrate(request: Request, progress: Progress) -> Calibration:
+def run_calibration(request: Request, progress: Progress) -> Calibration:
     """Fit the gel to the data.
 
     Raises:
@@ -173,10 +173,10 @@ def calibrate(request: Request, progress: Progress) -> Calibration:
     _prepare_tables(r.sensor, skin, asked, progress)
     with open_workers(r.sensor, skin, r.directory, r.workers) as workers:
         stages = _Stages(r, skin, workers, progress)
-        return _calibrate(r, stages, asked, observations, judged, omissions, has_vertices)
+        return _calibrated(r, stages, asked, observations, judged, omissions, has_vertices)
 
 
-def _calibrate(
+def _calibrated(
     request: Request,
     stages: _Stages,
     asked: Problem,

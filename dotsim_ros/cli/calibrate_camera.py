@@ -106,9 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     to_fit = _only(filmed, train)
     lens_skin = to_fit
-    if arguments.skin != "gel" and (
-        arguments.skin == "measured" or (data_set.directory / "skin_mesh.npz").is_file()
-    ):
+    if arguments.skin != "gel" and (arguments.skin == "measured" or data_set.has_skin_mesh):
         lens_skin = with_measured_skin(to_fit, arguments.data, topics=topics)
     lens = (*LENS, *POSITION) if arguments.position else LENS
     fit = fit_camera(to_fit, start, lens_filmed=lens_skin, lens=lens, progress=_say)

@@ -1,4 +1,4 @@
-"""The search with pictures: the mechanical search as it is, then the camera's effects.
+"""The whole search: skin and force first, then the camera's effects in the pictures.
 
 Skins come from the twin's gel at the poses of the pictures, with the mechanical effects that were
 named; where a mechanical gap is unknown, only frames without contact are looked at, since the skin
@@ -8,6 +8,7 @@ of the others is not known.
 from __future__ import annotations
 
 import hashlib
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -46,7 +47,12 @@ from dotsim_ros.gap.images.fit import (
     without_effects,
 )
 from dotsim_ros.gap.images.model import PictureModel
-from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, load_optical_null
+from dotsim_ros.gap.images.null import (
+    OpticalNull,
+    fit_optical_null,
+    load_optical_null,
+    save_optical_null,
+)
 from dotsim_ros.gap.images.reading import (
     Pictures,
     check_same_unit,
@@ -54,17 +60,20 @@ from dotsim_ros.gap.images.reading import (
     read_pictures,
 )
 from dotsim_ros.gap.images.tiles import COLOURS
-from dotsim_ros.gap.presses.search import find_gap
+from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import Progress, Request
 from dotsim_ros.gap.report import wording
+from dotsim_ros.gap.report.write import write_findings
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import one_of_each, protocol_of
+from dotsim_ros.specification import SensorSpecification, given_sensor
 
 Array = NDArray[np.float64]
 
 IMAGE = "image"
 MECHANICAL = ("skin", "force")
+CHANNELS = (*MECHANICAL, IMAGE)
 LEAST_TRAJECTORIES = 4
 RESAMPLED = 200
 
@@ -72,7 +81,170 @@ RESAMPLED = 200
 def channels_of(measured: Path) -> tuple[str, ...]:
     """Return the channels that are used where none were asked for: skin, force, and the images
     where the bags of a data set hold them and idle images lie beside them."""
-    return (*MECHANICAL, IMAGE) if all(has_pictures(measured)) else MECHANICAL
+    return CHANNELS if all(has_pictures(measured)) else MECHANICAL
+
+
+def find_gap(
+    measured: str | Path,
+    *,
+    sensor: str | Path | SensorSpecification = "sensor_a",
+    out: str | Path | None = None,
+    reference: str | Path | None = None,
+    indenters: str | Path | None = None,
+    effects: Sequence[str | Path] = (),
+    channels: Sequence[str] | None = None,
+    candidates: Sequence[str] = (),
+    alpha: float = 0.02,
+    budget: int | None = None,
+    seed: int = 0,
+    workers: int = 2,
+    discrepancy: str | Path | None = None,
+    optical_noise: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Findings:
+    """Find where a calibrated sensor and its measurements disagree, and name the missing effect.
+
+    It starts processes, so a script calls it below `if __name__ == "__main__":`.
+
+    Args:
+        measured: folder of the data set.
+        sensor: the calibrated twin: a name, a YAML file or a specification.
+        out: folder of the report, with the solves, from which a run that was broken off goes on,
+            and the overlay of the effects that were named; None writes and keeps nothing.
+        reference: folder of the unit's commissioning, to find what has changed since.
+        indenters: folder of the indenters' meshes; by default looked for beside the data.
+        effects: folders of your own effects.
+        channels: of "skin", "force" and "image"; by default all that the data hold.
+        candidates: names of the effects to look for; by default all.
+        alpha: chance of a name on data without an effect.
+        budget: most solves of a trajectory; by default no limit.
+        seed: of all draws.
+        workers: processes.
+        discrepancy: file of the model's own error; by default the shipped one.
+        optical_noise: file of the images' noise; by default the shipped one.
+        progress: told each step's name, how much of it is done, and of how much.
+
+    Returns:
+        What was found; its verdict is `Verdict.UNUSABLE` where the data cannot be used.
+
+    Raises:
+        FileNotFoundError: a data set, sensor, indenter or file that is not there.
+        ValueError: an argument that is out of range or names nothing, before anything is read of
+            the data or written.
+    """
+    _check_arguments(
+        channels=channels,
+        candidates=candidates,
+        library=load_effects(effects),
+        alpha=alpha,
+        budget=budget,
+        workers=workers,
+    )
+    for path in (indenters, discrepancy, optical_noise):
+        if path is not None and not Path(path).exists():
+            raise FileNotFoundError(f"there is nothing at {path}")
+    twin = given_sensor(sensor)
+    overlay = None
+    with tempfile.TemporaryDirectory() as temporary:
+        try:
+            request = Request(
+                measured=Path(measured),
+                sensor=twin,
+                directory=Path(temporary if out is None else out) / "run",
+                reference=_path(reference),
+                indenters=_path(indenters),
+                effects=tuple(map(Path, effects)),
+                channels=tuple(channels or channels_of(Path(measured))),
+                candidates=tuple(candidates),
+                alpha=alpha,
+                budget=budget,
+                seed=seed,
+                workers=workers,
+                discrepancy=_path(discrepancy),
+                optical_noise=_path(optical_noise),
+            )
+            findings, overlay = find_gap_with_pictures(request, progress or _silent)
+        except ValueError as error:
+            findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
+    if out is not None:
+        write_findings(Path(out), findings, overlay, effects=tuple(map(Path, effects)))
+    return findings
+
+
+def fit_optical_noise(
+    measured: str | Path,
+    out: str | Path,
+    *,
+    sensor: str | Path | SensorSpecification = "sensor_a",
+    run_folder: str | Path | None = None,
+    reference: str | Path | None = None,
+    indenters: str | Path | None = None,
+    effects: Sequence[str | Path] = (),
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> OpticalNull:
+    """Learn what images show in which nothing is wrong; `find_gap` takes it as `optical_noise`.
+
+    It starts processes, so a script calls it below `if __name__ == "__main__":`.
+
+    Args:
+        measured: folder of a data set with images.
+        out: file to write it to.
+        sensor, reference, indenters, effects, workers, progress: as for `find_gap`.
+        run_folder: where solves are kept; by default they are not.
+
+    Raises:
+        FileNotFoundError, ValueError: images that cannot be used; the text says why.
+    """
+    twin = given_sensor(sensor)
+    with tempfile.TemporaryDirectory() as temporary:
+        request = Request(
+            measured=Path(measured),
+            sensor=twin,
+            directory=Path(temporary if run_folder is None else run_folder),
+            reference=_path(reference),
+            indenters=_path(indenters),
+            effects=tuple(map(Path, effects)),
+            workers=workers,
+        )
+        null = fit_noise_of_pictures(request, progress or _silent)
+    save_optical_null(null, Path(out))
+    return null
+
+
+def _path(given: str | Path | None) -> Path | None:
+    return None if given is None else Path(given)
+
+
+def _silent(_step: str, _done: int, _total: int) -> None:
+    """Show nothing."""
+
+
+def _check_arguments(
+    *,
+    channels: Sequence[str] | None,
+    candidates: Sequence[str],
+    library: Mapping[str, Effect],
+    alpha: float,
+    budget: int | None,
+    workers: int,
+) -> None:
+    """Refuse what no search could be run with.
+
+    Raises:
+        ValueError: an argument is out of range or names nothing.
+    """
+    strange = sorted(set(channels or ()) - set(CHANNELS))
+    if strange:
+        raise ValueError(f"no channel {', '.join(strange)}; known are {', '.join(CHANNELS)}")
+    unknown = sorted(set(candidates) - set(library))
+    if unknown:
+        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
+    if not 0.0 < alpha < 1.0:
+        raise ValueError(f"alpha is {alpha}, expected between 0 and 1")
+    for name, count in (("budget", budget), ("workers", workers)):
+        if count is not None and count < 1:
+            raise ValueError(f"{name} is {count}, expected 1 or more")
 
 
 def find_gap_with_pictures(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
@@ -95,7 +267,7 @@ def find_gap_with_pictures(request: Request, progress: Progress) -> tuple[Findin
     if channels and mechanical:
         names = tuple(e.name for e in mechanical) if request.candidates else ()
         only = replace(request, channels=channels, candidates=names)
-        findings, overlay = find_gap(only, progress)
+        findings, overlay = search_presses(only, progress)
     if IMAGE not in request.channels or not optical:
         if findings is None:
             raise ValueError(

@@ -45,7 +45,7 @@ def plan(request: Request) -> dict[str, Any]:
     """
     data_set = read_data_set(request.measured)
     # That of the planned measurement, where it is known.
-    has_mesh = (data_set.directory / "skin_mesh.npz").is_file()
+    has_mesh = data_set.has_skin_mesh
     skin = data_set.skin_mesh() if has_mesh else skin_of(request.sensor.gel)
     recordings, warnings = read_poses(request.measured, skin=skin, indenters=request.indenters)
     library = load_effects(request.effects)

@@ -50,6 +50,11 @@ class DataSet:
     directory: Path
     entries: tuple[DataSetEntry, ...]
 
+    @property
+    def has_skin_mesh(self) -> bool:
+        """Whether the clouds of the bags list the vertices of a skin that is there."""
+        return (self.directory / "skin_mesh.npz").is_file()
+
     def skin_mesh(self) -> SkinMesh:
         """Return the skin whose vertices the bags' clouds list.
 

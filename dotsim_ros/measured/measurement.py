@@ -71,7 +71,7 @@ def read_measurement(
         if _lies_in(folder, name)
     ]
     skin, vertex_count = own_skin, None
-    if (folder / "skin_mesh.npz").is_file():
+    if data_set.has_skin_mesh:
         skin = data_set.skin_mesh()
         vertex_count = skin.vertex_count
     digest = hashlib.sha256((folder / INDEX).read_bytes())

@@ -44,7 +44,7 @@ def is_right(findings: Findings, truth: Truth) -> bool:
 def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
     from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
-    from dotsim_ros.gap.presses.search import find_gap
+    from dotsim_ros.gap.presses.search import search_presses
     from dotsim_ros.gap.presses.search_state import Request
     from dotsim_ros.gap.report.write import write_findings
     from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -74,7 +74,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
         seed=seed,
         workers=workers,
     )
-    findings, overlay = find_gap(request, progress)
+    findings, overlay = search_presses(request, progress)
     write_findings(directory, findings, overlay)
     write_truth(directory / "truth_opened.json", truth, seed=seed)
     hidden = ", ".join(f"{name} ({size:.3g} {LAWS[name].unit})" for name, size in truth.effects)

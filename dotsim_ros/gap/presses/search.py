@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 
-def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
+def search_presses(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
     """Search a data set; return what was found, and the overlay if an effect was named.
 
     Raises:
