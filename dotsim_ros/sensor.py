@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.files import given_path, whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
@@ -20,13 +20,9 @@ from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.network.loading import residual_network
+from dotsim_ros.optics.network.loading import completion_network
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification, given_sensor
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
 
 FRAME_S = 0.04
 """Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""
@@ -142,7 +138,7 @@ class TactileSensor:
         self.skin = skin_of(specification.gel)
         self.camera = FisheyeCamera.from_specification(specification.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.
-        self._network = residual_network(specification, self.camera)
+        self._network = completion_network(specification, self.camera)
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
         self._set_idle(read_idle_frame(given_path(specification.camera.idle_image), self.camera))
@@ -196,10 +192,10 @@ class TactileSensor:
         return self._idle.image
 
     def _set_idle(self, idle: IdleFrame) -> None:
-        residual = None
+        completion = None
         if self._network is not None:
             untouched = self._renderer.render(self.skin.rest_position_m)
-            residual = self._network.at_rest(untouched, idle.image)
+            completion = self._network.at_rest(untouched, idle.image)
         self._image = ImageRenderer(
             self.camera,
             self.skin,
@@ -207,7 +203,7 @@ class TactileSensor:
             lighting=idle.lighting,
             vignetting=idle.vignetting,
             fine=idle.fine,
-            residual=residual,
+            completion=completion,
             device=self.device,
         )
         self._idle = idle
@@ -308,7 +304,7 @@ class TactileSensor:
         )
 
     def image_motion_px(self, before_m: FloatArray, after_m: FloatArray) -> FloatArray:
-        """Return how far (H, W, 2) what each pixel shows has moved in the picture, x then y.
+        """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y.
 
         Args:
             before_m, after_m: (V, 3) the skin then and now, base frame.

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, Noise
+from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters
 from dotsim_ros.calibration.report import summary_lines, write_report
 from dotsim_ros.calibration.run import (
     JOINT_STEPS,
     SOLVE_BUDGET,
     Calibration,
+    CalibrationRequest,
     Progress,
-    Request,
     run_calibration,
 )
 from dotsim_ros.measured.data_set import DataSet, read_data_set
@@ -46,7 +46,7 @@ def calibrate(
     name: str | None = None,
     workers: int = 2,
     seed: int = 0,
-    noise: Noise | None = None,
+    noise: LossNoise | None = None,
     topics: Topics = MEASURED_TOPICS,
     progress: Progress | None = None,
 ) -> Calibration:
@@ -76,7 +76,7 @@ def calibrate(
         name: of the calibrated sensor; by default the file's stem, or the sensor's own.
         workers: processes.
         seed: of what is held out and drawn.
-        noise: of the measurement; by default as `Noise` has it.
+        noise: of the measurement; by default as `LossNoise` has it.
         topics: where the channels lie in the bags.
         progress: told the stage, how many presses of it are done, and of how many.
 
@@ -104,7 +104,7 @@ def calibrate(
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if out is None else report_folder(out) / "run"
         calibration = run_calibration(
-            Request(
+            CalibrationRequest(
                 data_set=data_set,
                 sensor=specification,
                 train=train,
@@ -112,7 +112,7 @@ def calibrate(
                 fit=parameters,
                 with_offset=OFFSET in fit,
                 losses=used,
-                noise=Noise() if noise is None else noise,
+                noise=LossNoise() if noise is None else noise,
                 topics=topics,
                 directory=folder if run_folder is None else Path(run_folder),
                 workers=workers,

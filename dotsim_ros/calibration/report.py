@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import (
-    Parameter,
+    GelParameter,
     shown_value,
     with_coordinates,
 )
@@ -27,16 +27,14 @@ from dotsim_ros.page import (
     Gallery,
     Page,
     Paragraph,
-    Picture,
+    ReportImage,
     Section,
     Table,
     as_html,
+    image_of,
     page_figure,
-    picture_of,
 )
 from dotsim_ros.provenance import provenance
-
-Array = NDArray[np.float64]
 
 FIGURES, PAGE = "report.json", "report.html"
 
@@ -100,14 +98,14 @@ def _root_mean_square(loss: float, count: int) -> float:
     return float(np.sqrt(2.0 * loss / count))
 
 
-def _value_at(calibration: Calibration, index: int, point: Array) -> float:
+def _value_at(calibration: Calibration, index: int, point: FloatArray) -> float:
     problem = calibration.problem
     values = with_coordinates(problem.start, problem.parameters, point)
     return shown_value(problem.parameters[index], values)
 
 
 def _shown(
-    calibration: Calibration, parameter: Parameter, index: int, combination: Combination
+    calibration: Calibration, parameter: GelParameter, index: int, combination: Combination
 ) -> dict[str, float]:
     """Return value and interval in the parameter's unit; the others stay at the estimate."""
     ends = []
@@ -300,11 +298,11 @@ def _bullets(items: Sequence[str]) -> Block:
     return Bullets(tuple(items)) if items else Paragraph("Nothing.")
 
 
-def _plot_single_fits(calibration: Calibration) -> tuple[Picture, ...]:
-    """Return a picture of each parameter: the fits of single presses, and their combinations."""
+def _plot_single_fits(calibration: Calibration) -> tuple[ReportImage, ...]:
+    """Return an image of each parameter: the fits of single presses, and their combinations."""
     c = calibration
     names = list(c.fits)
-    pictures = []
+    images = []
     for index, parameter in enumerate(c.problem.parameters):
         with page_figure(LARGEST_WIDTH_INCHES, 1.3 + 0.2 * len(names)) as figure:
             axes = figure.add_subplot()
@@ -329,11 +327,11 @@ def _plot_single_fits(calibration: Calibration) -> tuple[Picture, ...]:
                 f"{parameter.name} of single presses, {_number(min(single))} to "
                 f"{_number(max(single))}, with {' and '.join(combined)}"
             )
-            pictures.append(picture_of(figure, name=f"fits_{parameter.name}", alt=alt))
-    return tuple(pictures)
+            images.append(image_of(figure, name=f"fits_{parameter.name}", alt=alt))
+    return tuple(images)
 
 
-def _plot_information(calibration: Calibration) -> Picture:
+def _plot_information(calibration: Calibration) -> ReportImage:
     rows = calibration.identifiability
     with page_figure(LARGEST_WIDTH_INCHES, 2.6) as figure:
         axes = figure.add_subplot()
@@ -349,10 +347,10 @@ def _plot_information(calibration: Calibration) -> Picture:
         alt = "Deviation of each parameter after the data over before: " + ", ".join(
             f"{r.parameter} from {r.data} {r.deviation / r.prior_deviation:.2g}" for r in rows
         )
-        return picture_of(figure, name="information", alt=alt)
+        return image_of(figure, name="information", alt=alt)
 
 
-def _plot_misfit(calibration: Calibration) -> Picture:
+def _plot_misfit(calibration: Calibration) -> ReportImage:
     items = list(calibration.linearisations.items())
     with page_figure(LARGEST_WIDTH_INCHES, 0.9 + 0.3 * len(items)) as figure:
         axes = figure.add_subplot()
@@ -369,4 +367,4 @@ def _plot_misfit(calibration: Calibration) -> Picture:
         axes.set_yticks(np.arange(len(items)) + 0.2, [name for name, _ in items])
         figure.legend(loc="outside upper center", ncols=2, frameon=False)
         alt = f"Misfit of each press in units of noise: {', '.join(worst)}"
-        return picture_of(figure, name="misfit", alt=alt)
+        return image_of(figure, name="misfit", alt=alt)

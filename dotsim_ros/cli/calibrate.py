@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.calibration.loss import Noise
+    from dotsim_ros.calibration.loss import LossNoise
     from dotsim_ros.measured.trajectory import Topics
 
 LOSSES = ("points", "chamfer", "force")
@@ -139,11 +139,13 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _noise(arguments: argparse.Namespace) -> Noise:
-    from dotsim_ros.calibration.loss import Noise
+def _noise(arguments: argparse.Namespace) -> LossNoise:
+    from dotsim_ros.calibration.loss import LossNoise
 
-    given = {field.name: getattr(arguments, f"noise_{field.name}", None) for field in fields(Noise)}
-    return Noise(**{name: value for name, value in given.items() if value is not None})
+    given = {
+        field.name: getattr(arguments, f"noise_{field.name}", None) for field in fields(LossNoise)
+    }
+    return LossNoise(**{name: value for name, value in given.items() if value is not None})
 
 
 def _topics(arguments: argparse.Namespace) -> Topics:

@@ -1,7 +1,7 @@
 """Find where simulation and measurement disagree, and name the missing effect.
 
 Calibrates the twin within its priors, tries every effect of the library, refits the best, judges
-the answer on trajectories kept locked. Writes OUT/report.html, report.md, findings.json, pictures,
+the answer on trajectories kept locked. Writes OUT/report.html, report.md, findings.json, images,
 and, where an effect was named, OUT/effects_overlay.yaml, which tactile_sim loads with its parameter
 `effects`. Solves are kept in OUT/run: a run that was broken off goes on.
 
@@ -66,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.files import write_json
     from dotsim_ros.gap.find import find_gap, fit_optical_noise
     from dotsim_ros.gap.findings import as_record
-    from dotsim_ros.gap.report.write import HTML
+    from dotsim_ros.page import HTML
     from dotsim_ros.progress import PrintedProgress
 
     common: dict[str, Any] = {

@@ -1,8 +1,8 @@
 """What the optical effects share: gains, resampling, and what excites them.
 
 An optical effect acts on the camera's numbers after everything else, and keeps them between 0 and
-`FULL_SCALE`. Lengths in the picture are given in units of the focal length, so that a value found
-on pictures of one size holds for pictures of another.
+`FULL_SCALE`. Lengths in the image are given in units of the focal length, so that a value found
+on images of one size holds for images of another.
 """
 
 from __future__ import annotations
@@ -13,16 +13,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.effects.effect import IMAGE, Array, Effect, EffectParameter, SeenImage, Values
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, SeenImage, Values
 from dotsim_ros.measured.recording import Phase, Recording
 
 FULL_SCALE = 255.0
 
 FAST_M_S = 2.0e-3
-"""An indenter that moves faster under load moves the picture enough to blur or skew it."""
+"""An indenter that moves faster under load moves the image enough to blur or skew it."""
 
-SourceMap = Callable[[SeenImage], tuple[Array, Array]]
-"""From a picture to x and y (H, W each), px, of where in it each new pixel looks."""
+SourceMap = Callable[[SeenImage], tuple[FloatArray, FloatArray]]
+"""From an image to x and y (H, W each), px, of where in it each new pixel looks."""
 
 
 def any_frame(recording: Recording) -> bool:
@@ -41,13 +42,13 @@ def moves_fast(recording: Recording) -> bool:
     )
 
 
-def within_scale(pixels: Array) -> Array:
+def within_scale(pixels: FloatArray) -> FloatArray:
     """Return pixels (..., 3) clipped to what the camera can give."""
     return np.clip(pixels, 0.0, FULL_SCALE)
 
 
-def radius_square(image: SeenImage) -> Array:
-    """Return (H, W) the squared distance from the optical axis over half the picture's height, the
+def radius_square(image: SeenImage) -> FloatArray:
+    """Return (H, W) the squared distance from the optical axis over half the image's height, the
     coordinate of `dotsim_ros.optics.lighting.Vignetting`."""
     height, width = image.pixels.shape[:2]
     x = np.arange(width) - image.centre_px[0]
@@ -55,7 +56,7 @@ def radius_square(image: SeenImage) -> Array:
     return (x[None, :] ** 2 + y[:, None] ** 2) / (0.5 * height) ** 2
 
 
-def sampled(pixels: Array, x: Array, y: Array) -> Array:
+def sampled(pixels: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     """Return pixels (H, W, 3) looked up at places (H, W) in px by cubic interpolation.
 
     A place outside shows the nearest border, a whole pixel itself, to single precision.
@@ -71,7 +72,7 @@ def sampled(pixels: Array, x: Array, y: Array) -> Array:
     return np.asarray(found, dtype=np.float64)
 
 
-def _asked_for(place: Array) -> Array:
+def _asked_for(place: FloatArray) -> FloatArray:
     """Return where OpenCV's cubic must be asked to look, to look at a place.
 
     Its kernel is that of Keys ("Cubic convolution interpolation for digital image processing",
@@ -83,7 +84,7 @@ def _asked_for(place: Array) -> Array:
     return np.asarray(whole + 0.5 + np.sinh(np.arcsinh(4.0 * (place - whole) - 2.0) / 3.0))
 
 
-def pixel_places(image: SeenImage) -> tuple[Array, Array]:
+def pixel_places(image: SeenImage) -> tuple[FloatArray, FloatArray]:
     """Return x and y (H, W each) of all pixels."""
     height, width = image.pixels.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -91,10 +92,10 @@ def pixel_places(image: SeenImage) -> tuple[Array, Array]:
 
 
 class FixedResampling:
-    """Resamples every picture alike; the map is made for the first picture of each geometry.
+    """Resamples every image alike; the map is made for the first image of each geometry.
 
     Args:
-        source: makes the map; it may read the picture's size, centre and focal length alone.
+        source: makes the map; it may read the image's size, centre and focal length alone.
     """
 
     def __init__(self, source: SourceMap) -> None:
@@ -103,7 +104,7 @@ class FixedResampling:
         self._x: NDArray[np.float64] = np.empty((0, 0))
         self._y: NDArray[np.float64] = np.empty((0, 0))
 
-    def __call__(self, image: SeenImage) -> Array:
+    def __call__(self, image: SeenImage) -> FloatArray:
         """Return the resampled pixels (H, W, 3)."""
         geometry = (*image.pixels.shape, *map(float, image.centre_px), float(image.focal_px))
         if geometry != self._geometry:
@@ -115,15 +116,15 @@ class FixedResampling:
 def led_imbalance(colour: str, channel: int) -> Effect:
     """Return the effect that the LEDs of one colour shine weaker or brighter than the others.
 
-    The picture's channel stands for the LEDs: the light of one colour that the camera sees in
+    The image's channel stands for the LEDs: the light of one colour that the camera sees in
     another channel is left out.
 
     Args:
         colour: of the LEDs.
-        channel: of the picture: 0 red, 1 green, 2 blue.
+        channel: of the image: 0 red, 1 green, 2 blue.
     """
 
-    def image(values: Values) -> Callable[[SeenImage], Array]:
+    def image(values: Values) -> Callable[[SeenImage], FloatArray]:
         gain = np.ones(3)
         gain[channel] = 1.0 - values["loss_share"]
         return lambda seen: within_scale(seen.pixels * gain)
@@ -133,7 +134,7 @@ def led_imbalance(colour: str, channel: int) -> Effect:
         title=f"{colour.capitalize()} LEDs out of balance",
         parameters=(EffectParameter("loss_share", "", 0.0, -0.3, 0.3, (0.05, -0.05)),),
         channels=(IMAGE,),
-        protocol="any pictures, also without contact",
+        protocol="any images, also without contact",
         excited_by=any_frame,
         taken_for=("white balance of the camera",),
         image=image,

@@ -1,9 +1,4 @@
-"""The whole search: skin and force first, then the camera's effects in the pictures.
-
-Skins come from the twin's gel at the poses of the pictures, with the mechanical effects that were
-named; where a mechanical gap is unknown, only frames without contact are looked at, since the skin
-of the others is not known.
-"""
+"""The whole search in one call: skin and force first, then the camera's effects in the images."""
 
 from __future__ import annotations
 
@@ -14,74 +9,26 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from dotsim_ros.effects.effect import Effect
+from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, Effect
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
-from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import (
-    Candidate,
-    ChannelGap,
-    Findings,
-    OpticalFindings,
-    TileGap,
-    Verdict,
-)
-from dotsim_ros.gap.images.case import (
-    HEIGHT,
-    IDLE,
-    WIDTH,
-    OpticalCase,
-    Shot,
-    excited,
-    optical_case,
-)
-from dotsim_ros.gap.images.fit import (
-    Fitted,
-    OpticalAnswer,
-    PictureSearch,
-    mean_squares,
-    without_effects,
-)
-from dotsim_ros.gap.images.model import PictureModel
-from dotsim_ros.gap.images.null import (
-    OpticalNull,
-    fit_optical_null,
-    load_optical_null,
-    save_optical_null,
-)
-from dotsim_ros.gap.images.reading import (
-    Pictures,
-    check_same_unit,
-    has_pictures,
-    read_pictures,
-)
-from dotsim_ros.gap.images.tiles import COLOURS
+from dotsim_ros.effects.overlay import Overlay
+from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
+from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
+from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
+from dotsim_ros.gap.images.reading import holds_images
 from dotsim_ros.gap.presses.search import search_presses
-from dotsim_ros.gap.presses.search_state import Progress, Request
-from dotsim_ros.gap.report import wording
+from dotsim_ros.gap.presses.search_state import GapRequest, Progress
 from dotsim_ros.gap.report.write import write_findings
-from dotsim_ros.gel.make import skin_of
-from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.measurement import one_of_each, protocol_of
 from dotsim_ros.specification import SensorSpecification, given_sensor
 
-Array = NDArray[np.float64]
-
-IMAGE = "image"
-MECHANICAL = ("skin", "force")
+MECHANICAL = (SKIN, FORCE)
 CHANNELS = (*MECHANICAL, IMAGE)
-LEAST_TRAJECTORIES = 4
-RESAMPLED = 200
 
 
 def channels_of(measured: Path) -> tuple[str, ...]:
     """Return the channels that are used where none were asked for: skin, force, and the images
     where the bags of a data set hold them and idle images lie beside them."""
-    return CHANNELS if all(has_pictures(measured)) else MECHANICAL
+    return CHANNELS if all(holds_images(measured)) else MECHANICAL
 
 
 def find_gap(
@@ -147,7 +94,7 @@ def find_gap(
     overlay = None
     with tempfile.TemporaryDirectory() as temporary:
         try:
-            request = Request(
+            request = GapRequest(
                 measured=Path(measured),
                 sensor=twin,
                 directory=Path(temporary if out is None else out) / "run",
@@ -163,7 +110,7 @@ def find_gap(
                 discrepancy=_path(discrepancy),
                 optical_noise=_path(optical_noise),
             )
-            findings, overlay = find_gap_with_pictures(request, progress or _silent)
+            findings, overlay = find_gap_with_images(request, progress or _silent)
         except ValueError as error:
             findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
     if out is not None:
@@ -198,7 +145,7 @@ def fit_optical_noise(
     """
     twin = given_sensor(sensor)
     with tempfile.TemporaryDirectory() as temporary:
-        request = Request(
+        request = GapRequest(
             measured=Path(measured),
             sensor=twin,
             directory=Path(temporary if run_folder is None else run_folder),
@@ -207,7 +154,7 @@ def fit_optical_noise(
             effects=tuple(map(Path, effects)),
             workers=workers,
         )
-        null = fit_noise_of_pictures(request, progress or _silent)
+        null = fit_noise_of_images(request, progress or _silent)
     save_optical_null(null, Path(out))
     return null
 
@@ -247,8 +194,10 @@ def _check_arguments(
             raise ValueError(f"{name} is {count}, expected 1 or more")
 
 
-def find_gap_with_pictures(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
-    """Search a data set by the channels of a request, pictures among them.
+def find_gap_with_images(
+    request: GapRequest, progress: Progress
+) -> tuple[Findings, Overlay | None]:
+    """Search a data set by the channels of a request, images among them.
 
     Raises:
         FileNotFoundError: a data set, an indenter or a file that is not there.
@@ -276,9 +225,9 @@ def find_gap_with_pictures(request: Request, progress: Progress) -> tuple[Findin
             )
         return findings, overlay
     try:
-        seen, found, digest, solves = _find_optical(request, optical, findings, overlay, progress)
+        seen, found, digest, solves = find_optical(request, optical, findings, overlay, progress)
     except (ValueError, FileNotFoundError) as error:
-        seen, found, digest, solves = _unusable(str(error)), (), "", 0
+        seen, found, digest, solves = unusable_images(str(error)), (), "", 0
     if findings is None:
         findings = Findings(
             Verdict.NO_GAP,
@@ -314,333 +263,3 @@ def combined(findings: Findings, optical: OpticalFindings) -> Findings:
         warnings=findings.warnings + optical.warnings,
         optical=optical,
     )
-
-
-def fit_noise_of_pictures(request: Request, progress: Progress) -> OpticalNull:
-    """Return what the pictures of a data set show in which nothing is missing.
-
-    Args:
-        request: the data set, its twin and indenters; with a reference, that idle frame is the
-            twin's.
-        progress: told the steps.
-
-    Raises:
-        FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
-    """
-    case = case_of(request, progress)
-    count = len(case.shots) - 1
-    if count <= LEAST_TRAJECTORIES:
-        raise ValueError(
-            f"{count} trajectories with pictures are too few to tell what a model errs by, "
-            f"expected more than {LEAST_TRAJECTORIES}"
-        )
-    effects = [e for e in load_effects(request.effects).values() if e.image is not None]
-    source = f"{count} trajectories of {request.measured.name} with {request.sensor.name}"
-    return fit_optical_null(
-        case,
-        effects,
-        sensor=request.sensor.name,
-        source=source,
-        progress=lambda done, total: progress("noise of the pictures", done, total),
-    )
-
-
-def case_of(request: Request, progress: Progress) -> OpticalCase:
-    """Return the pictures of a data set beside those of the twin without any effect.
-
-    Raises:
-        FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
-    """
-    pictures, model = _pictures_and_model(request)
-    skins, _, _ = _skins(request, pictures, None, progress)
-    return optical_case(
-        pictures, model, skins, progress=lambda done, total: progress("pictures", done, total)
-    )
-
-
-def _unusable(reason: str) -> OpticalFindings:
-    text = f"The images cannot be used: {reason}"
-    return OpticalFindings(Verdict.UNUSABLE, text, warnings=(text,))
-
-
-def _find_optical(
-    request: Request,
-    effects: Sequence[Effect],
-    findings: Findings | None,
-    overlay: Overlay | None,
-    progress: Progress,
-) -> tuple[OpticalFindings, tuple[FoundEffect, ...], str, int]:
-    """Return the optical part, its effects for the overlay, the hash of the pictures, and how many
-    solves it took."""
-    null = load_optical_null(request.optical_noise)
-    pictures, model = _pictures_and_model(request)
-    warnings = list(pictures.warnings)
-    skins, solves, left_out = _skins(request, pictures, overlay, progress)
-    warnings += left_out
-    case = optical_case(
-        pictures, model, skins, progress=lambda done, total: progress("pictures", done, total)
-    )
-    if findings is not None and findings.verdict is Verdict.UNKNOWN:
-        case = case.without_contact()
-        warnings.append(
-            "what is missing in the gel is unknown, so the skin in contact is not known: only "
-            "frames without contact were searched for effects of the camera"
-        )
-    known = [effect for effect in effects if null.knows(effect)]
-    if len(known) < len(effects):
-        names = ", ".join(e.name for e in effects if e not in known)
-        warnings.append(
-            f"not looked for in the images: {names}; how large they seem where nothing is missing "
-            "is not known: make the noise of the images anew with --fit-optical-noise"
-        )
-    warnings += wording.picture_warnings(
-        null.sensor, null.source, request.sensor.name, len(case.shots) - 1
-    )
-    random = np.random.default_rng([request.seed, 1])
-    locked = _locked(case, findings, random)
-    chosen = [shot for shot in case.shots if shot.name not in locked]
-    tried, silent = excited({e.name: e for e in known}, chosen)
-    if not tried:
-        raise ValueError("no picture excites any effect of the camera; record presses with images")
-    progress("screen the pictures", 0, 1)
-    search = PictureSearch(case, chosen, tried, null, alpha=request.alpha, seed=request.seed)
-    progress("screen the pictures", 1, 1)
-    answer = search.answer()
-    library = {effect.name: effect for effect in effects}
-    seen = _optical_findings(case, search, answer, locked, null, library, silent, random, warnings)
-    found = tuple(
-        FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
-    )
-    return seen, found, pictures.digest, solves
-
-
-def _pictures_and_model(request: Request) -> tuple[Pictures, PictureModel]:
-    """Return the pictures, and the model of the twin's at their size.
-
-    Raises:
-        FileNotFoundError, ValueError: as `read_pictures`; or pictures of another unit.
-    """
-    skin = skin_of(request.sensor.gel)
-    pictures = read_pictures(request.measured, skin=skin, indenters=request.indenters)
-    height, width = pictures.idle_images.shape[1:3]
-    idle, owner = None, f"the idle frame of {request.sensor.name}"
-    if request.reference is not None:
-        reference = read_pictures(request.reference, skin=skin, indenters=request.indenters)
-        idle, owner = reference.idle, "that of the reference"
-        check_same_unit(idle, pictures.idle, owner=owner)
-    camera = request.sensor.camera
-    if width * camera.height != height * camera.width:
-        raise ValueError(
-            f"they are {width}x{height}, the camera of {request.sensor.name} has "
-            f"{camera.width}x{camera.height}, another aspect ratio: they come from another camera"
-        )
-    model = PictureModel(request.sensor, width=width, height=height, idle=idle)
-    check_same_unit(model.idle, pictures.idle, owner=owner)
-    return pictures, model
-
-
-def _skins(
-    request: Request, pictures: Pictures, overlay: Overlay | None, progress: Progress
-) -> tuple[dict[str, Array], int, list[str]]:
-    """Return the twin's skin (F, V, 3) by trajectory, how many solves it took, and what could not
-    be solved."""
-    sensor = request.sensor
-    active = () if overlay is None else active_effects(overlay, load_effects(request.effects))
-    recordings = [one.recording for one in pictures.trajectories]
-    with open_solver(
-        sensor,
-        skin_of(sensor.gel),
-        request.directory / "solves",
-        folders=request.effects,
-        workers=request.workers,
-    ) as solver:
-        answers, failures = solver.run_each(
-            [request_of(r, values_of(sensor), effects=active) for r in recordings],
-            lambda done, total: progress("skins of the pictures", done, total),
-        )
-        count = solver.solve_count
-    skins = {
-        recording.name: answer.skin_position_m
-        for recording, answer in zip(recordings, answers, strict=True)
-        if answer is not None
-    }
-    return skins, count, [f"no picture of the twin's: {text}" for text in failures]
-
-
-def _locked(
-    case: OpticalCase, findings: Findings | None, random: np.random.Generator
-) -> tuple[str, ...]:
-    """Return the names of the trajectories that are kept locked: those of the mechanical search,
-    else one of each repeated protocol."""
-    names = [shot.name for shot in case.shots]
-    if findings is not None:
-        return tuple(name for name in findings.locked if name in names)
-    pressed = [shot for shot in case.shots if shot.recording is not None]
-    places = one_of_each([protocol_of(s.recording) for s in pressed if s.recording], random)
-    return tuple(sorted(pressed[place].name for place in places))
-
-
-def _optical_findings(
-    case: OpticalCase,
-    search: PictureSearch,
-    answer: OpticalAnswer,
-    locked: Sequence[str],
-    null: OpticalNull,
-    library: Mapping[str, Effect],
-    silent: Sequence[str],
-    random: np.random.Generator,
-    warnings: Sequence[str],
-) -> OpticalFindings:
-    judged = case.of(locked) or [s for s in search.shots if s.name != IDLE] or search.shots
-    before = [shot.residual for shot in judged]
-    after = without_effects(case, judged, answer.named)
-    squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
-    sizes = np.array([one.size for one in before])
-    closed = _closed(squares, sizes, null.usual_excess, random) if answer.named else None
-    warnings = list(warnings)
-    if answer.stability is not None and answer.stability < decision.STABLE_SHARE:
-        warnings.append(
-            f"the name of the images' effect is not stable: {answer.stability:.0%} of bootstrap "
-            "repetitions over trajectories agree; record more trajectories"
-        )
-    gap = _colour_gap(judged, before, after, search, null)
-    return OpticalFindings(
-        verdict=answer.verdict,
-        sentence=wording.optical_sentence(
-            answer.verdict,
-            [(one.effect, answer.estimates[one.effect.name]) for one in answer.named],
-            [library[name] for name in answer.alternatives],
-            gap,
-            nearest=library[answer.scores[0].name] if answer.scores[0].fit > 0.0 else None,
-        ),
-        named=tuple(one.effect.name for one in answer.named),
-        alternatives=answer.alternatives,
-        statistic=answer.statistic,
-        threshold=answer.threshold,
-        explained=answer.explained,
-        excess=answer.excess,
-        largest_excess=answer.largest_excess,
-        candidates=_candidates(answer, library, silent),
-        gap=gap,
-        share_closed=None if closed is None else closed[0],
-        share_closed_low=None if closed is None else closed[1],
-        share_closed_high=None if closed is None else closed[2],
-        stability=answer.stability,
-        tiles=_tiles(case, judged, before, after, search),
-        warnings=tuple(warnings),
-        trajectories=tuple(shot.name for shot in search.shots),
-        locked=tuple(locked),
-        frame_count=sum(len(shot.measured) for shot in case.shots),
-        noise_source=null.source,
-    )
-
-
-def _closed(
-    squares: Sequence[Array], sizes: Array, floor: float, random: np.random.Generator
-) -> tuple[float, float, float] | None:
-    """Return the share of the gap closed, (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2), with its interval
-    by a bootstrap over trajectories; None where there was no gap."""
-    draws = random.integers(len(sizes), size=(RESAMPLED, len(sizes)))
-    shares = []
-    for drawn in [np.arange(len(sizes)), *draws]:
-        before, after = (float(np.average(s[drawn], weights=sizes[drawn])) for s in squares)
-        if before <= floor:
-            continue
-        shares.append((before - after) / (before - floor))
-    if not shares or float(np.average(squares[0], weights=sizes)) <= floor:
-        return None
-    low, high = np.percentile(shares, [2.5, 97.5]).tolist()
-    return shares[0], min(low, shares[0]), max(high, shares[0])
-
-
-def _colour_gap(
-    shots: Sequence[Shot],
-    before: Sequence[Array],
-    after: Sequence[Array],
-    search: PictureSearch,
-    null: OpticalNull,
-) -> ChannelGap:
-    """Return the RMS of the tiles' colours, in grey levels; recalibrated: with one gain and one
-    black level of the camera for all."""
-
-    def level(values: Sequence[Array]) -> float:
-        return float(
-            np.sqrt(np.mean(np.concatenate([v[..., COLOURS].ravel() for v in values]) ** 2))
-        )
-
-    colours = np.concatenate([one[..., COLOURS].ravel() for one in before])
-    columns = np.stack(
-        [
-            np.concatenate([search.case.meter.colour(s.film.pixels).ravel() for s in shots]),
-            np.ones(len(colours)),
-        ],
-        axis=1,
-    )
-    fitted = columns @ np.linalg.lstsq(columns, colours, rcond=None)[0]
-    expected = [search.noise.deviation(shot.change) for shot in shots]
-    left = np.concatenate([one[..., COLOURS].ravel() for one in after])
-    left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
-    return ChannelGap(
-        IMAGE,
-        "levels",
-        level(before),
-        float(np.sqrt(np.mean((colours - fitted) ** 2))),
-        float(np.sqrt(np.mean(left**2))),
-        float(np.sqrt(null.usual_excess)) * level(expected),
-    )
-
-
-def _tiles(
-    case: OpticalCase,
-    shots: Sequence[Shot],
-    before: Sequence[Array],
-    after: Sequence[Array],
-    search: PictureSearch,
-) -> tuple[TileGap, ...]:
-    """Return the RMS of each tile's observables in expected deviations."""
-    deviation = [search.noise.deviation(shot.change) for shot in shots]
-    rms = [
-        np.sqrt(
-            np.mean(
-                np.concatenate([r / d for r, d in zip(values, deviation, strict=True)]) ** 2,
-                axis=(0, 2),
-            )
-        )
-        for values in (before, after)
-    ]
-    centre = case.meter.grid.centre_px / [WIDTH, HEIGHT]
-    return tuple(
-        TileGap(float(x), float(y), float(first), float(second))
-        for (x, y), first, second in zip(centre.tolist(), *rms, strict=True)
-    )
-
-
-def _candidates(
-    answer: OpticalAnswer, library: Mapping[str, Effect], silent: Sequence[str]
-) -> tuple[Candidate, ...]:
-    fitted: dict[str, Fitted] = {one.effect.name: one for one in answer.named}
-    result = []
-    for score in answer.scores:
-        effect = library[score.name]
-        if not score.is_excited:
-            continue
-        own = fitted.get(score.name)
-        values = score.values if own is None else own.score.values
-        result.append(
-            Candidate(
-                score.name,
-                effect.title,
-                True,
-                score.statistic,
-                values[effect.parameters[0].name],
-                score.explained,
-                None,
-                answer.estimates.get(score.name, ()),
-            )
-        )
-    hidden = [score.name for score in answer.scores if not score.is_excited]
-    result += [
-        Candidate(name, library[name].title, False, 0.0, library[name].parameters[0].none or 0.0)
-        for name in [*silent, *hidden]
-    ]
-    return tuple(result)

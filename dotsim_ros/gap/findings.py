@@ -57,7 +57,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Place:
+class ResidualPlace:
     """Residuals in one place: RMS in units of their expected deviation.
 
     Attributes:
@@ -144,10 +144,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class TileGap:
-    """Residuals in one tile of the picture: RMS of its observables in expected deviations.
+    """Residuals in one tile of the image: RMS of its observables in expected deviations.
 
     Attributes:
-        x, y: its centre, shares of the picture's width and height.
+        x, y: its centre, shares of the image's width and height.
         before, after: with the twin as it is, and with the named effects.
     """
 
@@ -159,7 +159,7 @@ class TileGap:
 
 @dataclass(frozen=True)
 class OpticalFindings:
-    """What the pictures told.
+    """What the images told.
 
     Attributes:
         verdict, sentence: the answer, and in words.
@@ -176,11 +176,12 @@ class OpticalFindings:
             in expected deviations, with its interval; None if nothing was added.
         stability: share of bootstrap repetitions that gave the same name; None if nothing was
             named.
-        tiles: where in the picture the gap is.
+        tiles: where in the image the gap is.
         warnings: what cannot be concluded, and why.
         trajectories, locked: names used for the search, and kept locked.
-        frame_count: pictures.
+        frame_count: images.
         noise_source: where the thresholds come from.
+        not_tried: effects whose sizes in images without any effect are not known.
     """
 
     verdict: Verdict
@@ -204,6 +205,7 @@ class OpticalFindings:
     locked: tuple[str, ...] = ()
     frame_count: int = 0
     noise_source: str = ""
+    not_tried: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -236,7 +238,7 @@ class Findings:
         solve_count, seconds: the cost.
         data_hash: of the measured data.
         sensor: name of the sensor's file.
-        optical: what the pictures told, whose names, sentence and warnings are among those above;
+        optical: what the images told, whose names, sentence and warnings are among those above;
             None where none were searched.
     """
 
@@ -251,7 +253,7 @@ class Findings:
     mode: str = "absolute"
     candidates: tuple[Candidate, ...] = ()
     calibrated: tuple[Estimate, ...] = ()
-    places: tuple[Place, ...] = ()
+    places: tuple[ResidualPlace, ...] = ()
     gaps: tuple[ChannelGap, ...] = ()
     share_closed: float | None = None
     share_closed_low: float | None = None
@@ -294,7 +296,7 @@ def findings_of(record: Mapping[str, Any]) -> Findings:
     values["candidates"] = _candidates_of(values["candidates"])
     for name, kind in (
         ("calibrated", Estimate),
-        ("places", Place),
+        ("places", ResidualPlace),
         ("gaps", ChannelGap),
         ("fallback", ChannelGap),
         ("pairs", Pair),
@@ -323,6 +325,8 @@ def _optical_of(record: Mapping[str, Any]) -> OpticalFindings:
         **{
             **record,
             **{name: tuple(record[name]) for name in lists},
+            # Older records lack it.
+            "not_tried": tuple(record.get("not_tried", ())),
             "verdict": Verdict(record["verdict"]),
             "candidates": _candidates_of(record["candidates"]),
             "gap": None if gap is None else ChannelGap(**gap),

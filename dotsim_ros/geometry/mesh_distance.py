@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.arrays import FloatArray
 
 # Triangles of metre coordinates have areas of 1e-9 m^2, whose squares underflow towards the
 # tolerances of float32 geometry; millimetres are well scaled.

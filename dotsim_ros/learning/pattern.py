@@ -1,9 +1,9 @@
 """The idle image with samples between its own, learned from presses.
 
-An idle image shows each point of the skin at one place between the pixels. Carried by half a pixel,
+An idle image shows each point of the skin at one place between the pixels. Warped by half a pixel,
 a pattern whose edges are sharper than pixels is off by what interpolation does not know; on images
 of 320x240 that is more than their noise. Presses show the same points at many other places, so they
-tell the samples between: those are the least squares of what the carrying skin makes of them
+tell the samples between: those are the least squares of what the warping skin makes of them
 against what was measured. (Super-resolution from known motion; Elad and Feuer, "Restoration of a
 single superresolution image from several blurred, noisy, and undersampled measured images", 1997.)
 The samples at the idle image's own pixels lose noise in the same solve.
@@ -19,17 +19,14 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.learning.untouched import with_refined_idle
-from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
+from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-IndexArray = NDArray[np.int64]
 
 PRIOR_WEIGHT = 0.7
 """Of a sample interpolated in the idle image, against one measured pixel."""
@@ -52,7 +49,7 @@ class _Samples:
         value: (N, 3) measured, without shading and vignetting.
     """
 
-    first: IndexArray
+    first: IntArray
     weight: FloatArray
     value: FloatArray
 
@@ -112,7 +109,7 @@ def _samples_of(
     gain: Float32Array,
     lit: BoolArray,
     brightness: Float32Array,
-    measured: ByteImage,
+    measured: ImageArray,
 ) -> _Samples:
     """Return what one frame tells.
 

@@ -1,4 +1,4 @@
-"""A sheet that shows what a network has learned: measured, carried, predicted, and the error."""
+"""A sheet that shows what a network has learned: measured, warped, predicted, and the error."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import write_image
-from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.twin.footage import OpticalPress
 
-COLUMNS = ("measured", "carried", "predicted", "error of carried x4", "error of predicted x4")
+COLUMNS = ("measured", "carried", "predicted", "error of warped x4", "error of predicted x4")
 ERROR_GAIN = 4.0
 TITLE_PX = 18
 
 
-def _error(image: ByteImage, measured: ByteImage) -> ByteImage:
+def _error(image: ImageArray, measured: ImageArray) -> ImageArray:
     error = 128.0 + ERROR_GAIN * (measured.astype(np.float32) - image)
     return np.clip(error, 0.0, 255.0).astype(np.uint8)
 
 
-def _titled(image: ByteImage, title: str) -> ByteImage:
+def _titled(image: ImageArray, title: str) -> ImageArray:
     bar = np.zeros((TITLE_PX, image.shape[1], 3), dtype=np.uint8)
     cv2.putText(
         bar, title, (3, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (230, 230, 230), 1, cv2.LINE_AA
@@ -31,7 +31,7 @@ def _titled(image: ByteImage, title: str) -> ByteImage:
 
 
 def write_preview(
-    path: Path, presses: Sequence[OpticalPress], predicted: Sequence[ByteImage], *, rows: int = 6
+    path: Path, presses: Sequence[OpticalPress], predicted: Sequence[ImageArray], *, rows: int = 6
 ) -> None:
     """Write the deepest frame of each press, a row each, as PNG.
 
@@ -46,9 +46,9 @@ def write_preview(
     for index in chosen:
         press = presses[index]
         frame = int(np.argmax(press.tip_depth_m))
-        measured, carried = press.measured[frame], press.carried[frame]
+        measured, warped = press.measured[frame], press.warped[frame]
         image = predicted[index][frame]
-        pictures = (measured, carried, image, _error(carried, measured), _error(image, measured))
+        images = (measured, warped, image, _error(warped, measured), _error(image, measured))
         titles = (f"{press.name}, frame {frame}: {COLUMNS[0]}", *COLUMNS[1:])
-        lines.append(np.hstack([_titled(*pair) for pair in zip(pictures, titles, strict=True)]))
+        lines.append(np.hstack([_titled(*pair) for pair in zip(images, titles, strict=True)]))
     write_image(path, np.vstack(lines))

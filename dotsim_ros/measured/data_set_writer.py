@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.files import whole_file, write_image, write_text
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.pose import Pose, Wrench
@@ -51,11 +51,11 @@ class RecordedFrame(Protocol):
         """Of the gel on the indenter, base frame."""
 
     @property
-    def skin_position_m(self) -> NDArray[np.float64]:
+    def skin_position_m(self) -> FloatArray:
         """(V, 3) of the skin, base frame."""
 
     @property
-    def image(self) -> NDArray[np.uint8]:
+    def image(self) -> ImageArray:
         """(H, W, 3) red, green, blue."""
 
 
@@ -176,7 +176,7 @@ class DataSetWriter:
         }
         self._write_index(records)
 
-    def add_idle_image(self, image: NDArray[np.uint8]) -> Path:
+    def add_idle_image(self, image: ImageArray) -> Path:
         """Write an image (H, W, 3), red, green, blue, without contact; return its file."""
         path = self.directory / f"idle_{len(list(self.directory.glob('idle_*.png')))}.png"
         write_image(path, image)
@@ -258,7 +258,7 @@ def write_data_set(
     presses: Iterable[tuple[Trajectory, Indenter]],
     *,
     skin: SkinMesh | None = None,
-    idle_images: Iterable[NDArray[np.uint8]] = (),
+    idle_images: Iterable[ImageArray] = (),
 ) -> DataSet:
     """Write a data set, whole or not at all; `DataSetWriter` writes one that grows.
 

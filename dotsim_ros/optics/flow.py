@@ -1,16 +1,16 @@
-"""How the picture moves from one shape of the skin to another."""
+"""How the image moves from one shape of the skin to another."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.pose import FloatArray
-from dotsim_ros.optics.renderer import IntArray, View
+from dotsim_ros.arrays import FloatArray, IndexArray
+from dotsim_ros.optics.renderer import View
 
 
-def image_motion_px(view: View, triangles: IntArray, pixel_before: FloatArray) -> FloatArray:
-    """Return how far (H, W, 2) what each pixel shows has moved in the picture, x then y.
+def image_motion_px(view: View, triangles: IndexArray, pixel_before: FloatArray) -> FloatArray:
+    """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y.
 
     Args:
         view: of the skin now.

@@ -1,11 +1,11 @@
-"""The image: the idle frame carried along by the skin, and shaded anew to first order.
+"""The image: the idle frame warped along by the skin, and shaded anew to first order.
 
 Every pixel shows the material point that it shows in the idle frame somewhere else; the colour is
 taken from there and multiplied by the change of the light that reaches the point: the sum over the
 LEDs of the cosine of incidence over the squared distance (a Lambertian coat), relative to that at
 rest. A glossy coat also mirrors the LEDs, in a lobe around the half-way direction (Blinn, "Models
-of light reflection for computer synthesized pictures", 1977). At rest the image is the idle frame,
-bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a residual
+of light reflection for computer synthesized images", 1977). At rest the image is the idle frame,
+bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a completion
 that may be learned.
 """
 
@@ -18,25 +18,24 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.frame_memory import FrameMemory
-from dotsim_ros.optics.idle import BoolArray, ByteImage, check_fine, check_image, lit_region
+from dotsim_ros.optics.idle import check_fine, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
-
-Float32Array = NDArray[np.float32]
 
 RIM_PX = 2
 """Width of the soft rim of the lit disc, whose colours are not spread outwards."""
 
 
-class Residual(Protocol):
-    """What a learned model adds to the carried image."""
+class Completion(Protocol):
+    """What a learned model adds to the warped image."""
 
-    def __call__(self, view: View, carried: ByteImage) -> Float32Array:
-        """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
+    def __call__(self, view: View, warped: ImageArray) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3)."""
 
 
 def spread_outwards(image: Float32Array, region: BoolArray) -> Float32Array:
@@ -110,12 +109,12 @@ class ImageRenderer:
         vignetting: of the camera, which the pattern moves beneath.
         fine: (2 H - 1, 2 W - 1, 3) uint8, the idle image with samples half-way between its own,
             and with the rim's colours beyond the lit disc; None to interpolate them.
-        residual: what to add to the carried image; None for nothing.
+        completion: what to add to the warped image; None for nothing.
         device: Warp's name of the device.
 
     Attributes:
         pixel_kernels: the module whose kernel colours the image; both give the same.
-        fine_pattern: (2 H - 1, 2 W - 1, 3) float32, what is carried: the idle image without
+        fine_pattern: (2 H - 1, 2 W - 1, 3) float32, what is warped: the idle image without
             vignetting, with samples half-way between its own.
         fine_brightness: (2 H - 1, 2 W - 1) that vignetting leaves at them.
 
@@ -128,12 +127,12 @@ class ImageRenderer:
         self,
         camera: FisheyeCamera,
         skin_mesh: SkinMesh,
-        idle_image: ByteImage,
+        idle_image: ImageArray,
         *,
         lighting: Lighting | None = None,
         vignetting: Vignetting | None = None,
-        fine: ByteImage | None = None,
-        residual: Residual | None = None,
+        fine: ImageArray | None = None,
+        completion: Completion | None = None,
         device: str = "cpu",
     ) -> None:
         check_image(idle_image)
@@ -146,7 +145,7 @@ class ImageRenderer:
             raise ValueError(
                 f"idle image is {camera.width}x{camera.height}, expected two pixels each way"
             )
-        self.residual = residual
+        self.completion = completion
         self._camera = camera
         self._lighting = lighting or Lighting()
         self._device = wp.get_device(device)
@@ -172,7 +171,7 @@ class ImageRenderer:
         self._ambient = wp.vec3(*ambient)
 
     def _set_idle(
-        self, idle_image: ByteImage, fine: ByteImage | None, brightness: Float32Array
+        self, idle_image: ImageArray, fine: ImageArray | None, brightness: Float32Array
     ) -> None:
         lit = lit_region(idle_image)
         self._idle = self._upload(idle_image, wp.uint8)
@@ -215,12 +214,12 @@ class ImageRenderer:
         """Return the brightness (V, 3) of each vertex over that at rest, without vignetting."""
         return np.asarray(self._gain(view).numpy(), dtype=np.float32)
 
-    def carry(self, view: View) -> ByteImage:
-        """Return the image (H, W, 3) without the residual."""
+    def warp(self, view: View) -> ImageArray:
+        """Return the image (H, W, 3) without the completion."""
         gain = self._gain(view)
         image = self._memory.array(self._idle.shape, wp.uint8)
         wp.launch(
-            self.pixel_kernels.carry_idle,
+            self.pixel_kernels.warp_idle,
             dim=(self._camera.height, self._camera.width // self._run),
             inputs=[
                 self._upload(view.triangle, wp.int32),
@@ -240,11 +239,11 @@ class ImageRenderer:
         )
         return np.asarray(image.numpy(), dtype=np.uint8)
 
-    def render(self, view: View) -> ByteImage:
+    def render(self, view: View) -> ImageArray:
         """Return the image (H, W, 3), red, green, blue, of what the camera sees."""
-        carried = self.carry(view)
-        if self.residual is None:
-            return carried
+        warped = self.warp(view)
+        if self.completion is None:
+            return warped
         # Rounded and clipped to whole grey levels.
-        added = cv2.add(carried, self.residual(view, carried), dtype=cv2.CV_8U)
+        added = cv2.add(warped, self.completion(view, warped), dtype=cv2.CV_8U)
         return np.asarray(added, dtype=np.uint8)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay
 
 import msg_adapters
-
-FloatArray = NDArray[np.float64]
+from dotsim_ros.arrays import FloatArray
 
 FLAT_RATIO = 0.3
 """A skin lower than this part of its half-width is drawn as it lies, not unrolled."""
@@ -59,10 +58,10 @@ class SkinMap:
 
     def raster(self, values: ArrayLike) -> FloatArray:
         """Return (size, size) values, interpolated from (V,) at the vertices; NaN off the skin."""
-        picture = np.full(self._inside.shape, np.nan)
+        image = np.full(self._inside.shape, np.nan)
         at_corners = np.asarray(values, dtype=np.float64)[self._corners]
-        picture[self._inside] = (at_corners * self._weights).sum(axis=1)
-        return picture
+        image[self._inside] = (at_corners * self._weights).sum(axis=1)
+        return image
 
 
 def _flattened(rest: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The pictures' part of a search: its rule, its noise file, whose camera it is, what is said."""
+"""The images' part of a search: its rule, its noise file, whose camera it is, what is said."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from dotsim_ros.gap.findings import (
     findings_of,
 )
 from dotsim_ros.gap.images.case import OpticalCase, Shot
-from dotsim_ros.gap.images.fit import PictureSearch, mean_squares, without_effects
+from dotsim_ros.gap.images.fit import ImageSearch, mean_squares, without_effects
 from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
 from dotsim_ros.gap.images.search import signatures_of
@@ -78,7 +78,7 @@ def signatures():
 @pytest.fixture(scope="module")
 def searched(null, signatures):
     case = case_of(FILMS, null_residual(0))
-    return PictureSearch(case, case.shots, EFFECTS, null, alpha=0.02, seed=0, signatures=signatures)
+    return ImageSearch(case, case.shots, EFFECTS, null, alpha=0.02, seed=0, signatures=signatures)
 
 
 def residuals_with(law, seed):
@@ -89,7 +89,7 @@ def residuals_with(law, seed):
     ]
 
 
-def test_pictures_with_nothing_wrong_have_no_gap(searched):
+def test_images_with_nothing_wrong_have_no_gap(searched):
     for seed in range(6):
         answer = searched.answer(null_residual(seed))
         assert answer.verdict is Verdict.NO_GAP
@@ -142,7 +142,7 @@ def test_a_lens_out_of_focus_is_unknown(searched):
     assert answer.excess > answer.largest_excess
 
 
-def test_the_noise_of_pictures_comes_back_from_its_file(null, signatures, tmp_path):
+def test_the_noise_of_images_comes_back_from_its_file(null, signatures, tmp_path):
     path = tmp_path / "noise.npz"
     save_optical_null(null, path)
     again = load_optical_null(path)
@@ -174,6 +174,43 @@ def test_an_effect_whose_scatter_is_not_known_is_told_apart(null, signatures):
     assert not null.knows(LIBRARY["motion_blur"])
     with pytest.raises(ValueError, match="knows nothing of motion_blur"):
         null.variances("motion_blur", signatures["gamma"][0])
+    # A file of the user's that takes a shipped effect's name, with another parameter.
+    gamma = LIBRARY["gamma"]
+    (exponent,) = gamma.parameters
+    assert not null.knows(replace(gamma, parameters=(replace(exponent, name="power"),)))
+
+
+def test_a_reference_tells_the_scatter_of_effects_that_the_file_does_not_know(null):
+    films = [film_of(number) for number in REFERENCES]
+    random = np.random.default_rng(7)
+    case = case_of(films, [drawn(change, random) for change in changes_of(films)])
+    vignetting = LIBRARY["vignetting"]
+    poorer = replace(null, spurious=tuple(s for s in null.spurious if s.effect != "vignetting"))
+    assert not poorer.knows(vignetting)
+    # The same data tell the same, as if the file had been made with the effect.
+    again = poorer.with_effects([vignetting], case)
+    assert sorted(again.spurious, key=repr) == sorted(null.spurious, key=repr)
+    assert again.noise.trajectory_count == len(REFERENCES)
+    # Fewer trajectories raise the thresholds.
+    few = poorer.with_effects([vignetting], replace(case, shots=case.shots[:3]))
+    assert few.noise.trajectory_count == 3
+    searches = [
+        ImageSearch(case, case.shots, EFFECTS, one, alpha=0.02, seed=0) for one in (again, few)
+    ]
+    assert searches[1].threshold > searches[0].threshold
+
+
+def test_effects_that_were_not_tried_are_in_the_report_and_the_record():
+    found = replace(optical(Verdict.NO_GAP), not_tried=("my_tint",))
+    both = combined(no_gap(), found)
+    assert findings_of(as_record(both)) == both
+    text = as_markdown(page_of(both, {}, LIBRARY))
+    assert "## Not tried" in text
+    assert "my_tint" in text
+    assert "--fit-optical-noise" in text
+    older = as_record(both)
+    del older["optical"]["not_tried"]
+    assert findings_of(older).optical.not_tried == ()
 
 
 def test_the_shipped_noise_knows_every_effect_of_the_camera():
@@ -233,7 +270,7 @@ def test_images_are_used_where_bags_and_idle_images_are_there(tmp_path):
 
 
 def optical(verdict):
-    """Return a part of the pictures with a verdict."""
+    """Return a part of the images with a verdict."""
     found = verdict in (Verdict.NAMED, Verdict.SET)
     loss = Estimate("edge_loss", "", 0.1, 0.08, 0.12)
     vignetting = Candidate(
@@ -261,7 +298,7 @@ def optical(verdict):
 
 
 @pytest.mark.parametrize(
-    ("gel", "pictures", "expected"),
+    ("gel", "images", "expected"),
     [
         (no_gap, Verdict.NO_GAP, Verdict.NO_GAP),
         (no_gap, Verdict.NAMED, Verdict.NAMED),
@@ -276,23 +313,23 @@ def optical(verdict):
         (named, Verdict.UNUSABLE, Verdict.NAMED),
     ],
 )
-def test_both_parts_make_one_verdict(gel, pictures, expected):
-    both = combined(gel(), optical(pictures))
+def test_both_parts_make_one_verdict(gel, images, expected):
+    both = combined(gel(), optical(images))
     assert both.verdict is expected
     assert both.sentence.startswith(gel().sentence)
-    assert both.sentence.endswith(f"Images: {pictures.value}.")
-    assert both.named == gel().named + optical(pictures).named
+    assert both.sentence.endswith(f"Images: {images.value}.")
+    assert both.named == gel().named + optical(images).named
     assert "2 trajectories with images are few" in both.warnings
 
 
-def test_pictures_alone_give_the_verdict():
+def test_images_alone_give_the_verdict():
     alone = replace(no_gap(), sentence="")
     assert combined(alone, optical(Verdict.UNUSABLE)).verdict is Verdict.UNUSABLE
     assert combined(alone, optical(Verdict.NAMED)).sentence == "Images: named."
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))
-def test_findings_with_pictures_come_back_from_their_record(verdict):
+def test_findings_with_images_come_back_from_their_record(verdict):
     both = combined(named(), optical(verdict))
     assert findings_of(as_record(both)) == both
     assert as_record(both)["optical"]["verdict"] == verdict.value
@@ -306,7 +343,7 @@ def test_the_report_keeps_the_parts_apart(tmp_path: Path):
     assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
     assert "19 trajectories of sensor_a" in text
     assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
-    # What no picture excites stands beside what no press does.
+    # What no image excites stands beside what no press does.
     assert "| Motion blur |" in text
     refused = as_markdown(page_of(combined(no_gap(), optical(Verdict.UNUSABLE)), {}, LIBRARY))
     assert "Images: unusable." in refused

@@ -8,11 +8,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.calibration.camera.fit import CameraFit
 from dotsim_ros.calibration.camera.model import CameraModel
-from dotsim_ros.calibration.camera.score import FrameScore, by_depth
+from dotsim_ros.calibration.camera.score import CameraFrameScore, by_depth
 from dotsim_ros.metrics.images import image_psnr_db
-from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import FilmedData
@@ -20,7 +20,7 @@ from dotsim_ros.twin.footage import FilmedData
 CONTRAST = 4
 """Differences in the sheet are shown so many times larger, around grey."""
 
-Scores = Mapping[str, Mapping[str, Sequence[FrameScore]]]
+Scores = Mapping[str, Mapping[str, Sequence[CameraFrameScore]]]
 """Scores by model ("before", "lens", "after") and by set ("train", "held_out")."""
 
 
@@ -72,14 +72,14 @@ def summary_lines(figures: Mapping[str, Any]) -> list[str]:
             some = next(iter(found.values()))
             pixels = " -> ".join(f"{row['reprojection_rms_px']:.2f}" for row in found.values())
             lines.append(
-                f"{name}, {rows} ({some['frames']} frames): idle {some['idle_db']:.2f} dB, carried "
+                f"{name}, {rows} ({some['frames']} frames): idle {some['idle_db']:.2f} dB, warped "
                 f"{way} dB, reprojection {pixels} px"
             )
     return lines
 
 
-def draw_sheet(filmed: FilmedData, model: CameraModel) -> ByteImage:
-    """Return measured, carried and their difference, side by side, for the deepest frame of one
+def draw_sheet(filmed: FilmedData, model: CameraModel) -> ImageArray:
+    """Return measured, warped and their difference, side by side, for the deepest frame of one
     press of each indenter."""
     renderer = SkinRenderer(model.camera, filmed.skin)
     image = ImageRenderer(
@@ -96,14 +96,14 @@ def draw_sheet(filmed: FilmedData, model: CameraModel) -> ByteImage:
         shown.add(press.indenter)
         deepest = int(np.argmax(press.tip_depth_m))
         measured = press.measured[deepest]
-        carried = image.carry(renderer.render(press.skin_position_m[deepest]))
-        change = carried.astype(np.int32) - measured
+        warped = image.warp(renderer.render(press.skin_position_m[deepest]))
+        change = warped.astype(np.int32) - measured
         enlarged = np.clip(128 + CONTRAST * change, 0, 255).astype(np.uint8)
         rows.append(
             np.hstack(
                 [
                     _titled(measured, f"{press.name} measured"),
-                    _titled(carried, f"carried {image_psnr_db(carried, measured):.1f} dB"),
+                    _titled(warped, f"warped {image_psnr_db(warped, measured):.1f} dB"),
                     _titled(enlarged, f"difference x{CONTRAST}"),
                 ]
             )
@@ -111,7 +111,7 @@ def draw_sheet(filmed: FilmedData, model: CameraModel) -> ByteImage:
     return np.vstack(rows)
 
 
-def _titled(image: ByteImage, title: str) -> ByteImage:
+def _titled(image: ImageArray, title: str) -> ImageArray:
     titled = np.ascontiguousarray(image)
     if titled is image:
         titled = image.copy()

@@ -1,7 +1,7 @@
 """Camera extrinsics: the camera is turned about its own place.
 
 A camera that turns without moving sees the same rays elsewhere, whatever their depth, so the
-picture is resampled exactly but for the lens's radial distortion, which a picture does not tell. A
+image is resampled exactly but for the lens's radial distortion, which an image does not tell. A
 camera that has moved sees a parallax that depends on depth: that is left out.
 """
 
@@ -10,15 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import FixedResampling, any_frame
 from dotsim_ros.geometry.camera import FisheyeCamera
 
@@ -28,7 +21,7 @@ def _image(values: Values) -> ImageFilter:
         [values["tilt_x_rad"], values["tilt_y_rad"], values["roll_rad"]]
     ).as_matrix()
 
-    def source(image: SeenImage) -> tuple[Array, Array]:
+    def source(image: SeenImage) -> tuple[FloatArray, FloatArray]:
         height, width = image.pixels.shape[:2]
         camera = FisheyeCamera(width, height, image.focal_px, image.centre_px)
         directions, _ = camera.rays()
@@ -49,7 +42,7 @@ EFFECT = Effect(
         EffectParameter("roll_rad", "rad", 0.0, -0.07, 0.07, (0.0, 0.01)),
     ),
     channels=(IMAGE,),
-    protocol="pictures of the idle pattern",
+    protocol="images of the idle pattern",
     excited_by=any_frame,
     taken_for=("camera_intrinsics", "pose_offset"),
     image=_image,

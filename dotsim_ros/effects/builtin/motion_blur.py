@@ -1,7 +1,7 @@
-"""Motion blur: the picture moves while the camera exposes.
+"""Motion blur: the image moves while the camera exposes.
 
-The picture is the mean of what was seen at even times over the exposure, which is centred on the
-frame's stamp, so that the blur is not a latency too. Each instant is the frame's picture, moved by
+The image is the mean of what was seen at even times over the exposure, which is centred on the
+frame's stamp, so that the blur is not a latency too. Each instant is the frame's image, moved by
 its flow.
 """
 
@@ -9,15 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import moves_fast, pixel_places, sampled, within_scale
 
 SAMPLES_PER_PX = 2.0
@@ -27,7 +20,7 @@ MOST_SAMPLES = 33
 def _image(values: Values) -> ImageFilter:
     exposure_s = values["exposure_s"]
 
-    def blurred(image: SeenImage) -> Array:
+    def blurred(image: SeenImage) -> FloatArray:
         path_px = exposure_s * image.flow_px_s
         longest_px = float(np.linalg.norm(path_px, axis=2).max(initial=0.0))
         if longest_px == 0.0:

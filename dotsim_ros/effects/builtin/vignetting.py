@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import any_frame, radius_square, within_scale
 
 
 def _image(values: Values) -> ImageFilter:
     loss = values["edge_loss"]
 
-    def vignetted(image: SeenImage) -> Array:
+    def vignetted(image: SeenImage) -> FloatArray:
         return within_scale(image.pixels * (1.0 - loss * radius_square(image))[..., None])
 
     return vignetted
@@ -26,10 +19,10 @@ def _image(values: Values) -> ImageFilter:
 EFFECT = Effect(
     name="vignetting",
     title="Vignetting",
-    # The loss at half the picture's height from the axis, over that at the axis.
+    # The loss at half the image's height from the axis, over that at the axis.
     parameters=(EffectParameter("edge_loss", "", 0.0, 0.0, 0.3, (0.05, 0.2)),),
     channels=(IMAGE,),
-    protocol="any pictures, also without contact",
+    protocol="any images, also without contact",
     excited_by=any_frame,
     taken_for=("gamma",),
     image=_image,

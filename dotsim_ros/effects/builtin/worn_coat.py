@@ -1,6 +1,6 @@
-"""Worn coat: a smooth spot of the picture that scatters less light than it did.
+"""Worn coat: a smooth spot of the image that scatters less light than it did.
 
-The spot is a Gaussian at a fixed place of the picture. A spot of the coat moves with the skin under
+The spot is a Gaussian at a fixed place of the image. A spot of the coat moves with the skin under
 contact; as long as that is less than its radius this makes little difference.
 """
 
@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import any_frame, pixel_places, within_scale
 
 PLACES_RAD = (0.0, -1.0, -0.5, 0.5, 1.0)
 
 
 def _image(values: Values) -> ImageFilter:
-    def worn(image: SeenImage) -> Array:
+    def worn(image: SeenImage) -> FloatArray:
         x, y = pixel_places(image)
         across_x = (x - image.centre_px[0]) / image.focal_px - values["x_rad"]
         across_y = (y - image.centre_px[1]) / image.focal_px - values["y_rad"]
@@ -44,7 +37,7 @@ EFFECT = Effect(
         EffectParameter("radius_rad", "rad", None, 0.1, 0.6, (0.3,)),
     ),
     channels=(IMAGE,),
-    protocol="pictures without contact, at commissioning and after wear",
+    protocol="images without contact, at commissioning and after wear",
     excited_by=any_frame,
     taken_for=("dust", "vignetting"),
     image=_image,

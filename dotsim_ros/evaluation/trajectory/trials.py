@@ -17,10 +17,10 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key
 from dotsim_ros.files import given_path, whole_file, write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.optics.idle import read_idle_frame, resample
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor, sensor_path
@@ -115,7 +115,7 @@ class Loop(Protocol):
 
 
 @dataclass
-class Trials:
+class TrajectoryTrials:
     """The recordings of a plan, and what they are worth.
 
     Attributes:
@@ -177,11 +177,11 @@ def write_shifted(folder: Path, source: str) -> Path:
     x, y, z, w = camera["quaternion_xyzw"]
     tilted = FisheyeCamera.from_specification(replace(sensor.camera, quaternion_xyzw=(x, y, z, w)))
     seen = resample(read_idle_frame(idle, own).image, own, tilted)
-    picture = folder.absolute() / "shifted_idle.png"
-    write_image(picture, np.rint(DIMMED * seen).astype(np.uint8))
+    idle_file = folder.absolute() / "shifted_idle.png"
+    write_image(idle_file, np.rint(DIMMED * seen).astype(np.uint8))
     if idle.with_suffix(".yaml").is_file():
-        shutil.copyfile(idle.with_suffix(".yaml"), picture.with_suffix(".yaml"))
-    camera["idle_image"] = str(picture)
+        shutil.copyfile(idle.with_suffix(".yaml"), idle_file.with_suffix(".yaml"))
+    camera["idle_image"] = str(idle_file)
     path = folder / "shifted.yaml"
     with whole_file(path) as part:
         part.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
@@ -214,7 +214,7 @@ def run_trials(
     *,
     contact: DomeContact | None = None,
     progress: Callable[[str], None],
-) -> Trials:
+) -> TrajectoryTrials:
     """Run what has not been run before, and judge all.
 
     Args:
@@ -229,7 +229,7 @@ def run_trials(
         OSError: a trial could not be run in TRIES tries.
     """
     contact = contact or DomeContact()
-    trials = Trials()
+    trials = TrajectoryTrials()
     for setting in plan.settings:
         for name in plan.paths:
             path = reference_path(name, contact)
@@ -421,7 +421,7 @@ def limits_shown(limits: SafetyLimits) -> dict[str, Any]:
     }
 
 
-def trajectory_figures(plan: TrialPlan, trials: Trials) -> dict[str, Any]:
+def trajectory_figures(plan: TrialPlan, trials: TrajectoryTrials) -> dict[str, Any]:
     """Return the figures as the JSON file holds them."""
     figures: dict[str, Any] = {}
     for setting in plan.settings:

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import Candidate, Findings, Place, Verdict
+from dotsim_ros.gap.findings import Candidate, Findings, ResidualPlace, Verdict
 from dotsim_ros.gap.report.figures import gap_bars, heatmap, ranking, worst_frame
-from dotsim_ros.gap.report.images import picture_sections
+from dotsim_ros.gap.report.images import image_sections
 from dotsim_ros.gap.report.places import ALL, by_phase, by_trajectory
 from dotsim_ros.gap.report.text import (
     duration,
@@ -50,11 +50,11 @@ def page_of(
     label, colour = LABELS[findings.verdict]
     # Many warnings would push what was found off the first screen, which then counts them.
     warns_first = len(findings.warnings) <= _MOST_WARNINGS_FIRST or not findings.candidates
-    gel = _without_pictures(findings)
+    gel = _without_images(findings)
     sections = [
         _at_a_glance(gel, warns_first),
         _warnings(findings) if warns_first else None,
-        *(() if findings.optical is None else picture_sections(findings.optical, effects)),
+        *(() if findings.optical is None else image_sections(findings.optical, effects)),
         _gaps(gel),
         _where_and_when(gel),
         _worst(gel),
@@ -62,7 +62,7 @@ def page_of(
         _not_apart(gel, effects),
         _remains(gel),
         None if warns_first else _warnings(findings),
-        _not_excited(findings, effects),
+        _not_tried(findings, effects),
         _calibrated(findings),
         _cost(findings, provenance),
     ]
@@ -75,7 +75,7 @@ def page_of(
     )
 
 
-def _without_pictures(f: Findings) -> Findings:
+def _without_images(f: Findings) -> Findings:
     """Return findings whose names are those of skin and force alone."""
     if f.optical is None:
         return f
@@ -158,20 +158,20 @@ def _gaps(f: Findings) -> Section | None:
 
 def _where_and_when(f: Findings) -> Section | None:
     phases, trajectories = by_phase(f.places), by_trajectory(f.places)
-    pictures = []
+    images = []
     if phases.rows and phases.columns:
-        pictures.append(heatmap(phases, "before", name="phases", title="By phase"))
+        images.append(heatmap(phases, "before", name="phases", title="By phase"))
         if f.named:
             title = "By phase, with the effect"
-            pictures.append(heatmap(phases, "after", name="phases_after", title=title))
+            images.append(heatmap(phases, "after", name="phases_after", title=title))
     if trajectories.rows and trajectories.columns:
         title = "By trajectory"
-        pictures.append(heatmap(trajectories, "before", name="trajectories", title=title))
-    if not pictures:
+        images.append(heatmap(trajectories, "before", name="trajectories", title=title))
+    if not images:
         return None
     text = "RMS of the residuals in units of their expected deviation: 1 is noise and "
     text += "discretisation alone. Blank: nothing measured there."
-    return Section("Where and when", (Gallery(tuple(pictures)), Paragraph(text)))
+    return Section("Where and when", (Gallery(tuple(images)), Paragraph(text)))
 
 
 def _worst(f: Findings) -> Section | None:
@@ -210,7 +210,7 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
     tried = [candidate for candidate in f.candidates if candidate.is_excited]
     if not tried:
         return None
-    picture = ranking(f)
+    image = ranking(f)
     head = (
         "effect",
         "score / limit",
@@ -231,7 +231,7 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
         for rank, c in enumerate(tried, start=1)
     )
     blocks = (
-        *((Gallery((picture,)),) if picture is not None else ()),
+        *((Gallery((image,)),) if image is not None else ()),
         Table(head, rows),
         Paragraph(
             "A score counts from the effect's own limit: what the model's error imitates has a "
@@ -329,7 +329,7 @@ def _remains(f: Findings) -> Section | None:
     return Section("What remains", tuple(blocks)) if blocks else None
 
 
-def _place_row(p: Place, with_after: bool) -> tuple[str, ...]:
+def _place_row(p: ResidualPlace, with_after: bool) -> tuple[str, ...]:
     interval = f" ({p.low:.2g} to {p.high:.2g})" if p.high > 0.0 else ""
     return (
         f"{p.channel}, {p.region}, {p.phase}",
@@ -340,17 +340,24 @@ def _place_row(p: Place, with_after: bool) -> tuple[str, ...]:
     )
 
 
-def _not_excited(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
+def _not_tried(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
+    blocks: list[Block] = []
     rows = tuple(
         (c.title, effects[c.name].protocol if c.name in effects else "see the effect's file")
         for c in (*f.candidates, *(() if f.optical is None else f.optical.candidates))
         if not c.is_excited
     )
-    if not rows:
-        return None
-    text = "No trajectory excites these effects: they are neither found nor excluded."
-    blocks = (Paragraph(text), Table(("effect", "what to record"), rows))
-    return Section("Not tried", blocks)
+    if rows:
+        text = "No trajectory excites these effects: they are neither found nor excluded."
+        blocks += [Paragraph(text), Table(("effect", "what to record"), rows)]
+    if f.optical is not None and f.optical.not_tried:
+        titles = [effects[n].title if n in effects else n for n in f.optical.not_tried]
+        text = "How large these effects seem in images in which nothing is wrong is not known: "
+        text += "they are neither found nor excluded. dotsim_ros find-gap --fit-optical-noise FILE "
+        text += "learns it, --optical-noise FILE takes it."
+        rows = tuple((title, name) for title, name in zip(titles, f.optical.not_tried, strict=True))
+        blocks += [Paragraph(text), Table(("effect", "its file"), rows)]
+    return Section("Not tried", tuple(blocks)) if blocks else None
 
 
 def _calibrated(f: Findings) -> Section | None:

@@ -19,8 +19,9 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters

@@ -4,7 +4,7 @@ An indenter's pose or velocity goes in; images, depth, the skin and the wrench c
 
 The real-time clock has one thread that presses, renders and publishes. Two, one for the gel and one
 for the camera, were measured: on two cores, which the readers of the images need as well, they slow
-each other down, and every picture comes later.
+each other down, and every image comes later.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
-from dotsim_ros.nodes.tactile_sim.motion import Motion, NewestMotion
+from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
-from dotsim_ros.nodes.tactile_sim.session import Moment, SensorSession
+from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from msg_adapters import Status
@@ -176,13 +176,13 @@ class TactileSim(WorkingNode):
                 self._input.guard(self._session.catch_up)
             self._publish(self._session.moment, stamp_ns)
 
-    def _lockstep_frame(self, motion: Motion) -> None:
+    def _lockstep_frame(self, motion: MotionOrder) -> None:
         with self._lock:
             if self._is_enabled:
                 self._publish(self._session.follow(motion), motion.stamp_ns)
 
-    def _publish(self, moment: Moment, stamp_ns: int) -> None:
-        if self._outputs.shows_picture():
+    def _publish(self, moment: SensorMoment, stamp_ns: int) -> None:
+        if self._outputs.shows_image():
             moment.render()
         begun_s = time.monotonic()
         self._outputs.publish(moment, stamp_ns)

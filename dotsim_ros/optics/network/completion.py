@@ -1,4 +1,4 @@
-"""A trained network as the image's residual, run by ONNX Runtime: no torch at run time."""
+"""A trained network as the image's completion, run by ONNX Runtime: no torch at run time."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.optics.network.card import BASES, FINENESS, check_card, read_network
 from dotsim_ros.optics.network.carded_weights import GRAPH
-from dotsim_ros.optics.network.input import NetworkInput, resized
+from dotsim_ros.optics.network.input import CompletionInput, resized
 from dotsim_ros.optics.renderer import View
-
-Float32Array = NDArray[np.float32]
 
 THREADS = 1
 
 
-class ResidualNetwork:
+class CompletionNetwork:
     """A network of one sensor, read from its folder.
 
     Args:
@@ -60,8 +57,8 @@ class ResidualNetwork:
         )
         self._inputs = {entry.name for entry in self._session.get_inputs()}
 
-    def at_rest(self, view: View, idle: ByteImage) -> LearnedResidual:
-        """Return the residual for one idle frame.
+    def at_rest(self, view: View, idle: ImageArray) -> LearnedCompletion:
+        """Return the completion for one idle frame.
 
         Args:
             view: of the gel untouched.
@@ -71,7 +68,7 @@ class ResidualNetwork:
             ValueError: view or idle frame are not of the camera's size.
         """
         fineness = FINENESS[self.card.kind]
-        given = NetworkInput(
+        given = CompletionInput(
             self._camera,
             (self.card.width // fineness, self.card.height // fineness),
             fineness=fineness,
@@ -79,7 +76,7 @@ class ResidualNetwork:
             normal=view.normal,
             idle=idle,
         )
-        return LearnedResidual(self, given, idle)
+        return LearnedCompletion(self, given, idle)
 
     def added(self, frame: Float32Array, rest: Float32Array, image: Float32Array) -> Float32Array:
         """Return what the network adds (3, f h, f w), over 255; see `network_input`."""
@@ -88,8 +85,8 @@ class ResidualNetwork:
         return np.asarray(self._session.run(None, fed)[0][0])
 
 
-class LearnedResidual:
-    """What a network adds to the carried image, for one idle frame; see `image.Residual`.
+class LearnedCompletion:
+    """What a network adds to the warped image, for one idle frame; see `image.Residual`.
 
     Args:
         network: that is run.
@@ -97,18 +94,20 @@ class LearnedResidual:
         idle: (H, W, 3) the idle frame.
     """
 
-    def __init__(self, network: ResidualNetwork, given: NetworkInput, idle: ByteImage) -> None:
+    def __init__(
+        self, network: CompletionNetwork, given: CompletionInput, idle: ImageArray
+    ) -> None:
         self._network, self._given, self._idle = network, given, idle
 
-    def __call__(self, view: View, carried: ByteImage) -> Float32Array:
-        """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
-        frame = self._given.frame(view.depth_m, view.normal, carried)
-        added = self._network.added(frame, self._given.rest, self._given.image(carried))
-        residual = resized(cv2.merge(list(255.0 * added)), (carried.shape[1], carried.shape[0]))
+    def __call__(self, view: View, warped: ImageArray) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3)."""
+        frame = self._given.frame(view.depth_m, view.normal, warped)
+        added = self._network.added(frame, self._given.rest, self._given.image(warped))
+        completion = resized(cv2.merge(list(255.0 * added)), (warped.shape[1], warped.shape[0]))
         match BASES[self._network.card.kind]:
             case "carried":
-                return residual
+                return completion
             case "idle":
-                return residual + self._idle.astype(np.float32) - carried.astype(np.float32)
+                return completion + self._idle.astype(np.float32) - warped.astype(np.float32)
             case _:
-                return residual - carried.astype(np.float32)
+                return completion - warped.astype(np.float32)

@@ -1,13 +1,13 @@
-"""What a network of images is given: geometry and carried image of a frame, beside those at rest.
+"""What a network of images is given: geometry and warped image of a frame, beside those at rest.
 
 Three arrays, channels first, all values of order one:
 
 - `frame` (7, h, w): unit normal mapped from [-1, 1] to [0, 1] (3), distance along the ray over the
-  largest at rest (1), carried image over 255 (3);
-- `rest` (10, h, w): the same of the gel untouched, with the idle frame in place of the carried
+  largest at rest (1), warped image over 255 (3);
+- `rest` (10, h, w): the same of the gel untouched, with the idle frame in place of the warped
   image (7), the pixel's place x and y from the principal point over half the height (2), and a
   weight that fades from 1 inside the lit disc to 0 before its rim (1);
-- `image` (3, f h, f w): the carried image over 255 at the resolution of what is added, which may be
+- `image` (3, f h, f w): the warped image over 255 at the resolution of what is added, which may be
   finer than the geometry's by a factor f.
 
 Where no skin is seen the geometry is 0 in both. At rest `frame` equals the first seven channels of
@@ -22,10 +22,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import ByteImage, lit_region
-
-Float32Array = NDArray[np.float32]
+from dotsim_ros.optics.idle import lit_region
 
 FRAME = slice(0, 7)
 GEOMETRY = slice(0, 4)
@@ -52,7 +51,7 @@ def resized(array: NDArray[Pixels], size: tuple[int, int]) -> NDArray[Pixels]:
     return np.asarray(cv2.resize(array, size, interpolation=interpolation), dtype=array.dtype)
 
 
-class NetworkInput:
+class CompletionInput:
     """Brings what a camera sees to the size and the units of a network.
 
     Args:
@@ -79,7 +78,7 @@ class NetworkInput:
         fineness: int,
         depth_m: Float32Array,
         normal: Float32Array,
-        idle: ByteImage,
+        idle: ImageArray,
     ) -> None:
         for name, array in (("depth_m", depth_m), ("normal", normal), ("idle", idle)):
             if array.shape[:2] != (camera.height, camera.width):
@@ -108,14 +107,14 @@ class NetworkInput:
         ).astype(np.float32)
 
     def frame(
-        self, depth_m: Float32Array, normal: Float32Array, carried: ByteImage
+        self, depth_m: Float32Array, normal: Float32Array, warped: ImageArray
     ) -> Float32Array:
         """Return the input (7, h, w) of one frame.
 
         Args:
             depth_m: (H, W) distance along the ray; NaN where no skin is seen.
             normal: (H, W, 3) unit normal in the optical frame.
-            carried: (H, W, 3) uint8.
+            warped: (H, W, 3) uint8.
         """
         width, height = self.size
         frame = np.empty((FRAME.stop, height, width), dtype=np.float32)
@@ -126,15 +125,15 @@ class NetworkInput:
         np.multiply(resized(depth_m, self.size), self._depth_scale, out=frame[3])
         # cv2 does it in place, on two dimensions.
         cv2.patchNaNs(frame[:4].reshape(4 * height, width), 0.0)
-        frame[CARRIED] = self._planes(carried, self.size)
+        frame[CARRIED] = self._planes(warped, self.size)
         return frame
 
-    def image(self, carried: ByteImage) -> Float32Array:
-        """Return a carried image (H, W, 3) uint8 as input (3, f h, f w)."""
-        return self._planes(carried, self._image_size)
+    def image(self, warped: ImageArray) -> Float32Array:
+        """Return a warped image (H, W, 3) uint8 as input (3, f h, f w)."""
+        return self._planes(warped, self._image_size)
 
     @staticmethod
-    def _planes(image: ByteImage, size: tuple[int, int]) -> Float32Array:
+    def _planes(image: ImageArray, size: tuple[int, int]) -> Float32Array:
         small = resized(image, size)
         planes = np.empty((3, size[1], size[0]), dtype=np.float32)
         for channel in range(3):

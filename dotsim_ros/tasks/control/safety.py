@@ -7,7 +7,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.tasks.arm.command import Twist, brake_time_s
 from dotsim_ros.tasks.control.freshness import StreamReading
 

@@ -1,4 +1,4 @@
-"""A unit of a sensor whose pictures are path-traced, and the data sets that it is measured in.
+"""A unit of a sensor whose photographs are path-traced, and the data sets that it is measured in.
 
 Skins are those of a measured data set, so neither the gel nor the light is this project's.
 """
@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.evaluation.gap.hidden.path_traced import (
     MAP_REACH_RAD,
     MAP_SIZE,
@@ -35,13 +36,10 @@ from dotsim_ros.measured.trajectory import (
     WrenchChannel,
 )
 
-Array = NDArray[np.float64]
-ByteImage = NDArray[np.uint8]
-
 FULL_SCALE = 255.0
 NOISE_LEVELS = 1.2
 WHITE_LEVEL = 215.0
-"""Grey level of the brightest hundredth of the idle picture at commissioning."""
+"""Grey level of the brightest hundredth of the idle photograph at commissioning."""
 LEAK = 0.06
 """Share of a colour's light that each of the other channels sees."""
 IDLE_COUNT = 5
@@ -54,7 +52,7 @@ SMOOTHING = 4
 """How often each vertex of a measured skin takes half of its neighbours' mean: noise of 0.04 mm
 falls to 0.01 mm."""
 METERING_WIDTH = 0.35
-"""Deviation of the bell that a metering camera weighs its picture with, of the height."""
+"""Deviation of the bell that a metering camera weighs its photograph with, of the height."""
 FADING_S = 4.0
 
 
@@ -66,7 +64,7 @@ class RenderedUnit:
         inside: what its camera looks at.
         eye: the camera.
         fading: share of the LEDs' power that is lost in the end, as t / (t + `FADING_S`).
-        metering: how far the exposure follows the picture: 1 keeps its metered mean.
+        metering: how far the exposure follows the photograph: 1 keeps its metered mean.
     """
 
     inside: Inside
@@ -76,18 +74,18 @@ class RenderedUnit:
 
 
 class Studio:
-    """Takes pictures of one make of sensor.
+    """Takes photographs of one make of sensor.
 
     Args:
         source: a measured data set, whose skins are rendered.
         mitsuba: as `open_mitsuba` returns it.
-        width, height: of the pictures.
+        width, height: of the photographs.
         sample_count: rays a pixel and colour.
 
     Attributes:
         unit: the sensor at its commissioning.
         white: radiance that is white then.
-        metered: metered mean of its idle picture, of white.
+        metered: metered mean of its idle photograph, of white.
     """
 
     def __init__(
@@ -121,7 +119,7 @@ class Studio:
         seed: int,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Write a data set of a unit: idle pictures and bags.
+        """Write a data set of a unit: idle photographs and bags.
 
         Args:
             directory: of the data set, which must not exist.
@@ -141,9 +139,9 @@ class Studio:
         data_set = DataSetWriter(directory, self.skin)
         random = np.random.default_rng([seed, 1])
         for number in range(IDLE_COUNT):
-            picture = self.picture(unit, None, 0.0, random)
+            photograph = self.photograph(unit, None, 0.0, random)
             cv2.imwrite(
-                str(directory / f"idle_{number}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+                str(directory / f"idle_{number}.png"), cv2.cvtColor(photograph, cv2.COLOR_RGB2BGR)
             )
         session_s = 0.0
         for number, name in enumerate(names):
@@ -152,20 +150,20 @@ class Studio:
             stamp_ns = trajectory.skin.stamp_ns
             times = session_s + 1e-9 * (stamp_ns - stamp_ns[0])
             skins = self.smooth_skins(trajectory.skin.position_m)
-            pictures = [
-                self.picture(unit, skin, float(t), random)
+            photographs = [
+                self.photograph(unit, skin, float(t), random)
                 for skin, t in zip(skins, times, strict=True)
             ]
             session_s = float(times[-1])
             measured = replace(
-                trajectory, image=ImageChannel(stamp_ns, np.stack(pictures)), name=name
+                trajectory, image=ImageChannel(stamp_ns, np.stack(photographs)), name=name
             )
             mesh = directory / "indenters" / f"{self._entries[name].indenter}.stl"
             data_set.add(measured, load_indenter(mesh))
             if progress is not None:
                 progress(number + 1, len(names))
 
-    def smooth_skins(self, position_m: NDArray[np.floating]) -> Array:
+    def smooth_skins(self, position_m: NDArray[np.floating]) -> FloatArray:
         """Return measured skins (F, V, 3) with less of their noise; the base stays at rest."""
         rest = self.skin.rest_position_m
         moved = position_m.astype(np.float64) - rest
@@ -186,8 +184,8 @@ class Studio:
         return skin.position_m
 
     def light(
-        self, unit: RenderedUnit, skin_m: Array | None, session_s: float, *, seed: int
-    ) -> Array:
+        self, unit: RenderedUnit, skin_m: FloatArray | None, session_s: float, *, seed: int
+    ) -> FloatArray:
         """Return (H, W, 3) the light that the three channels collect, of white.
 
         Args:
@@ -204,13 +202,13 @@ class Studio:
         )
         return radiance @ (LEAK + (1.0 - 3.0 * LEAK) * np.eye(3)) / self.white
 
-    def picture(
+    def photograph(
         self,
         unit: RenderedUnit,
-        skin_m: Array | None,
+        skin_m: FloatArray | None,
         session_s: float,
         random: np.random.Generator,
-    ) -> ByteImage:
+    ) -> ImageArray:
         """Return (H, W, 3) what the camera gives: linear, noisy, whole and within its scale."""
         light = self.light(unit, skin_m, session_s, seed=int(random.integers(2**31)))
         light = light * (self.metered / _metered(light)) ** unit.metering
@@ -233,13 +231,13 @@ class Studio:
         return self._renderer[1]
 
 
-def coat_pattern(seed: int = 2) -> Array:
+def coat_pattern(seed: int = 2) -> FloatArray:
     """Return (N, N) the reflectance of a coat with random dark blots, over a map of it."""
     rough = rough_map(seed, BLOT_RAD)
     return np.asarray(BLOT + (BRIGHT - BLOT) / (1.0 + np.exp(-4.0 * (rough + 0.3))))
 
 
-def rough_map(seed: int, blur_rad: float) -> Array:
+def rough_map(seed: int, blur_rad: float) -> FloatArray:
     """Return (N, N) blurred noise of unit variance, over a map of the coat."""
     noise = np.random.default_rng(seed).standard_normal((MAP_SIZE, MAP_SIZE))
     blur_px = 0.5 * MAP_SIZE * blur_rad / MAP_REACH_RAD
@@ -259,8 +257,8 @@ def _smoothing(skin: SkinMesh) -> csr_matrix:
     return csr_matrix(beside.multiply(share) + 0.5 * csr_matrix(np.eye(count)))
 
 
-def _metered(light: Array) -> float:
-    """Return the mean of a picture (H, W, 3), most of it from the middle."""
+def _metered(light: FloatArray) -> float:
+    """Return the mean of a photograph (H, W, 3), most of it from the middle."""
     height, width = light.shape[:2]
     y, x = np.mgrid[0:height, 0:width]
     square = (x - 0.5 * (width - 1)) ** 2 + (y - 0.5 * (height - 1)) ** 2
