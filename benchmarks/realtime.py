@@ -364,18 +364,10 @@ def measure_batch(
 
     Every environment makes the same motion, each a part of it ahead of the one before.
     """
-    from dotsim_ros.gel.implicit.gel import ImplicitGel
-    from dotsim_ros.gel.make import body_of, material_of, skin_of
+    from dotsim_ros.gel.make import make_gel_batch
 
-    specification = load_sensor(name)
-    gel = ImplicitGel(
-        body_of(specification.gel),
-        skin_of(specification.gel),
-        material_of(specification.material),
-        contact=specification.contact,
-        solver=specification.solver,
-        indenter=load_indenter(indenter),
-        environment_count=BATCH_SIZE,
+    gel = make_gel_batch(
+        load_sensor(name), indenter=load_indenter(indenter), environment_count=BATCH_SIZE
     )
     motion = benchmark_motion()
     spent_s: list[float] = []
