@@ -38,7 +38,7 @@ from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.provenance import provenance
 from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
 from dotsim_ros.reference.comparison import FrameComparison, compare
-from dotsim_ros.reference.data_set import SolvedPress, read_solved_presses
+from dotsim_ros.reference.data_set import FINE_STEP_M, SolvedPress, read_solved_presses
 from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
 from dotsim_ros.reference.results import solved_press
 from dotsim_ros.reference.run import CalculixError, calculix_version
@@ -169,7 +169,7 @@ def solve_missing(
     begun = monotonic()
     version = calculix_version()
     skin = skin_of(load_sensor("densetact2").gel)
-    data_set = DataSetWriter(directory, skin)
+    data_set = DataSetWriter(directory, skin, indenter_step_m=FINE_STEP_M)
     failures = []
     for press in presses:
         notes = press.notes() | {"calculix": version}

@@ -172,13 +172,8 @@ class TactileSensor:
             progress=progress,
         )
 
-    @property
-    def apex_m(self) -> FloatArray:
-        """Where the sensor's axis meets the skin at rest, (3,) in the base frame."""
-        return np.array([0.0, 0.0, self.skin.rest_position_m[:, 2].max()])
-
     def _placed(self, pose: Pose | ApexPose | None) -> Pose | None:
-        return pose.on(self.apex_m) if isinstance(pose, ApexPose) else pose
+        return pose.on(self.skin.apex_m) if isinstance(pose, ApexPose) else pose
 
     @property
     def remembers(self) -> bool:

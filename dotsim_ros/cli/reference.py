@@ -73,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.provenance import provenance
     from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
     from dotsim_ros.reference.comparison import compare
+    from dotsim_ros.reference.data_set import FINE_STEP_M
     from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
     from dotsim_ros.reference.results import solved_press
     from dotsim_ros.reference.run import CalculixError, calculix_version
@@ -84,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
         contact = replace(specification.contact, friction_coefficient=arguments.friction)
         specification = replace(specification, contact=contact)
     skin = skin_of(specification.gel)
-    data_set = DataSetWriter(arguments.out, skin)
+    data_set = DataSetWriter(arguments.out, skin, indenter_step_m=FINE_STEP_M)
     settings: ReferenceSettings | AxisymmetricSettings = (
         AxisymmetricSettings() if arguments.axisymmetric else ReferenceSettings()
     )

@@ -19,6 +19,7 @@ from dotsim_ros.gap.images.reading import holds_images
 from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest, Progress
 from dotsim_ros.gap.report.write import write_findings
+from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.specification import SensorSpecification, given_sensor
 
 MECHANICAL = (SKIN, FORCE)
@@ -32,7 +33,7 @@ def channels_of(measured: Path) -> tuple[str, ...]:
 
 
 def find_gap(
-    measured: str | Path,
+    measured: str | Path | DataSet,
     *,
     sensor: str | Path | SensorSpecification = "sensor_a",
     out: str | Path | None = None,
@@ -54,7 +55,7 @@ def find_gap(
     It starts processes, so a script calls it below `if __name__ == "__main__":`.
 
     Args:
-        measured: folder of the data set.
+        measured: folder of the data set, or the data set.
         sensor: the calibrated twin: a name, a YAML file or a specification.
         out: folder of the report, with the solves, from which a run that was broken off goes on,
             and the overlay of the effects that were named; None writes and keeps nothing.
@@ -91,17 +92,18 @@ def find_gap(
         if path is not None and not Path(path).exists():
             raise FileNotFoundError(f"there is nothing at {path}")
     twin = given_sensor(sensor)
+    folder = measured.directory if isinstance(measured, DataSet) else Path(measured)
     overlay = None
     with tempfile.TemporaryDirectory() as temporary:
         try:
             request = GapRequest(
-                measured=Path(measured),
+                measured=folder,
                 sensor=twin,
                 directory=Path(temporary if out is None else out) / "run",
                 reference=_path(reference),
                 indenters=_path(indenters),
                 effects=tuple(map(Path, effects)),
-                channels=tuple(channels or channels_of(Path(measured))),
+                channels=tuple(channels or channels_of(folder)),
                 candidates=tuple(candidates),
                 alpha=alpha,
                 budget=budget,

@@ -67,6 +67,11 @@ class SkinMesh:
     def vertex_count(self) -> int:
         return len(self.rest_position_m)
 
+    @property
+    def apex_m(self) -> FloatArray:
+        """Where the sensor's axis, z of the base frame, meets the skin of a dome or pad: (3,)."""
+        return np.array([0.0, 0.0, self.rest_position_m[:, 2].max()])
+
 
 def skin_of_triangles(rest_position_m: ArrayLike, triangles: ArrayLike) -> SkinMesh:
     """Return the skin of given triangles, such as those of a measured one.

@@ -29,8 +29,8 @@ from dotsim_ros.measured.trajectory import (
     write_trajectory,
 )
 
-FINE_STEP_M = 50e-6
-"""Length of the edges in an indenter's written mesh."""
+STEP_M = 0.2e-3
+"""Usual length of the edges in an indenter's written mesh: 1.3 um off a ball of 4 mm radius."""
 SAME_SHAPE_M = 20e-6
 """Vertices of an indenter's written mesh lie closer to its surface."""
 
@@ -113,13 +113,22 @@ class DataSetWriter:
         directory: its folder; a data set that is there already is continued.
         skin: whose vertices the trajectories' clouds list; None where there are no clouds, or
             where they list no vertices.
+        indenter_step_m: length of the edges in the meshes of indenters that are none; with small
+            ones whoever reads the data set waits longer.
 
     Raises:
         ValueError: the data set there has another skin.
     """
 
-    def __init__(self, directory: str | Path, skin: SkinMesh | None = None) -> None:
+    def __init__(
+        self,
+        directory: str | Path,
+        skin: SkinMesh | None = None,
+        *,
+        indenter_step_m: float = STEP_M,
+    ) -> None:
         self.directory = Path(directory)
+        self._indenter_step_m = indenter_step_m
         self._vertex_count = None if skin is None else skin.vertex_count
         self._shapes: dict[str, tuple[Any, ...]] = {}
         self.directory.mkdir(parents=True, exist_ok=True)
@@ -246,7 +255,7 @@ class DataSetWriter:
         else:
             import trimesh  # half a second
 
-            surface = indenter_surface(indenter, FINE_STEP_M)
+            surface = indenter_surface(indenter, self._indenter_step_m)
             mesh = trimesh.Trimesh(surface.vertices_m, surface.triangles, process=False)
             with whole_file(path) as part:
                 mesh.export(part)

@@ -15,6 +15,9 @@ from dotsim_ros.measured.data_set import INDEX, read_data_set
 from dotsim_ros.measured.trajectory import Trajectory, read_trajectory
 from dotsim_ros.specification import SensorSpecification, sensor_from
 
+FINE_STEP_M = 50e-6
+"""Length of the edges in an indenter's mesh, so that it is none of what two solvers differ by."""
+
 
 @dataclass(frozen=True)
 class SolvedPress:

@@ -19,6 +19,7 @@ from dotsim_ros.measured.motion import Motion
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.scripted import Site, press_hold_release, slide
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.reference.data_set import FINE_STEP_M
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
@@ -98,7 +99,7 @@ def measure_unit(
     stiffness = values.youngs_modulus_pa * (1.0 + UNIT_STIFFNESS * random.standard_normal())
     values = replace(values, youngs_modulus_pa=stiffness)
     simulator = GelSimulator(sensor, skin, tolerance_m=5.0e-6)
-    data_set = DataSetWriter(directory, skin)
+    data_set = DataSetWriter(directory, skin, indenter_step_m=FINE_STEP_M)
     planned = [p for p in protocols(random) if not only or p[0] in only]
     session_s = 0.0
     for number, (name, indenter_name, motion, time_s) in enumerate(planned):
