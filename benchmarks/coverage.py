@@ -38,8 +38,8 @@ from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import Observation
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, SolverSpecification
 from dotsim_ros.twin.simulator import GelSimulator, offset_pose

@@ -26,8 +26,8 @@ from dotsim_ros.calibration.loss import (
 from dotsim_ros.calibration.parameters import GelParameter, coordinates, with_coordinates
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import Observation
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 

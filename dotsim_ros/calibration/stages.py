@@ -29,7 +29,7 @@ from dotsim_ros.calibration.fitting import (
 )
 from dotsim_ros.files import write_json
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.check import Observation
+from dotsim_ros.measured.reading import Observation
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator

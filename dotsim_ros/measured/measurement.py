@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.check import BadBagError, check_bag
-from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, read_data_set
+from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.measured.presses import press_of
+from dotsim_ros.measured.reading import BadBagError, read_observation
 from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
 
@@ -150,42 +149,17 @@ def _read(
     indenters: str | Path | None,
     topics: Topics,
 ) -> Recording:
-    check_bag(entry, vertex_count=vertex_count, topics=topics)
-    trajectory = read_trajectory(entry.bag, topics=topics, channels=CHANNELS)
-    press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
-    if press.skin_position_m is None and press.force_n is None:
-        raise BadBagError(
-            f"neither {topics.skin} nor {topics.wrench} in the bag; record one of them"
-        )
-    indenter = find_indenter(data_set, entry.indenter, indenters)
+    found = read_observation(
+        data_set,
+        entry,
+        vertex_count=vertex_count,
+        topics=topics,
+        indenter_of=lambda name: find_indenter(data_set, name, indenters),
+    )
+    press, indenter = found.press, found.indenter
     depth_m = np.asarray(tip_depth_m(skin, press.poses))
     phase = phases_of(press.poses, press.stamp_s, depth_m)
     return Recording(press, indenter, session_s, depth_m, phase)
-
-
-def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None) -> Indenter:
-    """Return an indenter by its name.
-
-    Args:
-        data_set: that names it.
-        name: of the indenter.
-        indenters: folder of meshes; None looks in the data set, then in those beside it.
-
-    Raises:
-        FileNotFoundError: no mesh of this name; the text lists where it was looked for.
-    """
-    if indenters is not None:
-        places = [Path(indenters)]
-    else:
-        beside = sorted(data_set.directory.resolve().parent.glob("*/indenters"))
-        places = [data_set.directory / "indenters", *beside]
-    for place in places:
-        if (place / f"{name}.stl").is_file():
-            return load_mesh(place / f"{name}.stl")
-    raise FileNotFoundError(
-        f"no mesh {name}.stl in {', '.join(map(str, places)) or 'any folder'}; name the folder of "
-        "the indenters with --indenters"
-    )
 
 
 def protocol_of(recording: Recording) -> str:

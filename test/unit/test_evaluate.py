@@ -22,7 +22,8 @@ from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
-from dotsim_ros.measured.presses import Prediction, Press, press_of, read_press
+from dotsim_ros.measured.presses import Prediction, Press, press_of
+from dotsim_ros.measured.reading import read_observation
 from dotsim_ros.measured.split import (
     Split,
     hold_out,
@@ -135,7 +136,8 @@ def perfect(measured: Press) -> Prediction:
 
 
 def test_press_is_what_was_written(data_set: DataSet) -> None:
-    read = read_press(data_set.entries[0])
+    entry = data_set.entries[0]
+    read = read_observation(data_set, entry, vertex_count=SKIN.vertex_count).press
     assert (read.name, read.indenter, read.frame_count) == ("ball_0", "ball", 4)
     assert read.stamp_s == pytest.approx([1.0, 1.1, 1.2, 1.3])
     assert read.force_n == pytest.approx(trajectory().wrench.force_n)  # type: ignore[union-attr]
@@ -373,7 +375,7 @@ def test_broken_bag_is_left_out_and_named(tmp_path: Path) -> None:
     unknown = replace(data.entries[0], name="odd", indenter="teapot")
     measured = read_measured(DataSet(tmp_path, (*data.entries, broken, unknown)))
     assert len(measured.presses) == 6
-    assert "no pose" in measured.left_out["blind"]
+    assert "no message on /indenter/pose" in measured.left_out["blind"]
     assert "teapot" in measured.left_out["odd"]
 
 
