@@ -6,10 +6,10 @@ OUT ?= out
 # A sourced ROS 2 Jazzy is used as it is; otherwise ROS comes from wheels, into the same $(VENV).
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_OPTIONS := --system-site-packages
-EXTRAS := learning,test,dev
+EXTRAS := learning,test,dev,docs
 else
 VENV_OPTIONS :=
-EXTRAS := ros,learning,test,dev
+EXTRAS := ros,learning,test,dev,docs
 endif
 
 INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
@@ -19,7 +19,7 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: help setup demo demo-loop test bench soak lint clean
+.PHONY: help setup demo demo-loop test bench soak lint docs clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
@@ -28,6 +28,7 @@ help:
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff and mypy"
+	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
 
 setup: $(INSTALLED)
 
@@ -58,6 +59,13 @@ lint: setup
 	$(RUN) ruff check
 	$(RUN) ruff format --check
 	$(RUN) mypy
+
+# A notice of the theme's makers about its successor is no warning about these pages.
+docs: setup
+	$(RUN) python .ci/effects_table.py --check
+	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet --site-dir $(abspath $(OUT))/site
+	$(RUN) python .ci/check_links.py $(OUT)/site $(wildcard *.md)
+	@echo "open $(OUT)/site/index.html"
 
 clean:
 	rm -rf $(OUT) build install log
