@@ -19,7 +19,7 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: help setup demo demo-loop test bench soak lint docs clean
+.PHONY: help setup demo demo-loop test bench soak lint docs results-status clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
@@ -27,8 +27,9 @@ help:
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make bench   frame rate, latency and their split"
-	@echo "make lint    ruff and mypy"
+	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
+	@echo "make results-status   which figures are older than the code; marks them in README and docs"
 
 setup: $(INSTALLED)
 
@@ -58,7 +59,12 @@ soak: setup
 lint: setup
 	$(RUN) ruff check
 	$(RUN) ruff format --check
+	$(RUN) codespell
 	$(RUN) mypy
+	$(RUN) lint-imports
+
+results-status: setup
+	$(RUN) python .ci/results_status.py --markdown docs/results/status.md --mark
 
 # A notice of the theme's makers about its successor is no warning about these pages.
 docs: setup

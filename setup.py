@@ -40,8 +40,14 @@ RENDERING = [
     "mitsuba>=3.8",
 ]
 DEVELOPMENT = [
+    # the first with the schema of CITATION.cff; those of workflows and issue forms come along
+    "check-jsonschema>=0.35",
+    "codespell>=2.2",
     "colcon-common-extensions",
+    # runs as lint-imports
+    "import-linter>=2.5",
     "mypy",
+    "pre-commit>=3.5",
     "ruff",
     # colcon builds ament_python packages through setup.py commands that setuptools 80 removed
     "setuptools<80",

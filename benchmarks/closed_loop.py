@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
-from numpy.typing import NDArray
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.table import entry_list
 from dotsim_ros.evaluation.trajectory.trials import motion_figures, summarize, trial_start
 from dotsim_ros.files import write_json, write_text
@@ -35,15 +35,13 @@ from dotsim_ros.nodes.loop.closed_loop import (
     LoopSetup,
     policy_name,
 )
-from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, Heard
+from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopTraffic
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
 from dotsim_ros.provenance import provenance
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.card import read_policy
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
 from dotsim_ros.tasks.policy.paths import PATHS, reference_path
-from dotsim_ros.tasks.policy.safety import SafetyLimits
-
-FloatArray = NDArray[np.float64]
 
 TOPICS = {**LOOP_TOPICS, "indenter/pose": PoseStamped, "indenter/state": PoseStamped}
 SHORTEST_INFERENCE_S = 0.005
@@ -61,12 +59,12 @@ def cpu_s(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def sent_s(heard: list[Heard]) -> FloatArray:
+def sent_s(heard: list[LoopTraffic]) -> FloatArray:
     """Return when messages were sent, in seconds of the system's clock."""
     return 1e-9 * np.array([each.sent_ns for each in heard], dtype=np.float64)
 
 
-def stamps_s(heard: list[Heard]) -> FloatArray:
+def stamps_s(heard: list[LoopTraffic]) -> FloatArray:
     """Return the messages' stamps in seconds."""
     return 1e-9 * np.array([msg_adapters.message_stamp_ns(each.message) for each in heard])
 
@@ -91,7 +89,7 @@ def spread_ms(values_s: FloatArray) -> dict[str, float]:
     return {k: round(1e3 * float(np.percentile(values_s, share)), 1) for k, share in shares.items()}
 
 
-def shown_poses_s(poses: list[Heard], states: list[Heard]) -> FloatArray:
+def shown_poses_s(poses: list[LoopTraffic], states: list[LoopTraffic]) -> FloatArray:
     """Return for each frame the stamp of the pose that it shows, NaN where it shows none that was
     sent: the frame then lags behind the indenter."""
     by_place: dict[tuple[float, ...], list[float]] = {}

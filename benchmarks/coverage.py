@@ -21,11 +21,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
-from dotsim_ros.calibration.fitting import Problem, fit_press, linearise
-from dotsim_ros.calibration.loss import POINTS, Noise
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.calibration.fitting import FitProblem, fit_press, linearise
+from dotsim_ros.calibration.loss import POINTS, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
 from dotsim_ros.calibration.statistics import (
     Combination,
@@ -44,8 +44,6 @@ from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, SolverSpecification
 from dotsim_ros.twin.simulator import GelSimulator, offset_pose
 
-Array = NDArray[np.float64]
-
 SENSOR = replace(
     SensorSpecification(), solver=SolverSpecification(grid_spacing_m=4.8e-3, refined=False)
 )
@@ -53,8 +51,8 @@ SKIN = dome_skin(SENSOR.gel.outer_radius_m, 0.9e-3)
 BALL = sphere(0.004)
 TRUTH = replace(values_of(SENSOR), youngs_modulus_pa=2.0e5, poisson_ratio=0.465, friction=0.25)
 NAMES = ("E", "nu", "friction")
-NOISE = Noise()
-"""As makers state it; see `Noise`."""
+NOISE = LossNoise()
+"""As makers state it; see `LossNoise`."""
 
 DEPTHS_M = (-0.2e-3, 0.8e-3, 1.6e-3, 2.2e-3, 2.2e-3)
 SLIDES_M = (0.0, 0.0, 0.0, 0.0, 0.6e-3)
@@ -93,7 +91,7 @@ def press_poses(random: np.random.Generator) -> list[Pose]:
     ]
 
 
-def neighbours_weights() -> Array:
+def neighbours_weights() -> FloatArray:
     """Return (V, V) weights that make of white noise one of the same size that a patch shares."""
     distance = cdist(SKIN.rest_position_m, SKIN.rest_position_m)
     weight = np.exp(-((distance / NOISE.patch_radius_m) ** 2))
@@ -101,7 +99,7 @@ def neighbours_weights() -> Array:
 
 
 def observation(
-    simulator: GelSimulator, patch: Array, number: int, random: np.random.Generator
+    simulator: GelSimulator, patch: FloatArray, number: int, random: np.random.Generator
 ) -> Observation:
     """Return a press of the true gel, measured with errors."""
     poses = press_poses(random)
@@ -116,10 +114,10 @@ def observation(
     return Observation(Press(f"press_{number}", "ball", poses, stamp_s, skin, force), BALL)
 
 
-def trial(simulator: GelSimulator, patch: Array, press_count: int, seed: int) -> Trial:
+def trial(simulator: GelSimulator, patch: FloatArray, press_count: int, seed: int) -> Trial:
     """Return what the fit of one data set gives."""
     random = np.random.default_rng([seed, press_count])
-    problem = Problem(chosen_parameters(NAMES), values_of(SENSOR), NOISE, POINTS)
+    problem = FitProblem(chosen_parameters(NAMES), values_of(SENSOR), NOISE, POINTS)
     observations = [observation(simulator, patch, k, random) for k in range(press_count)]
     point = problem.centre()
     solves = press_count

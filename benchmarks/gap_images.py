@@ -22,25 +22,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, PictureLaw, Takes, taken
+from dotsim_ros.evaluation.gap.hidden.images import LAWS, PictureLaw, Takes, taken
 from dotsim_ros.files import given_path, write_json
 from dotsim_ros.gap.find import case_of
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
-from dotsim_ros.gap.images.fit import PictureSearch
+from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, save_optical_null
 from dotsim_ros.gap.images.search import Signature, signatures_of
-from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.optics.network.card import read_network
 from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 
-Array = NDArray[np.float64]
 Signatures = Mapping[str, Sequence[Signature]]
 
 ALPHA = 0.02
@@ -77,12 +76,12 @@ class Study:
             case, self.effects, sensor=sensor, source=source, signatures=self.signatures(names)
         )
 
-    def search(self, names: Sequence[str], null: OpticalNull) -> PictureSearch:
+    def search(self, names: Sequence[str], null: OpticalNull) -> ImageSearch:
         """Return the search of some trajectories, the idle images among them."""
         all_names = [IDLE, *names]
         shots = [self._by_name[name] for name in all_names]
         signatures = self.signatures(all_names)
-        return PictureSearch(
+        return ImageSearch(
             self.case, shots, self.effects, null, alpha=ALPHA, seed=0, signatures=signatures
         )
 
@@ -111,10 +110,10 @@ def nulls(
     return found
 
 
-def power(search: PictureSearch, law: PictureLaw, size: float) -> dict[str, Any]:
+def power(search: ImageSearch, law: PictureLaw, size: float) -> dict[str, Any]:
     """Return what the finder makes of a hidden law in the pictures of a search."""
     idle = np.asarray(search.shots[0].film.idle, dtype=np.float64)
-    residuals: list[Array] = []
+    residuals: list[FloatArray] = []
     for shot in search.shots:
         takes = Takes(shot.measured.astype(np.float64), shot.film.session_s, idle)
         pictures = taken(takes, law, size)
@@ -171,7 +170,7 @@ def main() -> int:
     sensor = load_sensor(arguments.sensor)
     card = read_network(given_path(sensor.camera.residual))
     effects = [effect for effect in load_effects().values() if effect.image is not None]
-    request = Request(arguments.data, sensor, arguments.run, workers=1)
+    request = GapRequest(arguments.data, sensor, arguments.run, workers=1)
     study = Study(case_of(request, PrintedProgress()), effects)
     there = {shot.name for shot in study.case.shots}
     fitted = [name for name in card.data["train"] if name in there]

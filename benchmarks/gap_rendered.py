@@ -40,7 +40,7 @@ from dotsim_ros.files import write_json
 from dotsim_ros.gap.find import find_gap_with_pictures, fit_noise_of_pictures
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
-from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.progress import PrintedProgress
@@ -203,7 +203,7 @@ def main() -> int:
     sensor = twin(load_sensor(arguments.sensor), sets / first.name, arguments.run)
     noise = arguments.run / "optical_noise.npz"
     # Solves are shared by all sets.
-    request = Request(
+    request = GapRequest(
         sets / first.name,
         sensor,
         arguments.run,

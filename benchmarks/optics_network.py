@@ -29,8 +29,8 @@ from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.card import FINENESS
 from dotsim_ros.optics.network.carded_weights import GRAPH
-from dotsim_ros.optics.network.completion import ResidualNetwork
-from dotsim_ros.optics.network.input import NetworkInput
+from dotsim_ros.optics.network.completion import CompletionNetwork
+from dotsim_ros.optics.network.input import CompletionInput
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
@@ -80,14 +80,14 @@ def whole_optics(
     idle = read_idle_frame(given_path(sensor.camera.idle_image), camera)
     renderer = SkinRenderer(camera, skin)
     untouched = renderer.render(skin.rest_position_m)
-    network = ResidualNetwork(directory, sensor=sensor.name, camera=camera, thread_count=threads)
+    network = CompletionNetwork(directory, sensor=sensor.name, camera=camera, thread_count=threads)
     residual = network.at_rest(untouched, idle.image)
     images = ImageRenderer(
         camera, skin, idle.image, lighting=idle.lighting, vignetting=idle.vignetting
     )
     card = network.card
     fineness = FINENESS[card.kind]
-    given = NetworkInput(
+    given = CompletionInput(
         camera,
         (card.width // fineness, card.height // fineness),
         fineness=fineness,

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import write_json
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
@@ -24,7 +25,6 @@ from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.tasks.policy.demonstration import approach, contact_of, within_bounds
-from dotsim_ros.tasks.policy.images import ByteImage
 from dotsim_ros.tasks.policy.looks import Look, LookRanges
 from dotsim_ros.tasks.policy.network import Policy, load_policy
 from dotsim_ros.tasks.policy.paths import reference_path
@@ -47,7 +47,7 @@ def roll_out(
     distances: list[float] = []
     idle = sensor.idle_image if look is None else look.idle
 
-    def press(pose: Pose) -> ByteImage:
+    def press(pose: Pose) -> ImageArray:
         gel = sensor.press(pose, dt_s)
         seen = sensor.see(gel, pose).image if look is None else look.image(gel.skin_position_m)
         distances.append(policy.image_distance(seen, idle))

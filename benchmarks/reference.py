@@ -21,8 +21,8 @@ from time import monotonic
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.files import write_json
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import (
@@ -47,8 +47,6 @@ from dotsim_ros.specification import (
     SensorSpecification,
     load_sensor,
 )
-
-FloatArray = NDArray[np.float64]
 
 TARGET_SKIN_RMS_MM = 0.08
 TARGET_FORCE_ERROR = 0.05

@@ -348,9 +348,17 @@ def _files_of(imported: _Import, importer: str, sources: Mapping[str, bytes]) ->
             named = _named_by_table(sources[home], module, imported.name, sources)
             if named is not None:
                 return [*_on_the_way(module, sources), *_on_the_way(named, sources)]
+            if module == _FRONT_DOOR and not imported.name.startswith("__"):
+                raise FileNotFoundError(
+                    f"{importer} takes {imported.name} from {module}; expected a module, or a name "
+                    f"in a dictionary of {home} that is written out and says which module it is in"
+                )
     if home is None:
-        asked = f"{importer} imports {module}" if importer else f"there is no module {module}"
-        raise FileNotFoundError(f"{asked}, whose source is not there")
+        asked = f"{importer} imports {module}" if importer else f"{module} is asked for"
+        raise FileNotFoundError(
+            f"{asked}, whose source is not there; correct the name, or install the package with "
+            "its .py files"
+        )
     return _on_the_way(module, sources)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import tempfile
@@ -16,6 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 PACKAGE_ROOT = Path(str(files("dotsim_ros")))
+
+
+MANIFEST = ".report_files.json"
+"""Names and SHA-256 of the files that a report wrote into its folder."""
 
 
 @contextmanager
@@ -80,3 +85,41 @@ def given_path(name: str) -> Path:
     """Return the path of a file or folder that a sensor names, absolute or below `params/`."""
     path = Path(name)
     return path if path.is_absolute() else parameter_path(name)
+
+
+def replace_files(directory: str | Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder, and remove those of the call before that are not among them.
+
+    A file that has changed since, or that no call wrote, is left alone.
+
+    Args:
+        directory: made where it is absent; it keeps what was written in `MANIFEST`.
+        files: contents by name.
+    """
+    directory = Path(directory)
+    before = _written_files(directory)
+    now = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
+    # Both, until the old ones are gone: a call that is broken off leaves none that nobody knows.
+    _write_manifest(directory, before | now)
+    for name, content in files.items():
+        with whole_file(directory / name) as part:
+            part.write_bytes(content)
+    for name in before.keys() - now.keys():
+        path = directory / name
+        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == before[name]:
+            path.unlink()
+    _write_manifest(directory, now)
+
+
+def _written_files(directory: Path) -> dict[str, str]:
+    try:
+        listed = json.loads((directory / MANIFEST).read_text(encoding="utf-8"))
+    except (FileNotFoundError, ValueError):
+        return {}
+    if not isinstance(listed, dict):
+        return {}
+    return {name: str(digest) for name, digest in listed.items() if Path(name).name == name}
+
+
+def _write_manifest(directory: Path, digests: Mapping[str, str]) -> None:
+    write_json(directory / MANIFEST, digests)

@@ -13,8 +13,13 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from dotsim_ros.files import replace_files
+
+HTML = "report.html"
+MARKDOWN = "report.md"
 PIXELS_PER_INCH = 100.0
 """Of a page, for a figure's inch: a font of 8 points is 11 pixels high."""
 LARGEST_WIDTH_INCHES = 3.6
@@ -155,6 +160,15 @@ def pictures_of(page: Page) -> list[Picture]:
         if isinstance(block, Gallery)
         for picture in block.pictures
     ]
+
+
+def write_page(directory: Path, page: Page) -> Path:
+    """Write a page as `report.html`, and as `report.md` with its pictures beside it, in place of
+    the page before; return the former."""
+    files = {f"{picture.name}.png": picture.png for picture in pictures_of(page)}
+    texts = {MARKDOWN: as_markdown(page), HTML: as_html(page)}
+    replace_files(directory, files | {name: text.encode() for name, text in texts.items()})
+    return directory / HTML
 
 
 def as_html(page: Page) -> str:

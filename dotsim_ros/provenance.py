@@ -11,11 +11,13 @@ from pathlib import Path
 
 import dotsim_ros
 
+_DECIDING = ("dotsim_ros", "msg_adapters", "benchmarks", "params")
+
 
 def provenance() -> dict[str, str]:
     """Return what is needed to measure again what is measured now."""
     return {
-        "commit": _commit(),
+        "commit": commit_of(Path(dotsim_ros.__file__).parent.parent),
         "version": dotsim_ros.__version__,
         "machine": f"{_processor()}, {os.cpu_count()} cores",
         "python": platform.python_version(),
@@ -32,14 +34,28 @@ def _command() -> str:
     return " ".join([*called, *sys.argv[1:]])
 
 
-def _commit() -> str:
-    checkout = Path(dotsim_ros.__file__).parent.parent
-    command = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"]
+def commit_of(checkout: Path) -> str:
+    """Return the commit that a checkout stands on, 12 digits.
+
+    `-dirty` follows where a figure may depend on what no commit holds: a tracked file that has been
+    changed, or a new one beside the code and its parameters. Documentation does not count: one run
+    after the other may write its figures there.
+    """
+
+    def ask(*arguments: str) -> str:
+        command = ["git", "-C", str(checkout), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
     try:
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        # An installed copy may lie in a folder that the checkout ignores.
+        ask("ls-files", "--error-unmatch", "dotsim_ros/__init__.py")
+        commit = ask("rev-parse", "--short=12", "HEAD")
+        apart = (":(exclude)docs", ":(exclude)*.md")
+        changed = ask("status", "--porcelain", "--untracked-files=no", "--", ".", *apart)
+        added = ask("ls-files", "--others", "--exclude-standard", "--", *_DECIDING)
     except (OSError, subprocess.CalledProcessError):
         return "unknown: not run from a checkout"
-    return done.stdout.strip()
+    return commit + ("-dirty" if changed or added else "")
 
 
 def _processor() -> str:

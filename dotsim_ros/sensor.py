@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.files import given_path
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
@@ -19,7 +19,7 @@ from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.network.loading import residual_network
+from dotsim_ros.optics.network.loading import completion_network
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import (
     SensorSpecification,
@@ -27,10 +27,6 @@ from dotsim_ros.specification import (
 
 if TYPE_CHECKING:
     pass
-
-FloatArray = NDArray[np.float64]
-ImageArray = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
 
 
 class GelFailureError(ValueError):
@@ -98,7 +94,7 @@ class TactileSensor:
         self.skin = skin_of(specification.gel)
         self.camera = FisheyeCamera.from_specification(specification.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.
-        self._network = residual_network(specification, self.camera)
+        self._network = completion_network(specification, self.camera)
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
         self._set_idle(read_idle_frame(given_path(specification.camera.idle_image), self.camera))

@@ -28,9 +28,9 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.baselines import fem_kernels
 from dotsim_ros.baselines.tetrahedra import (
     TetrahedralMesh,
@@ -49,8 +49,6 @@ from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
-
-FloatArray = NDArray[np.float64]
 
 # Measured: against four times as long the skin differs by 3 um and the force by 0.5 %.
 PERIODS = 0.5
@@ -261,12 +259,12 @@ class DynamicGel:
             forces.append(-state.skin_force.numpy().sum(axis=0))
         return np.stack(skins), np.stack(forces)
 
-    def _state_at_rest(self) -> _State:
+    def _state_at_rest(self) -> _GelState:
         def zeros(*shape: int) -> Any:
             return wp.zeros(shape, dtype=fem_kernels.VEC3, device=self.device)
 
         node_count = len(self.mesh.position_m)
-        return _State(
+        return _GelState(
             position=wp.clone(self._rest),
             displacement=zeros(node_count),
             velocity=zeros(node_count),
@@ -276,7 +274,7 @@ class DynamicGel:
 
     def _advance(
         self,
-        state: _State,
+        state: _GelState,
         motion: _Motion,
         step: int,
         dt: float,
@@ -335,7 +333,7 @@ class DynamicGel:
 
 
 @dataclass(frozen=True)
-class _State:
+class _GelState:
     """What changes from step to step: Warp arrays over nodes, elements and the skin."""
 
     position: Any
@@ -409,7 +407,7 @@ class DiffTactile:
 
 
 @dataclass(frozen=True)
-class Score:
+class FitScore:
     """How a run compares with a press: sums over its frames, which add up over presses.
 
     Attributes:
@@ -427,7 +425,7 @@ class Score:
     measured_n2: float
 
 
-class Trials:
+class FitTrials:
     """Runs of presses with constants, each done once.
 
     Fits over several splits of the same presses, given one of these, share their runs. A press is
@@ -440,16 +438,16 @@ class Trials:
 
     def __init__(self, gel: DynamicGel, indenters: Mapping[str, Indenter]) -> None:
         self.gel, self.indenters = gel, indenters
-        self._done: dict[tuple[str, GelConstants], Score | None] = {}
+        self._done: dict[tuple[str, GelConstants], FitScore | None] = {}
 
-    def score(self, press: Press, constants: GelConstants) -> Score | None:
+    def score(self, press: Press, constants: GelConstants) -> FitScore | None:
         """Return how a run compares with a press, None where it diverged."""
         key = (press.name, constants)
         if key not in self._done:
             self._done[key] = self._run(press, constants)
         return self._done[key]
 
-    def _run(self, press: Press, constants: GelConstants) -> Score | None:
+    def _run(self, press: Press, constants: GelConstants) -> FitScore | None:
         assert press.skin_position_m is not None
         assert press.force_n is not None
         skin, count = self.gel.skin, press.frame_count
@@ -461,7 +459,7 @@ class Trials:
         except DivergenceError:
             return None
         rest = np.repeat(skin.rest_position_m[None], count, axis=0)
-        return Score(
+        return FitScore(
             count * surface_rms_m(position, surfaces) ** 2,
             count * surface_rms_m(rest, surfaces) ** 2,
             float(np.sum(force**2)),
@@ -479,7 +477,7 @@ def fit(
     grid: Mapping[str, Sequence[float]] | None = None,
     shell: Shell | None = None,
     device: str = "cpu",
-    trials: Trials | None = None,
+    trials: FitTrials | None = None,
 ) -> DiffTactile:
     """Return DiffTactile with the best constants of a grid and the modulus of least squares.
 
@@ -503,7 +501,7 @@ def fit(
     check_training(train)
     shell = Shell() if shell is None else shell
     if trials is None:
-        trials = Trials(DynamicGel(shell.mesh(skin), skin, device=device), indenters)
+        trials = FitTrials(DynamicGel(shell.mesh(skin), skin, device=device), indenters)
     presses = _one_of_each_indenter(train, seed)
     best = START
     for _ in range(ROUNDS):
@@ -527,7 +525,7 @@ def _one_of_each_indenter(train: Sequence[Press], seed: int) -> list[Press]:
     return [first[indenter] for indenter in sorted(first)]
 
 
-def _scores(trials: Trials, presses: Sequence[Press], constants: GelConstants) -> list[Score]:
+def _scores(trials: FitTrials, presses: Sequence[Press], constants: GelConstants) -> list[FitScore]:
     """Return the scores of all presses, none where one of them diverged."""
     scores = []
     for press in presses:
@@ -538,7 +536,7 @@ def _scores(trials: Trials, presses: Sequence[Press], constants: GelConstants) -
     return scores
 
 
-def _cost(trials: Trials, presses: Sequence[Press], constants: GelConstants) -> float:
+def _cost(trials: FitTrials, presses: Sequence[Press], constants: GelConstants) -> float:
     scores = _scores(trials, presses, constants)
     if not scores:
         return float("inf")
@@ -548,7 +546,7 @@ def _cost(trials: Trials, presses: Sequence[Press], constants: GelConstants) -> 
     return sum(s.skin_m2 for s in scores) / sum(s.motion_m2 for s in scores) + missed / measured
 
 
-def _modulus(trials: Trials, presses: Sequence[Press], constants: GelConstants) -> float:
+def _modulus(trials: FitTrials, presses: Sequence[Press], constants: GelConstants) -> float:
     scores = _scores(trials, presses, constants)
     unit = sum(s.unit_force for s in scores)
     if unit == 0.0:

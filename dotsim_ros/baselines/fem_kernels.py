@@ -26,7 +26,7 @@ _smallest_speed = wp.constant(SCALAR(1.0e-12))
 
 
 @wp.struct
-class ContactLaw:
+class PenaltyContactLaw:
     """stiffness kn (1/m), its rate kd (s/m^2), drag kt (s/m), each by area and in units of the
     modulus; friction: Coulomb's coefficient."""
 
@@ -37,8 +37,8 @@ class ContactLaw:
 
 
 def contact_law(stiffness: float, rate: float, drag: float, friction: float):
-    """Return the constants as kernels take them; see `ContactLaw`."""
-    law = ContactLaw()
+    """Return the constants as kernels take them; see `PenaltyContactLaw`."""
+    law = PenaltyContactLaw()
     law.stiffness = stiffness
     law.rate = rate
     law.drag = drag
@@ -101,7 +101,7 @@ def contact_forces(
     pose: wp.array(dtype=TRANSFORM),
     step: int,
     dt: SCALAR,
-    law: ContactLaw,
+    law: PenaltyContactLaw,
     force: wp.array(dtype=VEC3),
 ):
     """Forces (V,) of the indenter on the skin's vertices."""

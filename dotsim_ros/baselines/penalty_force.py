@@ -9,11 +9,9 @@ the other way gives the force. Taxim's experiments with a robot take PyBullet's 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
-
-FloatArray = NDArray[np.float64]
 
 
 def penetration_vectors(skin: SkinMesh, depth_m: FloatArray) -> FloatArray:

@@ -22,10 +22,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import differential_evolution
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.baselines.clipping import clip_depths, clipped_skin
 from dotsim_ros.baselines.penalty_force import fit_stiffness, penetration_vectors
 from dotsim_ros.baselines.training import (
@@ -38,8 +38,6 @@ from dotsim_ros.baselines.training import (
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
-
-FloatArray = NDArray[np.float64]
 
 LEVELS = 6
 SEARCH_FRAMES = 32

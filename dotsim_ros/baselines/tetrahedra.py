@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -26,12 +24,12 @@ class TetrahedralMesh:
     """
 
     position_m: FloatArray
-    tetrahedra: IntArray
+    tetrahedra: IndexArray
     is_fixed: NDArray[np.bool_]
-    surface: IntArray
+    surface: IndexArray
 
 
-def edge_matrices(position_m: FloatArray, tetrahedra: IntArray) -> FloatArray:
+def edge_matrices(position_m: FloatArray, tetrahedra: IndexArray) -> FloatArray:
     """Return (T, 3, 3) matrices whose columns are the edges from the last node to the others."""
     corner = position_m[tetrahedra]
     return np.swapaxes(corner[:, :3] - corner[:, 3:], 1, 2)

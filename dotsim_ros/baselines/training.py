@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
 from dotsim_ros.measured.presses import Press
-
-FloatArray = NDArray[np.float64]
 
 
 def indenter_of(press: Press, indenters: Mapping[str, Indenter]) -> Indenter:

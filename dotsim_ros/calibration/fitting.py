@@ -12,26 +12,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.loss import (
     CHAMFER,
     FORCE,
     SKIN,
-    Noise,
+    LossNoise,
     force_deviation_n,
     nearest_partners,
     residuals,
 )
-from dotsim_ros.calibration.parameters import Parameter, coordinates, with_coordinates
+from dotsim_ros.calibration.parameters import GelParameter, coordinates, with_coordinates
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
-
-Array = NDArray[np.float64]
 
 OFFSET_STEPS = np.array([0.02e-3] * 3 + [5.0e-3] * 3)
 """Of the differences by an indenter's offset: metres, radians."""
@@ -44,7 +42,7 @@ FIRST_DAMPING, LARGEST_DAMPING = 1.0e-3, 1.0e3
 
 
 @dataclass(frozen=True)
-class Problem:
+class FitProblem:
     """What is fitted, and how.
 
     Attributes:
@@ -55,9 +53,9 @@ class Problem:
         with_offset: whether each press has an offset of the indenter of its own.
     """
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[GelParameter, ...]
     start: GelValues
-    noise: Noise
+    noise: LossNoise
     skin_loss: str
     with_offset: bool = False
 
@@ -66,21 +64,21 @@ class Problem:
         """Number of unknowns of a press: P, and 6 of its offset."""
         return len(self.parameters) + (6 if self.with_offset else 0)
 
-    def precision(self) -> Array:
+    def precision(self) -> FloatArray:
         """Return the inverse variances (n,) of the priors of a press's unknowns."""
         width = [p.prior_width for p in self.parameters]
         if self.with_offset:
             width += self.noise.offset().tolist()
         return np.array(width) ** -2.0
 
-    def centre(self) -> Array:
+    def centre(self) -> FloatArray:
         """Return the unknowns (n,) at the priors' centres."""
         offset = np.zeros(6 if self.with_offset else 0)
         return np.concatenate([coordinates(self.parameters, self.start), offset])
 
 
 @dataclass(frozen=True)
-class Linearisation:
+class PressLinearisation:
     """Half the sum of squares of a press around a point, without priors, by channel.
 
     Attributes:
@@ -93,15 +91,17 @@ class Linearisation:
         converged: whether all of them met the solver's tolerance.
     """
 
-    point: Array
-    information: dict[str, Array]
-    gradient: dict[str, Array]
+    point: FloatArray
+    information: dict[str, FloatArray]
+    gradient: dict[str, FloatArray]
     loss: dict[str, float]
     count: dict[str, int]
     solve_count: int
     converged: bool
 
-    def total(self, channels: Sequence[str] = (SKIN, FORCE)) -> tuple[Array, Array, float]:
+    def total(
+        self, channels: Sequence[str] = (SKIN, FORCE)
+    ) -> tuple[FloatArray, FloatArray, float]:
         """Return information, gradient and loss of some channels together."""
         n = len(self.point)
         present = [c for c in channels if c in self.loss]
@@ -121,14 +121,14 @@ class PressFit:
         has_settled: whether the last step was small, not the budget spent.
     """
 
-    best: Linearisation
+    best: PressLinearisation
     losses: list[float] = field(default_factory=list)
     solve_count: int = 0
     has_settled: bool = False
 
 
 def simulate(
-    simulator: GelSimulator, observation: Observation, problem: Problem, point: Array
+    simulator: GelSimulator, observation: Observation, problem: FitProblem, point: FloatArray
 ) -> SimulatedPress:
     """Return the model at unknowns (n,).
 
@@ -145,10 +145,10 @@ def simulate(
 def linearise(
     simulator: GelSimulator,
     observation: Observation,
-    problem: Problem,
-    point: Array,
+    problem: FitProblem,
+    point: FloatArray,
     simulated: SimulatedPress | None = None,
-) -> Linearisation:
+) -> PressLinearisation:
     """Return the squares and their derivatives at unknowns (n,).
 
     Args:
@@ -169,7 +169,7 @@ def linearise(
     # Held while differences are taken: to first order the nearest stay the nearest.
     partners = nearest_partners(press, simulated) if problem.skin_loss == CHAMFER else None
     here = residuals(press, simulated, noise, skin, partners)
-    columns: list[dict[str, Array]] = []
+    columns: list[dict[str, FloatArray]] = []
     converged = simulated.converged
     for index in range(problem.size):
         if index < len(problem.parameters):
@@ -189,7 +189,7 @@ def linearise(
         there = residuals(press, beside, noise, skin, partners)
         columns.append({c: (there[c] - here[c]) / step for c in here})
     jacobian = {c: np.stack([column[c] for column in columns], axis=1) for c in here}
-    return Linearisation(
+    return PressLinearisation(
         point=point.copy(),
         information={c: jacobian[c].T @ jacobian[c] for c in here},
         gradient={c: jacobian[c].T @ here[c] for c in here},
@@ -201,8 +201,12 @@ def linearise(
 
 
 def _modulus_column(
-    press: Press, simulated: SimulatedPress, noise: Noise, skin: SkinMesh, here: dict[str, Array]
-) -> dict[str, Array]:
+    press: Press,
+    simulated: SimulatedPress,
+    noise: LossNoise,
+    skin: SkinMesh,
+    here: dict[str, FloatArray],
+) -> dict[str, FloatArray]:
     """Return the derivatives by log E: none of the skin's, the force itself of the force's."""
     column = {c: np.zeros(len(here[c])) for c in here}
     if press.force_n is not None:
@@ -211,7 +215,9 @@ def _modulus_column(
     return column
 
 
-def penalised(problem: Problem, linearisation: Linearisation) -> tuple[Array, Array, float]:
+def penalised(
+    problem: FitProblem, linearisation: PressLinearisation
+) -> tuple[FloatArray, FloatArray, float]:
     """Return information, gradient and loss of all channels with the priors."""
     information, gradient, loss = linearisation.total()
     away = linearisation.point - problem.centre()
@@ -223,7 +229,7 @@ def penalised(problem: Problem, linearisation: Linearisation) -> tuple[Array, Ar
     )
 
 
-def damped_step(information: Array, gradient: Array, damping: float) -> Array:
+def damped_step(information: FloatArray, gradient: FloatArray, damping: float) -> FloatArray:
     """Return the step (n,) of Levenberg and Marquardt."""
     scaled = information + damping * np.diag(np.diag(information))
     return np.asarray(-np.linalg.solve(scaled, gradient))
@@ -232,8 +238,8 @@ def damped_step(information: Array, gradient: Array, damping: float) -> Array:
 def fit_press(
     simulator: GelSimulator,
     observation: Observation,
-    problem: Problem,
-    start: Linearisation,
+    problem: FitProblem,
+    start: PressLinearisation,
     *,
     budget: int,
     progress: Callable[[int], None] | None = None,
@@ -279,26 +285,26 @@ def fit_press(
     return PressFit(best, losses, spent, has_settled)
 
 
-def _is_modulus(problem: Problem, index: int) -> bool:
+def _is_modulus(problem: FitProblem, index: int) -> bool:
     parameters = problem.parameters
     return index < len(parameters) and parameters[index].field == "youngs_modulus_pa"
 
 
-def _kept_in_bounds(problem: Problem, point: Array, step: Array) -> Array:
+def _kept_in_bounds(problem: FitProblem, point: FloatArray, step: FloatArray) -> FloatArray:
     """Return the step with its parameters kept within their bounds."""
     moved = point + step
     for index, parameter in enumerate(problem.parameters):
         ends = [parameter.to_coordinate(value) for value in parameter.bounds]
         moved[index] = np.clip(moved[index], min(ends), max(ends))
-    result: Array = moved - point
+    result: FloatArray = moved - point
     return result
 
 
 def _loss_at(
     observation: Observation,
-    problem: Problem,
+    problem: FitProblem,
     simulator: GelSimulator,
-    point: Array,
+    point: FloatArray,
     simulated: SimulatedPress,
 ) -> float:
     """Return half the sum of squares with the priors at unknowns (n,)."""

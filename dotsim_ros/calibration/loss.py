@@ -13,18 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.twin.follow import SimulatedPress
-
-Array = NDArray[np.float64]
 
 SKIN, FORCE = "skin", "force"
 POINTS, CHAMFER = "points", "chamfer"
 
 
 @dataclass(frozen=True)
-class Noise:
+class LossNoise:
     """One standard deviation of each error of the measurement.
 
     The error of discretisation is the same over a patch of the skin, so that the points of a patch
@@ -60,7 +59,7 @@ class Noise:
         together = max(1.0, np.pi * self.patch_radius_m**2 / area)
         return float(np.hypot(self.skin_m, np.sqrt(together) * self.skin_discretisation_m))
 
-    def offset(self) -> Array:
+    def offset(self) -> FloatArray:
         """Return the deviations (6,) of an indenter's offset: metres, radians."""
         return np.array([self.pose_m] * 3 + [self.pose_rad] * 3)
 
@@ -92,10 +91,10 @@ def nearest_partners(press: Press, simulated: SimulatedPress) -> Partners | None
 def residuals(
     press: Press,
     simulated: SimulatedPress,
-    noise: Noise,
+    noise: LossNoise,
     skin: SkinMesh,
     partners: Partners | None,
-) -> dict[str, Array]:
+) -> dict[str, FloatArray]:
     """Return simulated minus measured over noise, (n,) for each channel that was measured.
 
     Args:
@@ -124,7 +123,7 @@ def residuals(
     return result
 
 
-def force_deviation_n(press: Press, noise: Noise, skin: SkinMesh) -> Array:
+def force_deviation_n(press: Press, noise: LossNoise, skin: SkinMesh) -> FloatArray:
     """Return the deviation (F, 1) of an axis of the force in each frame.
 
     A surface that is off by d changes the depth of a press by as much, and with it the force, which

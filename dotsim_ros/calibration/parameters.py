@@ -11,16 +11,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import bulk_modulus_pa
 from dotsim_ros.gel.values import GelValues
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class Parameter:
+class GelParameter:
     """One parameter of the gel.
 
     Attributes:
@@ -64,8 +62,8 @@ def _poisson_ratio(coordinate: float) -> float:
     return float(0.5 - np.exp(coordinate))
 
 
-def _poisson(name: str, unit: str) -> Parameter:
-    return Parameter(
+def _poisson(name: str, unit: str) -> GelParameter:
+    return GelParameter(
         name, "poisson_ratio", unit, 0.8, (0.2, 0.4999), 0.2, _log_compressibility, _poisson_ratio
     )
 
@@ -73,20 +71,20 @@ def _poisson(name: str, unit: str) -> Parameter:
 PARAMETERS = {
     parameter.name: parameter
     for parameter in (
-        Parameter("E", "youngs_modulus_pa", "Pa", 0.5, (1e3, 1e8), 0.05, _log, _exp),
+        GelParameter("E", "youngs_modulus_pa", "Pa", 0.5, (1e3, 1e8), 0.05, _log, _exp),
         _poisson("nu", ""),
         # nu = 1/2 - E / (6 K): the same coordinate by another name.
         _poisson("bulk_modulus", "Pa"),
-        Parameter("friction", "friction", "", 0.5, (0.02, 3.0), 0.1, _log, _exp),
-        Parameter("c20", "c20_ratio", "of C10", 0.2, (-0.3, 2.0), 0.05, _same, _same),
-        Parameter("c30", "c30_ratio", "of C10", 0.1, (-0.1, 2.0), 0.05, _same, _same),
-        Parameter("thickness", "thickness_m", "m", 0.3e-3, (1e-3, 0.1), 0.1e-3, _same, _same),
+        GelParameter("friction", "friction", "", 0.5, (0.02, 3.0), 0.1, _log, _exp),
+        GelParameter("c20", "c20_ratio", "of C10", 0.2, (-0.3, 2.0), 0.05, _same, _same),
+        GelParameter("c30", "c30_ratio", "of C10", 0.1, (-0.1, 2.0), 0.05, _same, _same),
+        GelParameter("thickness", "thickness_m", "m", 0.3e-3, (1e-3, 0.1), 0.1e-3, _same, _same),
     )
 }
 """What `--fit` may name, beside `offset`."""
 
 
-def chosen_parameters(names: Sequence[str]) -> tuple[Parameter, ...]:
+def chosen_parameters(names: Sequence[str]) -> tuple[GelParameter, ...]:
     """Return the parameters of the given names.
 
     Raises:
@@ -106,13 +104,13 @@ def chosen_parameters(names: Sequence[str]) -> tuple[Parameter, ...]:
     return chosen
 
 
-def coordinates(parameters: Sequence[Parameter], values: GelValues) -> Array:
+def coordinates(parameters: Sequence[GelParameter], values: GelValues) -> FloatArray:
     """Return the coordinates (P,) of the chosen parameters."""
     return np.array([p.to_coordinate(getattr(values, p.field)) for p in parameters])
 
 
 def with_coordinates(
-    values: GelValues, parameters: Sequence[Parameter], coordinate: Array
+    values: GelValues, parameters: Sequence[GelParameter], coordinate: FloatArray
 ) -> GelValues:
     """Return the values with the chosen parameters at coordinates (P,), kept within bounds."""
     changes = {
@@ -122,7 +120,7 @@ def with_coordinates(
     return replace(values, **changes)
 
 
-def shown_value(parameter: Parameter, values: GelValues) -> float:
+def shown_value(parameter: GelParameter, values: GelValues) -> float:
     """Return a parameter's value in its unit."""
     if parameter.name == "bulk_modulus":
         return bulk_modulus_pa(values.youngs_modulus_pa, values.poisson_ratio)

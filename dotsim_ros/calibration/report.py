@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import (
-    Parameter,
+    GelParameter,
     shown_value,
     with_coordinates,
 )
@@ -35,8 +35,6 @@ from dotsim_ros.page import (
     picture_of,
 )
 from dotsim_ros.provenance import provenance
-
-Array = NDArray[np.float64]
 
 
 def figures(calibration: Calibration, *, seed: int) -> dict[str, Any]:
@@ -98,14 +96,14 @@ def _root_mean_square(loss: float, count: int) -> float:
     return float(np.sqrt(2.0 * loss / count))
 
 
-def _value_at(calibration: Calibration, index: int, point: Array) -> float:
+def _value_at(calibration: Calibration, index: int, point: FloatArray) -> float:
     problem = calibration.problem
     values = with_coordinates(problem.start, problem.parameters, point)
     return shown_value(problem.parameters[index], values)
 
 
 def _shown(
-    calibration: Calibration, parameter: Parameter, index: int, combination: Combination
+    calibration: Calibration, parameter: GelParameter, index: int, combination: Combination
 ) -> dict[str, float]:
     """Return value and interval in the parameter's unit; the others stay at the estimate."""
     ends = []

@@ -8,10 +8,10 @@ from pathlib import Path
 from time import monotonic
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
-from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, Noise
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
+from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
 from dotsim_ros.calibration.stages import Outcome, Task, Workers, open_workers, task_key
 from dotsim_ros.calibration.statistics import (
@@ -30,11 +30,9 @@ from dotsim_ros.measured.check import Observation, Omission, read_observations
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import Prediction
 from dotsim_ros.measured.trajectory import Topics
-from dotsim_ros.metrics.presses import FrameScore, score_press
+from dotsim_ros.metrics.presses import PressFrameScore, score_press
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.simulator import GelSimulator
-
-Array = NDArray[np.float64]
 
 SOLVE_BUDGET = 40
 """Usual most solves of a press in a whole calibration."""
@@ -43,7 +41,7 @@ JOINT_STEPS = 2
 
 
 @dataclass(frozen=True)
-class Request:
+class CalibrationRequest:
     """What to calibrate.
 
     Attributes:
@@ -73,7 +71,7 @@ class Request:
     fit: tuple[str, ...]
     with_offset: bool
     losses: tuple[str, ...]
-    noise: Noise
+    noise: LossNoise
     topics: Topics
     directory: Path
     workers: int
@@ -103,7 +101,7 @@ class Calibration:
         fit_seconds: what fitting took, without reading, tables and judging.
     """
 
-    problem: Problem
+    problem: FitProblem
     asked: tuple[str, ...]
     frozen: tuple[str, ...]
     identifiability: list[Identifiability]
@@ -112,9 +110,9 @@ class Calibration:
     joint: Combination
     values: GelValues
     specification: SensorSpecification
-    linearisations: dict[str, Linearisation]
+    linearisations: dict[str, PressLinearisation]
     solve_counts: dict[str, int]
-    scores: list[FrameScore]
+    scores: list[PressFrameScore]
     omissions: list[Omission]
     fit_seconds: float
 
@@ -138,7 +136,7 @@ def measured_skin(data_set: DataSet, sensor: SensorSpecification) -> tuple[SkinM
         return skin_of(sensor.gel), False
 
 
-def calibrate(request: Request, progress: Progress) -> Calibration:
+def calibrate(request: CalibrationRequest, progress: Progress) -> Calibration:
     """Fit the gel to the data.
 
     Raises:
@@ -163,7 +161,7 @@ def calibrate(request: Request, progress: Progress) -> Calibration:
     if not observations:
         reasons = "\n".join(omission.reason for omission in omissions)
         raise ValueError(f"no trajectory can be fitted:\n{reasons}")
-    asked = Problem(
+    asked = FitProblem(
         chosen_parameters(r.fit),
         values_of(r.sensor),
         r.noise,
@@ -177,9 +175,9 @@ def calibrate(request: Request, progress: Progress) -> Calibration:
 
 
 def _calibrate(
-    request: Request,
+    request: CalibrationRequest,
     stages: _Stages,
-    asked: Problem,
+    asked: FitProblem,
     observations: list[Observation],
     judged: list[Observation],
     omissions: list[Omission],
@@ -215,7 +213,7 @@ def _calibrate(
     joint = joint_estimate(problem, list(at.values()), seed=request.seed)
     values = with_coordinates(problem.start, problem.parameters, joint.point)
     fit_seconds = monotonic() - begun
-    scores: list[FrameScore] = []
+    scores: list[PressFrameScore] = []
     if has_vertices:
         scores = stages.judged(problem, joint.point, judged, omissions, request.seed)
     return Calibration(
@@ -240,7 +238,7 @@ class _Stages:
     """Runs the stages of a request, each over all presses."""
 
     def __init__(
-        self, request: Request, skin: SkinMesh, workers: Workers, progress: Progress
+        self, request: CalibrationRequest, skin: SkinMesh, workers: Workers, progress: Progress
     ) -> None:
         self._request, self._skin = request, skin
         self._workers, self._progress = workers, progress
@@ -248,12 +246,12 @@ class _Stages:
     def linearised(
         self,
         stage: str,
-        problem: Problem,
+        problem: FitProblem,
         observations: Sequence[Observation],
-        points: dict[str, Array],
+        points: dict[str, FloatArray],
         solves: dict[str, int],
         omissions: list[Omission],
-    ) -> dict[str, Linearisation]:
+    ) -> dict[str, PressLinearisation]:
         """Return the linearisations at points (n,), by default the priors' centres."""
         tasks = []
         for observation in observations:
@@ -269,9 +267,9 @@ class _Stages:
     def fitted(
         self,
         stage: str,
-        problem: Problem,
+        problem: FitProblem,
         observations: Sequence[Observation],
-        starts: dict[str, Linearisation],
+        starts: dict[str, PressLinearisation],
         solves: dict[str, int],
         omissions: list[Omission],
     ) -> dict[str, PressFit]:
@@ -297,17 +295,17 @@ class _Stages:
 
     def judged(
         self,
-        problem: Problem,
-        point: Array,
+        problem: FitProblem,
+        point: FloatArray,
         observations: Sequence[Observation],
         omissions: list[Omission],
         seed: int,
-    ) -> list[FrameScore]:
+    ) -> list[PressFrameScore]:
         """Return the scores of held-out presses at the shared parameters' point (P,)."""
         shared = replace(problem, with_offset=False)
         tasks = [Task("judge", o, shared, point, None, 0, "") for o in observations]
         predicted = self._workers.predict(tasks, self._counter("held out", len(tasks)))
-        scores: list[FrameScore] = []
+        scores: list[PressFrameScore] = []
         for observation in observations:
             skin, force, error = predicted[observation.press.name]
             if skin is None:
@@ -373,7 +371,7 @@ def _with_losses(observation: Observation, losses: Sequence[str]) -> Observation
 
 
 def _prepare_tables(
-    sensor: SensorSpecification, skin: SkinMesh, problem: Problem, progress: Progress
+    sensor: SensorSpecification, skin: SkinMesh, problem: FitProblem, progress: Progress
 ) -> None:
     """Compute the tables that the start needs once, not in each worker."""
     simulator = GelSimulator(
@@ -382,7 +380,9 @@ def _prepare_tables(
     simulator.prepare(problem.start)
 
 
-def _restricted(asked: Problem, kept: Sequence[int], lin: Linearisation) -> Linearisation:
+def _restricted(
+    asked: FitProblem, kept: Sequence[int], lin: PressLinearisation
+) -> PressLinearisation:
     """Return a linearisation of the kept parameters and the offset alone."""
     count = len(asked.parameters)
     rows = [*kept, *range(count, asked.size)]
@@ -394,6 +394,6 @@ def _restricted(asked: Problem, kept: Sequence[int], lin: Linearisation) -> Line
     )
 
 
-def _joined(problem: Problem, shared: Array, lin: Linearisation) -> Array:
+def _joined(problem: FitProblem, shared: FloatArray, lin: PressLinearisation) -> FloatArray:
     """Return shared coordinates (P,) with a press's own offset."""
     return np.concatenate([shared, lin.point[len(problem.parameters) :]])

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key
 from dotsim_ros.calibration.fitting import (
-    Linearisation,
+    FitProblem,
     PressFit,
-    Problem,
+    PressLinearisation,
     fit_press,
     linearise,
     simulate,
@@ -33,9 +33,6 @@ from dotsim_ros.measured.check import Observation
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
-
-Array = NDArray[np.float64]
-
 
 DECIDED_BY = ("dotsim_ros.calibration.stages",)
 """The code, with all that it imports, that decides a result."""
@@ -57,9 +54,9 @@ class Task:
 
     stage: str
     observation: Observation
-    problem: Problem
-    point: Array
-    start: Linearisation | None
+    problem: FitProblem
+    point: FloatArray
+    start: PressLinearisation | None
     budget: int
     key: str
 
@@ -94,7 +91,7 @@ def _work(task: Task) -> Outcome:
     return Outcome(name, fit)
 
 
-def _predict(task: Task) -> tuple[str, Array | None, Array | None, str]:
+def _predict(task: Task) -> tuple[str, FloatArray | None, FloatArray | None, str]:
     assert _simulator is not None
     name = task.observation.press.name
     try:
@@ -138,7 +135,7 @@ class Workers:
 
     def predict(
         self, tasks: Sequence[Task], progress: Callable[[str], None]
-    ) -> dict[str, tuple[Array | None, Array | None, str]]:
+    ) -> dict[str, tuple[FloatArray | None, FloatArray | None, str]]:
         """Return skin (F, V, 3) and force (F, 3) at the tasks' points, or why there are none."""
         found = {}
         for name, skin, force, error in self._pool.map(_predict, tasks):
@@ -171,8 +168,8 @@ def task_key(
     specification: SensorSpecification,
     skin: SkinMesh,
     observation: Observation,
-    problem: Problem,
-    *arrays: Array,
+    problem: FitProblem,
+    *arrays: FloatArray,
 ) -> str:
     """Return a key of all that a result depends on."""
     return content_key(
@@ -212,5 +209,5 @@ def _load(path: Path, key: str) -> Outcome | None:
         field: {channel: np.array(values) for channel, values in best[field].items()}
         for field in ("information", "gradient")
     }
-    found = Linearisation(**{**best, **arrays, "point": np.array(best["point"])})
+    found = PressLinearisation(**{**best, **arrays, "point": np.array(best["point"])})
     return Outcome(record["name"], PressFit(**{**fit, "best": found}))

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
-from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import coordinates
-
-Array = NDArray[np.float64]
 
 TOLD_SHARE = 0.5
 """A parameter is told if the data leave at most this share of its prior's width."""
@@ -52,14 +50,14 @@ class Combination:
         low, high: (P,) ends of the 95 % intervals.
     """
 
-    point: Array
-    low: Array
-    high: Array
+    point: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
 def reduced(
-    problem: Problem, linearisation: Linearisation, channels: Sequence[str] = (SKIN, FORCE)
-) -> tuple[Array, Array]:
+    problem: FitProblem, linearisation: PressLinearisation, channels: Sequence[str] = (SKIN, FORCE)
+) -> tuple[FloatArray, FloatArray]:
     """Return a press's information (P, P) on the shared parameters, its own offset eliminated, and
     the gradient (P,); priors of the shared ones are left out, that of the offset is in."""
     information, gradient, _ = linearisation.total(channels)
@@ -78,7 +76,7 @@ def reduced(
 
 
 def identifiability(
-    problem: Problem, linearisations: Sequence[Linearisation]
+    problem: FitProblem, linearisations: Sequence[PressLinearisation]
 ) -> list[Identifiability]:
     """Return what each kind of data tells of each parameter, all presses together."""
     count = len(problem.parameters)
@@ -106,13 +104,15 @@ def identifiability(
     return result
 
 
-def joint_step(problem: Problem, linearisations: Sequence[Linearisation]) -> Array:
+def joint_step(problem: FitProblem, linearisations: Sequence[PressLinearisation]) -> FloatArray:
     """Return the Gauss-Newton step (P,) of the shared parameters, from the mean of their points."""
     here, informations, gradients = _stacked(problem, linearisations)
     return _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
 
 
-def offset_step(problem: Problem, linearisation: Linearisation, shared_step: Array) -> Array:
+def offset_step(
+    problem: FitProblem, linearisation: PressLinearisation, shared_step: FloatArray
+) -> FloatArray:
     """Return the step (6,) of a press's offset that goes with a step (P,) of the shared."""
     count = len(problem.parameters)
     if not problem.with_offset:
@@ -125,8 +125,8 @@ def offset_step(problem: Problem, linearisation: Linearisation, shared_step: Arr
 
 
 def joint_estimate(
-    problem: Problem,
-    linearisations: Sequence[Linearisation],
+    problem: FitProblem,
+    linearisations: Sequence[PressLinearisation],
     *,
     replicates: int = 4000,
     seed: int = 0,
@@ -153,7 +153,7 @@ def joint_estimate(
 
 
 def median_estimate(
-    problem: Problem, fits: Sequence[PressFit], *, replicates: int = 4000, seed: int = 0
+    problem: FitProblem, fits: Sequence[PressFit], *, replicates: int = 4000, seed: int = 0
 ) -> Combination:
     """Return the paper's estimate, the median of the fits of single presses, and intervals by
     bootstrap over them, widened as `joint_estimate`'s."""
@@ -172,15 +172,15 @@ def small_sample_widening(count: int) -> float:
     return float(student * np.sqrt(count / (count - 1)))
 
 
-def _interval(best: Array, points: Array, count: int) -> Combination:
+def _interval(best: FloatArray, points: FloatArray, count: int) -> Combination:
     low, high = np.quantile(points, [0.025, 0.975], axis=0)
     wide = small_sample_widening(count)
     return Combination(best, best + wide * (low - best), best + wide * (high - best))
 
 
 def _stacked(
-    problem: Problem, linearisations: Sequence[Linearisation]
-) -> tuple[Array, Array, Array]:
+    problem: FitProblem, linearisations: Sequence[PressLinearisation]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the mean of the points (P,), and there the informations (n, P, P) and gradients
     (n, P) of the presses' quadratics."""
     count = len(problem.parameters)
@@ -192,7 +192,9 @@ def _stacked(
     return here, informations, gradients + np.einsum("kij,kj->ki", informations, here - points)
 
 
-def _step(problem: Problem, here: Array, information: Array, gradient: Array) -> Array:
+def _step(
+    problem: FitProblem, here: FloatArray, information: FloatArray, gradient: FloatArray
+) -> FloatArray:
     count = len(problem.parameters)
     precision = problem.precision()[:count]
     away = here - coordinates(problem.parameters, problem.start)

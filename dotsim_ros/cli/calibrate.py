@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.calibration.loss import Noise
+    from dotsim_ros.calibration.loss import LossNoise
     from dotsim_ros.measured.trajectory import Topics
 
 LOSSES = ("points", "chamfer", "force")
@@ -109,7 +109,7 @@ _NOISES = {
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate, write the files, and print the figures."""
     from dotsim_ros.calibration.report import summary_lines, write_report
-    from dotsim_ros.calibration.run import Request, calibrate
+    from dotsim_ros.calibration.run import CalibrationRequest, calibrate
     from dotsim_ros.files import write_text
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.split import hold_out_of_protocols
@@ -142,7 +142,7 @@ def run(arguments: argparse.Namespace) -> int:
     has_mesh = (data_set.directory / "skin_mesh.npz").is_file()
     directory = out.with_name(f"{out.stem}_report")
     calibration = calibrate(
-        Request(
+        CalibrationRequest(
             data_set=data_set,
             sensor=load_sensor(arguments.sensor),
             train=train,
@@ -170,11 +170,13 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _noise(arguments: argparse.Namespace) -> Noise:
-    from dotsim_ros.calibration.loss import Noise
+def _noise(arguments: argparse.Namespace) -> LossNoise:
+    from dotsim_ros.calibration.loss import LossNoise
 
-    given = {field.name: getattr(arguments, f"noise_{field.name}", None) for field in fields(Noise)}
-    return Noise(**{name: value for name, value in given.items() if value is not None})
+    given = {
+        field.name: getattr(arguments, f"noise_{field.name}", None) for field in fields(LossNoise)
+    }
+    return LossNoise(**{name: value for name, value in given.items() if value is not None})
 
 
 def _topics(arguments: argparse.Namespace) -> Topics:

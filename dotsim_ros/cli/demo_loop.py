@@ -37,10 +37,10 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
     from dotsim_ros.evaluation.trajectory.page import path_picture, trial_report
     from dotsim_ros.evaluation.trajectory.trials import judge, told, trial_start
-    from dotsim_ros.files import whole_file, write_json, write_text
+    from dotsim_ros.files import write_json
     from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
-    from dotsim_ros.page import as_html, as_markdown
+    from dotsim_ros.page import write_page
     from dotsim_ros.provenance import provenance
     from dotsim_ros.tasks.policy.card import read_policy
     from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
@@ -73,10 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         sensor=Path(setup.sensor).stem,
         origin=provenance(),
     )
-    with whole_file(arguments.out / "path.png") as part:
-        part.write_bytes(picture.png)
-    write_text(arguments.out / "report.html", as_html(page))
-    write_text(arguments.out / "report.md", as_markdown(page))
+    write_page(arguments.out, page)
     if arguments.json is not None:
         write_json(arguments.json, row | {"provenance": provenance()})
     print(told(row))

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from dotsim_ros.gap.findings import Findings
-    from dotsim_ros.gap.presses.search_state import Request
+    from dotsim_ros.gap.presses.search_state import GapRequest
 
 CHANNELS = ("skin", "force", "image")
 
@@ -111,13 +111,13 @@ def fit_optical_noise(arguments: argparse.Namespace) -> None:
     print(f"{arguments.fit_optical_noise}: {null.source}")
 
 
-def request_of(arguments: argparse.Namespace) -> Request:
+def request_of(arguments: argparse.Namespace) -> GapRequest:
     """Return what is searched, and how."""
     from dotsim_ros.gap.find import channels_of
-    from dotsim_ros.gap.presses.search_state import Request
+    from dotsim_ros.gap.presses.search_state import GapRequest
     from dotsim_ros.specification import load_sensor
 
-    return Request(
+    return GapRequest(
         measured=arguments.measured,
         sensor=load_sensor(arguments.sensor),
         directory=arguments.out / "run",

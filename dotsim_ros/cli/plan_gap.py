@@ -33,10 +33,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Simulate, and print the matrix."""
     from dotsim_ros.files import write_json
     from dotsim_ros.gap.plan import plan, plan_lines
-    from dotsim_ros.gap.presses.search_state import Request
+    from dotsim_ros.gap.presses.search_state import GapRequest
     from dotsim_ros.specification import load_sensor
 
-    request = Request(
+    request = GapRequest(
         measured=arguments.protocols,
         sensor=load_sensor(arguments.sensor),
         directory=arguments.out / "run",

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.learning.training import Progress
+    from dotsim_ros.learning.training import TrainingProgress
 
 NETWORKS = ("ours", "paper", "paper_direct", "unet")
 
@@ -102,7 +102,7 @@ def split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ..
 def run(arguments: argparse.Namespace) -> int:
     """Train, write the files, and print the figures."""
     try:
-        from dotsim_ros.learning.run import SENSOR, Request, train_optics
+        from dotsim_ros.learning.run import SENSOR, TrainOpticsRequest, train_optics
     except ModuleNotFoundError as error:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
@@ -115,7 +115,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--sensor-out is {sensor_file}, expected a file that ends in .yaml")
     train, held_out = split(arguments)
     report = train_optics(
-        Request(
+        TrainOpticsRequest(
             data=arguments.data,
             sensor=load_sensor(arguments.sensor),
             train=train,
@@ -144,7 +144,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _show(progress: Progress) -> None:
+def _show(progress: TrainingProgress) -> None:
     """Draw a bar on a terminal; elsewhere print a line an epoch."""
     filled = 30 * progress.epoch // progress.epochs
     line = (

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.tasks.policy.training import Progress
+    from dotsim_ros.tasks.policy.training import PolicyProgress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train, write the files, and print the figures."""
     try:
-        from dotsim_ros.tasks.policy.training import Recipe, train_policy
+        from dotsim_ros.tasks.policy.training import PolicyRecipe, train_policy
     except ModuleNotFoundError as error:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
@@ -52,7 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.out,
         record=arguments.record or arguments.out.with_name(f"{arguments.out.name}_training"),
         name=arguments.name or arguments.out.name,
-        recipe=Recipe(
+        recipe=PolicyRecipe(
             example_count=arguments.examples,
             learning_rate=arguments.learning_rate,
             side_px=arguments.size,
@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _show(progress: Progress) -> None:
+def _show(progress: PolicyProgress) -> None:
     print(
         f"{progress.done}/{progress.count} examples  velocity {1e3 * progress.error_m_s:.2f} mm/s, "
         f"place {1e3 * progress.place_error_m:.2f} mm wrong  {progress.left_s / 60.0:.1f} min left",

@@ -12,13 +12,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.recording import Recording
 
-Array = NDArray[np.float64]
 Values = Mapping[str, float]
 
 SKIN, FORCE, IMAGE = "skin", "force", "image"
@@ -77,9 +76,9 @@ class Response:
     session_s: float
     pose: Pose
     depth_m: float
-    rest_position_m: Array
-    skin_position_m: Array
-    force_n: Array
+    rest_position_m: FloatArray
+    skin_position_m: FloatArray
+    force_n: FloatArray
 
 
 @dataclass(frozen=True)
@@ -98,17 +97,17 @@ class SeenImage:
 
     stamp_s: float
     session_s: float
-    pixels: Array
-    idle: Array
-    centre_px: Array
+    pixels: FloatArray
+    idle: FloatArray
+    centre_px: FloatArray
     focal_px: float
-    flow_px_s: Array
+    flow_px_s: FloatArray
 
 
-MotionFilter = Callable[[float, Pose, Array], Pose]
+MotionFilter = Callable[[float, Pose, FloatArray], Pose]
 """From time (s), pose as told, and the force (3,) on the indenter to the pose as it is."""
 ResponseFilter = Callable[[Response], Response]
-ImageFilter = Callable[[SeenImage], Array]
+ImageFilter = Callable[[SeenImage], FloatArray]
 """Returns (H, W, 3) pixels."""
 
 
@@ -185,7 +184,7 @@ def motion_filters(effects: Sequence[Active]) -> MotionFilter:
     """Return fresh filters of the pose, one after the other."""
     filters = [a.effect.motion(a.values) for a in effects if a.effect.motion is not None]
 
-    def filtered(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
+    def filtered(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
         for one in filters:
             pose = one(stamp_s, pose, force_n)
         return pose
@@ -209,7 +208,7 @@ def image_filters(effects: Sequence[Active]) -> ImageFilter:
     """Return fresh filters of the image, one after the other."""
     filters = [a.effect.image(a.values) for a in effects if a.effect.image is not None]
 
-    def filtered(image: SeenImage) -> Array:
+    def filtered(image: SeenImage) -> FloatArray:
         for one in filters:
             image = replace(image, pixels=one(image))
         return image.pixels

@@ -7,11 +7,10 @@ from dataclasses import replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.effects.effect import (
     Active,
-    Array,
     GelTerm,
     Response,
     SeenImage,
@@ -26,8 +25,6 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.specification import SensorSpecification
-
-ImageArray = NDArray[np.uint8]
 
 NO_FORCE_N = 1e-9
 """A force below this has no direction."""
@@ -55,7 +52,7 @@ def specification_with_effects(
     return replace(changed, material=material)
 
 
-def wrench_with_force(wrench: Wrench, force_n: Array, tip_m: Array) -> Wrench:
+def wrench_with_force(wrench: Wrench, force_n: FloatArray, tip_m: FloatArray) -> Wrench:
     """Return a wrench of another force.
 
     What of it lies along the force before acts where that did; the rest acts at the tip.
@@ -87,7 +84,7 @@ class FilteredSensor(Protocol):
     def idle_image(self) -> ImageArray:
         """The image without contact, (H, W, 3) uint8."""
 
-    def image_motion_px(self, before_m: Array, after_m: Array) -> Array:
+    def image_motion_px(self, before_m: FloatArray, after_m: FloatArray) -> FloatArray:
         """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y."""
 
 
@@ -122,7 +119,7 @@ class LiveEffects:
         self._response = response_filters(self._effects)
         self._image = image_filters(self._effects)
 
-    def moved(self, pose: Pose, force_n: Array, step_s: float) -> Pose:
+    def moved(self, pose: Pose, force_n: FloatArray, step_s: float) -> Pose:
         """Return where the indenter is when it is told to be at a pose.
 
         Args:
@@ -157,8 +154,8 @@ class LiveEffects:
         )
 
     def camera(
-        self, before_m: Array | None, step_s: float
-    ) -> Callable[[ImageArray, Array], ImageArray] | None:
+        self, before_m: FloatArray | None, step_s: float
+    ) -> Callable[[ImageArray, FloatArray], ImageArray] | None:
         """Return what the camera makes of this moment's image, whenever it is rendered; None where
         no effect acts on it.
 
@@ -174,7 +171,7 @@ class LiveEffects:
         image, stamp_s, session_s = self._image, self._stamp_s, self._session_s
         sensor = self._sensor
 
-        def seen(rendered: ImageArray, skin_position_m: Array) -> ImageArray:
+        def seen(rendered: ImageArray, skin_position_m: FloatArray) -> ImageArray:
             if before_m is None:
                 flow = np.zeros((*rendered.shape[:2], 2))
             else:

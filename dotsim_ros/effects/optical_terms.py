@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.effects.effect import IMAGE, Array, Effect, EffectParameter, SeenImage, Values
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, SeenImage, Values
 from dotsim_ros.measured.recording import Phase, Recording
 
 FULL_SCALE = 255.0
@@ -21,7 +22,7 @@ FULL_SCALE = 255.0
 FAST_M_S = 2.0e-3
 """An indenter that moves faster under load moves the picture enough to blur or skew it."""
 
-SourceMap = Callable[[SeenImage], tuple[Array, Array]]
+SourceMap = Callable[[SeenImage], tuple[FloatArray, FloatArray]]
 """From a picture to x and y (H, W each), px, of where in it each new pixel looks."""
 
 
@@ -41,12 +42,12 @@ def moves_fast(recording: Recording) -> bool:
     )
 
 
-def within_scale(pixels: Array) -> Array:
+def within_scale(pixels: FloatArray) -> FloatArray:
     """Return pixels (..., 3) clipped to what the camera can give."""
     return np.clip(pixels, 0.0, FULL_SCALE)
 
 
-def radius_square(image: SeenImage) -> Array:
+def radius_square(image: SeenImage) -> FloatArray:
     """Return (H, W) the squared distance from the optical axis over half the picture's height, the
     coordinate of `dotsim_ros.optics.lighting.Vignetting`."""
     height, width = image.pixels.shape[:2]
@@ -55,7 +56,7 @@ def radius_square(image: SeenImage) -> Array:
     return (x[None, :] ** 2 + y[:, None] ** 2) / (0.5 * height) ** 2
 
 
-def sampled(pixels: Array, x: Array, y: Array) -> Array:
+def sampled(pixels: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
     """Return pixels (H, W, 3) looked up at places (H, W) in px by cubic interpolation.
 
     A place outside shows the nearest border, a whole pixel itself, to single precision.
@@ -71,7 +72,7 @@ def sampled(pixels: Array, x: Array, y: Array) -> Array:
     return np.asarray(found, dtype=np.float64)
 
 
-def _asked_for(place: Array) -> Array:
+def _asked_for(place: FloatArray) -> FloatArray:
     """Return where OpenCV's cubic must be asked to look, to look at a place.
 
     Its kernel is that of Keys ("Cubic convolution interpolation for digital image processing",
@@ -83,7 +84,7 @@ def _asked_for(place: Array) -> Array:
     return np.asarray(whole + 0.5 + np.sinh(np.arcsinh(4.0 * (place - whole) - 2.0) / 3.0))
 
 
-def pixel_places(image: SeenImage) -> tuple[Array, Array]:
+def pixel_places(image: SeenImage) -> tuple[FloatArray, FloatArray]:
     """Return x and y (H, W each) of all pixels."""
     height, width = image.pixels.shape[:2]
     x, y = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
@@ -103,7 +104,7 @@ class FixedResampling:
         self._x: NDArray[np.float64] = np.empty((0, 0))
         self._y: NDArray[np.float64] = np.empty((0, 0))
 
-    def __call__(self, image: SeenImage) -> Array:
+    def __call__(self, image: SeenImage) -> FloatArray:
         """Return the resampled pixels (H, W, 3)."""
         geometry = (*image.pixels.shape, *map(float, image.centre_px), float(image.focal_px))
         if geometry != self._geometry:
@@ -123,7 +124,7 @@ def led_imbalance(colour: str, channel: int) -> Effect:
         channel: of the picture: 0 red, 1 green, 2 blue.
     """
 
-    def image(values: Values) -> Callable[[SeenImage], Array]:
+    def image(values: Values) -> Callable[[SeenImage], FloatArray]:
         gain = np.ones(3)
         gain[channel] = 1.0 - values["loss_share"]
         return lambda seen: within_scale(seen.pixels * gain)

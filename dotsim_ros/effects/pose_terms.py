@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    FORCE,
-    SKIN,
-    Array,
-    Effect,
-    EffectParameter,
-    MotionFilter,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter, MotionFilter, Values
 from dotsim_ros.effects.excitation import touches
 from dotsim_ros.geometry.pose import Pose
 
@@ -20,7 +13,7 @@ OFFSET_M = 0.5e-3
 """Largest error of an arm's calibration that is taken for one; more is a wrong sensor file."""
 
 
-def shifted(pose: Pose, shift_m: Array) -> Pose:
+def shifted(pose: Pose, shift_m: FloatArray) -> Pose:
     """Return a pose moved by (3,) in the frame that it is given in."""
     return Pose(pose.position_m + shift_m, pose.quaternion_xyzw)
 
@@ -33,7 +26,7 @@ def offset_effect(axis: str, *, name: str, protocol: str, taken_for: tuple[str, 
     def motion(values: Values) -> MotionFilter:
         shift_m = values[parameter.name] * direction
 
-        def moved(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
+        def moved(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
             return shifted(pose, shift_m)
 
         return moved

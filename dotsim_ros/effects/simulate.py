@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dotsim_ros.effects.effect import (
     Active,
@@ -28,8 +27,6 @@ from dotsim_ros.measured.recording import Recording
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.solver import PressSolver, Progress, SolveRequest, open_press_solver
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
@@ -40,28 +40,26 @@ from dotsim_ros.gap.images.case import (
 )
 from dotsim_ros.gap.images.fit import (
     Fitted,
+    ImageSearch,
     OpticalAnswer,
-    PictureSearch,
     mean_squares,
     without_effects,
 )
-from dotsim_ros.gap.images.model import PictureModel
+from dotsim_ros.gap.images.model import TwinCamera
 from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, load_optical_null
 from dotsim_ros.gap.images.reading import (
-    Pictures,
+    MeasuredImages,
     check_same_unit,
     has_pictures,
     read_pictures,
 )
 from dotsim_ros.gap.images.tiles import COLOURS
 from dotsim_ros.gap.presses.search import find_gap
-from dotsim_ros.gap.presses.search_state import Progress, Request
+from dotsim_ros.gap.presses.search_state import GapRequest, Progress
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import one_of_each, protocol_of
-
-Array = NDArray[np.float64]
 
 IMAGE = "image"
 MECHANICAL = ("skin", "force")
@@ -75,7 +73,9 @@ def channels_of(measured: Path) -> tuple[str, ...]:
     return (*MECHANICAL, IMAGE) if all(has_pictures(measured)) else MECHANICAL
 
 
-def find_gap_with_pictures(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
+def find_gap_with_pictures(
+    request: GapRequest, progress: Progress
+) -> tuple[Findings, Overlay | None]:
     """Search a data set by the channels of a request, pictures among them.
 
     Raises:
@@ -144,7 +144,7 @@ def combined(findings: Findings, optical: OpticalFindings) -> Findings:
     )
 
 
-def fit_noise_of_pictures(request: Request, progress: Progress) -> OpticalNull:
+def fit_noise_of_pictures(request: GapRequest, progress: Progress) -> OpticalNull:
     """Return what the pictures of a data set show in which nothing is missing.
 
     Args:
@@ -155,13 +155,8 @@ def fit_noise_of_pictures(request: Request, progress: Progress) -> OpticalNull:
     Raises:
         FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
     """
-    case = case_of(request, progress)
+    case, _ = _case_without_gap(request, progress)
     count = len(case.shots) - 1
-    if count <= LEAST_TRAJECTORIES:
-        raise ValueError(
-            f"{count} trajectories with pictures are too few to tell what a model errs by, "
-            f"expected more than {LEAST_TRAJECTORIES}"
-        )
     effects = [e for e in load_effects(request.effects).values() if e.image is not None]
     source = f"{count} trajectories of {request.measured.name} with {request.sensor.name}"
     return fit_optical_null(
@@ -173,17 +168,61 @@ def fit_noise_of_pictures(request: Request, progress: Progress) -> OpticalNull:
     )
 
 
-def case_of(request: Request, progress: Progress) -> OpticalCase:
+def case_of(request: GapRequest, progress: Progress) -> OpticalCase:
     """Return the pictures of a data set beside those of the twin without any effect.
 
     Raises:
         FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
     """
+    return _case_and_solves(request, progress)[0]
+
+
+def _case_and_solves(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
     pictures, model = _pictures_and_model(request)
-    skins, _, _ = _skins(request, pictures, None, progress)
-    return optical_case(
+    skins, solves, _ = _skins(request, pictures, None, progress)
+    case = optical_case(
         pictures, model, skins, progress=lambda done, total: progress("pictures", done, total)
     )
+    return case, solves
+
+
+def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
+    """Return the pictures of a data set in which nothing is missing, and how many solves it took.
+
+    Raises:
+        FileNotFoundError, ValueError: as `case_of`; or too few trajectories.
+    """
+    case, solves = _case_and_solves(request, progress)
+    count = len(case.shots) - 1
+    if count <= LEAST_TRAJECTORIES:
+        raise ValueError(
+            f"{count} trajectories with pictures are too few to tell what a model errs by, "
+            f"expected more than {LEAST_TRAJECTORIES}"
+        )
+    return case, solves
+
+
+def _null_of(
+    request: GapRequest, effects: Sequence[Effect], progress: Progress
+) -> tuple[OpticalNull, list[str], int]:
+    """Return what pictures show where nothing is missing, what limits that, and how many solves it
+    took. Nothing is missing in a reference: it tells the sizes of effects that the file does not
+    know, such as the user's own."""
+    null = load_optical_null(request.optical_noise)
+    unknown = [effect for effect in effects if not null.knows(effect)]
+    if not unknown:
+        return null, [], 0
+    reason, solves = "", 0
+    if request.reference is not None:
+        try:
+            reference = replace(request, measured=request.reference)
+            case, solves = _case_without_gap(reference, progress)
+            source = f"{len(case.shots) - 1} trajectories of {request.reference.name}"
+            told = wording.told_by_reference(unknown, source)
+            return null.with_effects(unknown, case), [told], solves
+        except (FileNotFoundError, ValueError) as error:
+            reason = str(error)
+    return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], solves
 
 
 def _unusable(reason: str) -> OpticalFindings:
@@ -192,7 +231,7 @@ def _unusable(reason: str) -> OpticalFindings:
 
 
 def _find_optical(
-    request: Request,
+    request: GapRequest,
     effects: Sequence[Effect],
     findings: Findings | None,
     overlay: Overlay | None,
@@ -200,9 +239,18 @@ def _find_optical(
 ) -> tuple[OpticalFindings, tuple[FoundEffect, ...], str, int]:
     """Return the optical part, its effects for the overlay, the hash of the pictures, and how many
     solves it took."""
-    null = load_optical_null(request.optical_noise)
     pictures, model = _pictures_and_model(request)
-    warnings = list(pictures.warnings)
+    null, limits, reference_solves = _null_of(request, effects, progress)
+    warnings = [*pictures.warnings, *limits]
+    known = [effect for effect in effects if null.knows(effect)]
+    not_tried = [effect for effect in effects if effect not in known]
+    if not known:
+        sentence = f"Images: not searched. {wording.not_tried_sentence(not_tried)}"
+        names = tuple(effect.name for effect in not_tried)
+        nothing = OpticalFindings(
+            Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
+        )
+        return nothing, (), pictures.digest, reference_solves
     skins, solves, left_out = _skins(request, pictures, overlay, progress)
     warnings += left_out
     case = optical_case(
@@ -214,13 +262,6 @@ def _find_optical(
             "what is missing in the gel is unknown, so the skin in contact is not known: only "
             "frames without contact were searched for effects of the camera"
         )
-    known = [effect for effect in effects if null.knows(effect)]
-    if len(known) < len(effects):
-        names = ", ".join(e.name for e in effects if e not in known)
-        warnings.append(
-            f"not looked for in the images: {names}; how large they seem where nothing is missing "
-            "is not known: make the noise of the images anew with --fit-optical-noise"
-        )
     warnings += wording.picture_warnings(
         null.sensor, null.source, request.sensor.name, len(case.shots) - 1
     )
@@ -231,18 +272,22 @@ def _find_optical(
     if not tried:
         raise ValueError("no picture excites any effect of the camera; record presses with images")
     progress("screen the pictures", 0, 1)
-    search = PictureSearch(case, chosen, tried, null, alpha=request.alpha, seed=request.seed)
+    search = ImageSearch(case, chosen, tried, null, alpha=request.alpha, seed=request.seed)
     progress("screen the pictures", 1, 1)
     answer = search.answer()
     library = {effect.name: effect for effect in effects}
     seen = _optical_findings(case, search, answer, locked, null, library, silent, random, warnings)
+    if not_tried:
+        sentence = f"{seen.sentence} {wording.not_tried_sentence(not_tried)}"
+        names = tuple(effect.name for effect in not_tried)
+        seen = replace(seen, sentence=sentence, not_tried=names)
     found = tuple(
         FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
     )
-    return seen, found, pictures.digest, solves
+    return seen, found, pictures.digest, solves + reference_solves
 
 
-def _pictures_and_model(request: Request) -> tuple[Pictures, PictureModel]:
+def _pictures_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
     """Return the pictures, and the model of the twin's at their size.
 
     Raises:
@@ -262,14 +307,14 @@ def _pictures_and_model(request: Request) -> tuple[Pictures, PictureModel]:
             f"they are {width}x{height}, the camera of {request.sensor.name} has "
             f"{camera.width}x{camera.height}, another aspect ratio: they come from another camera"
         )
-    model = PictureModel(request.sensor, width=width, height=height, idle=idle)
+    model = TwinCamera(request.sensor, width=width, height=height, idle=idle)
     check_same_unit(model.idle, pictures.idle, owner=owner)
     return pictures, model
 
 
 def _skins(
-    request: Request, pictures: Pictures, overlay: Overlay | None, progress: Progress
-) -> tuple[dict[str, Array], int, list[str]]:
+    request: GapRequest, pictures: MeasuredImages, overlay: Overlay | None, progress: Progress
+) -> tuple[dict[str, FloatArray], int, list[str]]:
     """Return the twin's skin (F, V, 3) by trajectory, how many solves it took, and what could not
     be solved."""
     sensor = request.sensor
@@ -310,7 +355,7 @@ def _locked(
 
 def _optical_findings(
     case: OpticalCase,
-    search: PictureSearch,
+    search: ImageSearch,
     answer: OpticalAnswer,
     locked: Sequence[str],
     null: OpticalNull,
@@ -364,7 +409,7 @@ def _optical_findings(
 
 
 def _closed(
-    squares: Sequence[Array], sizes: Array, floor: float, random: np.random.Generator
+    squares: Sequence[FloatArray], sizes: FloatArray, floor: float, random: np.random.Generator
 ) -> tuple[float, float, float] | None:
     """Return the share of the gap closed, (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2), with its interval
     by a bootstrap over trajectories; None where there was no gap."""
@@ -383,15 +428,15 @@ def _closed(
 
 def _colour_gap(
     shots: Sequence[Shot],
-    before: Sequence[Array],
-    after: Sequence[Array],
-    search: PictureSearch,
+    before: Sequence[FloatArray],
+    after: Sequence[FloatArray],
+    search: ImageSearch,
     null: OpticalNull,
 ) -> ChannelGap:
     """Return the RMS of the tiles' colours, in grey levels; recalibrated: with one gain and one
     black level of the camera for all."""
 
-    def level(values: Sequence[Array]) -> float:
+    def level(values: Sequence[FloatArray]) -> float:
         return float(
             np.sqrt(np.mean(np.concatenate([v[..., COLOURS].ravel() for v in values]) ** 2))
         )
@@ -421,9 +466,9 @@ def _colour_gap(
 def _tiles(
     case: OpticalCase,
     shots: Sequence[Shot],
-    before: Sequence[Array],
-    after: Sequence[Array],
-    search: PictureSearch,
+    before: Sequence[FloatArray],
+    after: Sequence[FloatArray],
+    search: ImageSearch,
 ) -> tuple[TileGap, ...]:
     """Return the RMS of each tile's observables in expected deviations."""
     deviation = [search.noise.deviation(shot.change) for shot in shots]

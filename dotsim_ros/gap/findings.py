@@ -57,7 +57,7 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Place:
+class ResidualPlace:
     """Residuals in one place: RMS in units of their expected deviation.
 
     Attributes:
@@ -181,6 +181,7 @@ class OpticalFindings:
         trajectories, locked: names used for the search, and kept locked.
         frame_count: pictures.
         noise_source: where the thresholds come from.
+        not_tried: effects whose sizes in pictures without any effect are not known.
     """
 
     verdict: Verdict
@@ -204,6 +205,7 @@ class OpticalFindings:
     locked: tuple[str, ...] = ()
     frame_count: int = 0
     noise_source: str = ""
+    not_tried: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -251,7 +253,7 @@ class Findings:
     mode: str = "absolute"
     candidates: tuple[Candidate, ...] = ()
     calibrated: tuple[Estimate, ...] = ()
-    places: tuple[Place, ...] = ()
+    places: tuple[ResidualPlace, ...] = ()
     gaps: tuple[ChannelGap, ...] = ()
     share_closed: float | None = None
     share_closed_low: float | None = None
@@ -294,7 +296,7 @@ def findings_of(record: Mapping[str, Any]) -> Findings:
     values["candidates"] = _candidates_of(values["candidates"])
     for name, kind in (
         ("calibrated", Estimate),
-        ("places", Place),
+        ("places", ResidualPlace),
         ("gaps", ChannelGap),
         ("fallback", ChannelGap),
         ("pairs", Pair),
@@ -323,6 +325,8 @@ def _optical_of(record: Mapping[str, Any]) -> OpticalFindings:
         **{
             **record,
             **{name: tuple(record[name]) for name in lists},
+            # Older records lack it.
+            "not_tried": tuple(record.get("not_tried", ())),
             "verdict": Verdict(record["verdict"]),
             "candidates": _candidates_of(record["candidates"]),
             "gap": None if gap is None else ChannelGap(**gap),

@@ -8,31 +8,28 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.decision import ALIKE
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
-from dotsim_ros.gap.presses.covariance import Noise, load_discrepancy
+from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy
 from dotsim_ros.gap.presses.evidence import Case, make_trajectories
 from dotsim_ros.gap.presses.inference import cosines, lengths
 from dotsim_ros.gap.presses.isolability import pairs_of
 from dotsim_ros.gap.presses.screening import excited_variants
-from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.measurement import protocol_of, read_poses
-
-Array = NDArray[np.float64]
 
 FOUND = 8.0
 """Whitened size from which an effect is found with 95 % probability: its score, the square, is to
 pass a limit of about 40 (`decision.HEAVIER` times the threshold of simulated nulls)."""
 
 
-def plan(request: Request) -> dict[str, Any]:
+def plan(request: GapRequest) -> dict[str, Any]:
     """Return what the protocols of a data set can tell.
 
     Args:
@@ -76,7 +73,7 @@ def plan(request: Request) -> dict[str, Any]:
             library=library,
             solver=solver,
             skin=skin,
-            noise=Noise(),
+            noise=ChannelNoise(),
             discrepancy=discrepancy,
             channels=request.channels,
         )

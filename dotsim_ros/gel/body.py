@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from dotsim_ros.arrays import FloatArray
 
 
 class Body(Protocol):

@@ -18,11 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 STENCIL = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
 """(27, 3) offsets from a cell to the nodes whose splines are not zero in it."""
@@ -40,7 +38,7 @@ class Interpolation:
         weight: (P, 27) weights; negative on nodes mirrored at the base.
     """
 
-    node_index: IntArray
+    node_index: IndexArray
     weight: FloatArray
 
     def matrix(self, node_count: int) -> sparse.csr_matrix:
@@ -181,7 +179,7 @@ class _NodeNumbers:
     def node_cells(self) -> NDArray[np.int64]:
         return np.stack(np.unravel_index(self.cells_flat, self.shape), axis=-1) + self.lower
 
-    def look_up(self, cells: NDArray[np.int64]) -> tuple[IntArray, FloatArray]:
+    def look_up(self, cells: NDArray[np.int64]) -> tuple[IndexArray, FloatArray]:
         """Return numbers (..., ) and signs of grid coordinates (..., 3); -1 where inactive."""
         cells = cells.copy()
         sign = np.where(cells[..., 2] < 0, -1.0, 1.0)

@@ -15,12 +15,12 @@ import warp as wp
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import IndexArray
 from dotsim_ros.gel.discretization import Discretization
 from dotsim_ros.gel.elastic_kernels import elastic_kernels
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 
 Array = NDArray[np.floating]
-IntArray = NDArray[np.int32]
 
 GHOST_PENALTY = 0.002
 """gamma of gamma mu h |third difference|^2: small enough not to stiffen the gel by over 2 %."""
@@ -41,8 +41,8 @@ class Cells:
         gradient: (C, 24, 27) weight gradients, row 3 q + j for particle q and direction j.
     """
 
-    particle: IntArray
-    node: IntArray
+    particle: IndexArray
+    node: IndexArray
     gradient: Array
 
 
@@ -121,7 +121,7 @@ class ElasticBody:
         self.displacement = wp.zeros((environment_count, d.node_count), dtype=k.vec3, device=device)
         self.force_buffer = wp.zeros_like(self.displacement)
         self.energy_buffer = wp.zeros(shape, dtype=k.scalar, device=device)
-        self._pattern: tuple[IntArray, IntArray, IntArray] | None = None
+        self._pattern: tuple[IndexArray, IndexArray, IndexArray] | None = None
         self.set_coefficients(np.tile(law.coefficients_pa(), (environment_count, 1)))
         self.fast_share: Any = wp.array(
             np.ones(environment_count, dtype=dtype), dtype=k.scalar, device=device
@@ -184,7 +184,9 @@ class ElasticBody:
             energy[e] += 0.5 * np.vdot(displacement_m[e], linear)
         return energy, force
 
-    def cell_stiffness(self, displacement_m: Array, cells: IntArray, environment: int) -> wp.array:
+    def cell_stiffness(
+        self, displacement_m: Array, cells: IndexArray, environment: int
+    ) -> wp.array:
         """Return the stiffness of the listed cells, (C, 3, 27, 81) as [cell, i, a, 27 k + b]."""
         self.displacement[environment].assign(displacement_m)
         contracted = wp.empty(
@@ -212,7 +214,7 @@ class ElasticBody:
         product = np.matmul(gradient, contracted.numpy())
         return wp.array(product, dtype=self.kernels.scalar, device=self.device, copy=False)
 
-    def _scatter(self, stiffness: wp.array, base: IntArray, row_stride: int, size: int) -> Array:
+    def _scatter(self, stiffness: wp.array, base: IndexArray, row_stride: int, size: int) -> Array:
         values = wp.zeros(size, dtype=self.kernels.scalar, device=self.device)
         wp.launch(
             self.kernels.scatter_stiffness,
@@ -245,10 +247,10 @@ class ElasticBody:
     def region_stiffness(
         self,
         displacement_m: Array,
-        cells: IntArray,
-        base: IntArray,
+        cells: IndexArray,
+        base: IndexArray,
         dof_count: int,
-        environment: int = 0,
+        environment: int,
     ) -> Array:
         """Return the dense (n, n) stiffness that the listed cells add to a region of n unknowns.
 
@@ -274,7 +276,7 @@ def linear_stiffness(
     return (bond + discretization.ghost * (ghost_penalty * 2.0 * (c10 + c01) * h)).tocsr()
 
 
-def region_base(cell_node: IntArray, region_of_node: IntArray, dof_count: int) -> IntArray:
+def region_base(cell_node: IndexArray, region_of_node: IndexArray, dof_count: int) -> IndexArray:
     """Return (C, 27, 27) positions of the blocks of cells in a dense matrix of a region's unknowns.
 
     Args:
@@ -289,7 +291,9 @@ def region_base(cell_node: IntArray, region_of_node: IntArray, dof_count: int) -
     )
 
 
-def _block_pattern(cell_node: IntArray, node_count: int) -> tuple[IntArray, IntArray, IntArray]:
+def _block_pattern(
+    cell_node: IndexArray, node_count: int
+) -> tuple[IndexArray, IndexArray, IndexArray]:
     """Return the positions (C, 27, 27) of the cells' blocks in a block-sparse matrix, and its
     column indices and row pointers."""
     key = cell_node[:, :, None].astype(np.int64) * node_count + cell_node[:, None, :]

@@ -7,9 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.explicit.gel import ExplicitGel, ExplicitSettings
 from dotsim_ros.gel.implicit.gel import ImplicitGel
@@ -25,8 +23,6 @@ from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 from dotsim_ros.specification import GelSpecification, MaterialSpecification, SensorSpecification
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

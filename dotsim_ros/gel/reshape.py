@@ -10,11 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

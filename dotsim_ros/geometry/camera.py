@@ -16,15 +16,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.geometry.pose import Pose
 
 if TYPE_CHECKING:
     from dotsim_ros.specification import CameraSpecification
-
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 
 def _widest_angle(distortion: FloatArray) -> float:

@@ -18,8 +18,9 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike, NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")

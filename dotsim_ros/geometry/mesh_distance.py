@@ -6,12 +6,14 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Hashable
+from typing import Protocol
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
-from dotsim_ros.geometry.indenter import IndenterMesh
-from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.arrays import FloatArray
 
 # Triangles of metre coordinates have areas of 1e-9 m^2, whose squares underflow towards the
 # tolerances of float32 geometry; millimetres are well scaled.
@@ -34,8 +36,18 @@ def _signed_distance(
         distance[i] = farthest
 
 
+class ClosedMesh(Hashable, Protocol):
+    """A closed surface: vertices_m (V, 3), triangles (T, 3), counter-clockwise from outside."""
+
+    @property
+    def vertices_m(self) -> FloatArray: ...
+
+    @property
+    def triangles(self) -> NDArray[np.int32]: ...
+
+
 @functools.lru_cache(maxsize=32)
-def _hierarchy(mesh: IndenterMesh) -> wp.Mesh:
+def _hierarchy(mesh: ClosedMesh) -> wp.Mesh:
     """Return a mesh's bounding volumes: to build them takes longer than to ask them."""
     return wp.Mesh(
         points=wp.array(mesh.vertices_m * MILLIMETRES_PER_METRE, dtype=wp.vec3, device="cpu"),
@@ -44,7 +56,7 @@ def _hierarchy(mesh: IndenterMesh) -> wp.Mesh:
     )
 
 
-def mesh_signed_distance(mesh: IndenterMesh, points_m: FloatArray) -> FloatArray:
+def mesh_signed_distance(mesh: ClosedMesh, points_m: FloatArray) -> FloatArray:
     """Return signed distances (N,) of points (N, 3) to a closed mesh, metres, negative inside.
 
     Inside is where the winding number is above one half, so overlapping closed bodies count as

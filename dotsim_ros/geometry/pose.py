@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
+from dotsim_ros.arrays import FloatArray
 
 
 def _vector(value: ArrayLike, length: int, name: str) -> FloatArray:

@@ -10,29 +10,26 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
+from dotsim_ros.arrays import BoolArray, FloatArray, IndexArray
 from dotsim_ros.geometry.pose import Pose
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-BoolArray = NDArray[np.bool_]
 
-
-def face_vectors(position_m: FloatArray, triangles: IntArray) -> FloatArray:
+def face_vectors(position_m: FloatArray, triangles: IndexArray) -> FloatArray:
     """Return (T, 3) normals of the triangles, as long as twice their areas (m^2)."""
     first = position_m[triangles[:, 0]]
     return np.cross(position_m[triangles[:, 1]] - first, position_m[triangles[:, 2]] - first)
 
 
-def _sum_at_vertices(values: FloatArray, triangles: IntArray, vertex_count: int) -> FloatArray:
+def _sum_at_vertices(values: FloatArray, triangles: IndexArray, vertex_count: int) -> FloatArray:
     return np.asarray(
         np.bincount(triangles.ravel(), np.repeat(values, 3), vertex_count), dtype=np.float64
     )
 
 
-def vertex_normals(position_m: ArrayLike, triangles: IntArray) -> FloatArray:
+def vertex_normals(position_m: ArrayLike, triangles: IndexArray) -> FloatArray:
     """Return (V, 3) unit normals on the side of the triangles' winding, weighted by area.
 
     Args:
@@ -62,7 +59,7 @@ class SkinMesh:
     """
 
     rest_position_m: FloatArray
-    triangles: IntArray
+    triangles: IndexArray
     on_base: BoolArray
     rest_area_m2: FloatArray
 
@@ -106,7 +103,7 @@ def skin_of_triangles(rest_position_m: ArrayLike, triangles: ArrayLike) -> SkinM
     )
 
 
-def _icosahedron() -> tuple[FloatArray, IntArray]:
+def _icosahedron() -> tuple[FloatArray, IndexArray]:
     """Return the vertices (11, 3) and the faces (15, 3) of a unit icosahedron that stands on one
     vertex, without that vertex: the upper cap and the band around the equator."""
     turn = 2.0 * np.pi * np.arange(5) / 5.0
@@ -126,7 +123,7 @@ def _icosahedron() -> tuple[FloatArray, IntArray]:
     return np.concatenate([[[0.0, 0.0, 1.0]], upper, lower]), faces.astype(np.int32)
 
 
-def _subdivision(frequency: int) -> tuple[FloatArray, IntArray]:
+def _subdivision(frequency: int) -> tuple[FloatArray, IndexArray]:
     """Return barycentric coordinates (N, 3) and triangles (frequency^2, 3) of a divided face."""
     i, j = np.meshgrid(np.arange(frequency + 1), np.arange(frequency + 1), indexing="ij")
     inside = i + j <= frequency

@@ -13,7 +13,7 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.network.card import FINENESS
 from dotsim_ros.optics.network.input import (
     DEPTH,
-    NetworkInput,
+    CompletionInput,
     resized,
 )
 from dotsim_ros.twin.footage import OpticalPress, Rest
@@ -23,13 +23,13 @@ LEAST_FRAMES = 10
 
 
 @dataclass(frozen=True)
-class Examples:
+class ImageExamples:
     """Frames of one sensor at one size.
 
     Attributes:
-        frame: (F, 7, h, w) as `NetworkInput.frame`.
-        rest: (1, 10, h, w) as `NetworkInput.rest`.
-        image: (F, 3, f h, f w) as `NetworkInput.image`.
+        frame: (F, 7, h, w) as `CompletionInput.frame`.
+        rest: (1, 10, h, w) as `CompletionInput.rest`.
+        image: (F, 3, f h, f w) as `CompletionInput.image`.
         measured: (F, 3, f h, f w) measured images over 255.
     """
 
@@ -38,9 +38,9 @@ class Examples:
     image: Tensor
     measured: Tensor
 
-    def to(self, device: torch.device) -> Examples:
+    def to(self, device: torch.device) -> ImageExamples:
         """Return the examples on a device."""
-        return Examples(
+        return ImageExamples(
             self.frame.to(device),
             self.rest.to(device),
             self.image.to(device),
@@ -52,10 +52,12 @@ class Examples:
         """(F,) whether anything has moved."""
         return (self.frame[:, DEPTH] != self.rest[:, DEPTH]).flatten(1).any(dim=1)
 
-    def only_touched(self) -> Examples:
+    def only_touched(self) -> ImageExamples:
         """Return the frames in which something has moved."""
         touched = self.touched
-        return Examples(self.frame[touched], self.rest, self.image[touched], self.measured[touched])
+        return ImageExamples(
+            self.frame[touched], self.rest, self.image[touched], self.measured[touched]
+        )
 
 
 def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera) -> None:
@@ -86,7 +88,7 @@ def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCa
 
 def network_input(
     kind: str, rest: Rest, camera: FisheyeCamera, size: tuple[int, int]
-) -> NetworkInput:
+) -> CompletionInput:
     """Return what brings a sensor's frames to the size and the units of a network.
 
     Args:
@@ -96,7 +98,7 @@ def network_input(
         size: width and height of the network's images.
     """
     fineness = FINENESS[kind]
-    return NetworkInput(
+    return CompletionInput(
         camera,
         (size[0] // fineness, size[1] // fineness),
         fineness=fineness,
@@ -106,7 +108,7 @@ def network_input(
     )
 
 
-def inputs_of(press: OpticalPress, given: NetworkInput) -> tuple[Tensor, Tensor]:
+def inputs_of(press: OpticalPress, given: CompletionInput) -> tuple[Tensor, Tensor]:
     """Return the network's input for a press: frame (F, 7, h, w) and image (F, 3, f h, f w)."""
     frames = [
         given.frame(*seen) for seen in zip(press.depth_m, press.normal, press.carried, strict=True)
@@ -121,7 +123,7 @@ def make_examples(
     rest: Rest,
     camera: FisheyeCamera,
     size: tuple[int, int],
-) -> Examples:
+) -> ImageExamples:
     """Return presses as examples.
 
     Args:
@@ -140,7 +142,7 @@ def make_examples(
         resized(image, size).transpose(2, 0, 1) for press in presses for image in press.measured
     ]
     inputs = [inputs_of(press, given) for press in presses]
-    return Examples(
+    return ImageExamples(
         torch.cat([frame for frame, _ in inputs]),
         torch.from_numpy(given.rest)[None],
         torch.cat([image for _, image in inputs]),

@@ -10,13 +10,19 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.learning.examples import inputs_of, make_examples, network_input
 from dotsim_ros.learning.networks import make_network
-from dotsim_ros.learning.training import RECIPES, Progress, Recipe, Trained, Training
-from dotsim_ros.optics.idle import ByteImage
+from dotsim_ros.learning.training import (
+    RECIPES,
+    NetworkTraining,
+    Trained,
+    TrainingProgress,
+    TrainingRecipe,
+)
 from dotsim_ros.optics.network.card import BASES
-from dotsim_ros.optics.network.input import Float32Array, NetworkInput, resized
+from dotsim_ros.optics.network.input import CompletionInput, resized
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
 PREDICTED_TOGETHER = 4
@@ -47,7 +53,7 @@ class FittedNetwork:
         """How tables call it."""
         return self.kind
 
-    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+    def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return the images (F, H, W, 3) of a press; its measured images are not read."""
         given = network_input(self.kind, rest, self.camera, self.size)
         added = added_images(self.trained.network, given, *inputs_of(press, given))
@@ -67,7 +73,7 @@ class FittedNetwork:
 
 
 def added_images(
-    network: nn.Module, given: NetworkInput, frames: Tensor, images: Tensor
+    network: nn.Module, given: CompletionInput, frames: Tensor, images: Tensor
 ) -> Float32Array:
     """Return what a network adds (F, f h, f w, 3), in grey levels."""
     rest = torch.from_numpy(given.rest)[None]
@@ -119,8 +125,8 @@ def fit_network(
     budget_minutes: float | None = None,
     size: int | None = None,
     directory: Path | None = None,
-    recipe: Recipe | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    recipe: TrainingRecipe | None = None,
+    progress: Callable[[TrainingProgress], None] | None = None,
 ) -> FittedNetwork:
     """Train a network on measured presses.
 
@@ -160,7 +166,7 @@ def fit_network(
             raise ValueError(
                 f"the gel has moved in none of {len(train)} presses; record presses that touch it"
             )
-    training = Training(
+    training = NetworkTraining(
         kind,
         network,
         examples,

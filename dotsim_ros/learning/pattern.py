@@ -19,17 +19,14 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.learning.untouched import with_refined_idle
-from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
+from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
-IndexArray = NDArray[np.int64]
 
 PRIOR_WEIGHT = 0.7
 """Of a sample interpolated in the idle image, against one measured pixel."""
@@ -52,7 +49,7 @@ class _Samples:
         value: (N, 3) measured, without shading and vignetting.
     """
 
-    first: IndexArray
+    first: IntArray
     weight: FloatArray
     value: FloatArray
 
@@ -112,7 +109,7 @@ def _samples_of(
     gain: Float32Array,
     lit: BoolArray,
     brightness: Float32Array,
-    measured: ByteImage,
+    measured: ImageArray,
 ) -> _Samples:
     """Return what one frame tells.
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import write_image
-from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.twin.footage import OpticalPress
 
 COLUMNS = ("measured", "carried", "predicted", "error of carried x4", "error of predicted x4")
@@ -17,12 +17,12 @@ ERROR_GAIN = 4.0
 TITLE_PX = 18
 
 
-def _error(image: ByteImage, measured: ByteImage) -> ByteImage:
+def _error(image: ImageArray, measured: ImageArray) -> ImageArray:
     error = 128.0 + ERROR_GAIN * (measured.astype(np.float32) - image)
     return np.clip(error, 0.0, 255.0).astype(np.uint8)
 
 
-def _titled(image: ByteImage, title: str) -> ByteImage:
+def _titled(image: ImageArray, title: str) -> ImageArray:
     bar = np.zeros((TITLE_PX, image.shape[1], 3), dtype=np.uint8)
     cv2.putText(
         bar, title, (3, 13), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (230, 230, 230), 1, cv2.LINE_AA
@@ -31,7 +31,7 @@ def _titled(image: ByteImage, title: str) -> ByteImage:
 
 
 def write_preview(
-    path: Path, presses: Sequence[OpticalPress], predicted: Sequence[ByteImage], *, rows: int = 6
+    path: Path, presses: Sequence[OpticalPress], predicted: Sequence[ImageArray], *, rows: int = 6
 ) -> None:
     """Write the deepest frame of each press, a row each, as PNG.
 

@@ -12,14 +12,15 @@ from typing import Any
 import numpy as np
 import yaml
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import given_path, parameter_path, whole_file, write_image, write_json
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, fit_network
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.learning.preview import write_preview
-from dotsim_ros.learning.training import Progress
+from dotsim_ros.learning.training import TrainingProgress
 from dotsim_ros.metrics.images import image_psnr_db
-from dotsim_ros.optics.idle import ByteImage, fine_path
+from dotsim_ros.optics.idle import fine_path
 from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, write_sensor
@@ -40,7 +41,7 @@ REPORT = "training.json"
 
 
 @dataclass(frozen=True)
-class Request:
+class TrainOpticsRequest:
     """What to train.
 
     Attributes:
@@ -72,7 +73,7 @@ class Request:
 
 
 def scores(
-    presses: tuple[OpticalPress, ...], predicted: list[ByteImage], idle: ByteImage
+    presses: tuple[OpticalPress, ...], predicted: list[ImageArray], idle: ImageArray
 ) -> dict[str, float]:
     """Return mean PSNR (dB) over all frames and over the deepest of each press, of three images."""
     every: dict[str, list[float]] = {"idle": [], "carried": [], "predicted": []}
@@ -93,7 +94,9 @@ def scores(
     }
 
 
-def read_presses(request: Request, say: Callable[[str], None]) -> tuple[FilmedData, OpticalData]:
+def read_presses(
+    request: TrainOpticsRequest, say: Callable[[str], None]
+) -> tuple[FilmedData, OpticalData]:
     """Return what was filmed, by an idle image that those trained on refine, and what the camera
     saw of it."""
     filmed = read_filmed_data(
@@ -109,10 +112,10 @@ def read_presses(request: Request, say: Callable[[str], None]) -> tuple[FilmedDa
 
 
 def train_optics(
-    request: Request,
+    request: TrainOpticsRequest,
     *,
     say: Callable[[str], None],
-    progress: Callable[[Progress], None],
+    progress: Callable[[TrainingProgress], None],
 ) -> dict[str, Any]:
     """Train a network and write it with its idle image, its sensor, a preview and a report.
 
@@ -160,7 +163,7 @@ def train_optics(
 
 
 def _card(
-    request: Request,
+    request: TrainOpticsRequest,
     network: FittedNetwork,
     metrics: Mapping[str, float],
     origin: Mapping[str, str],
@@ -188,7 +191,7 @@ def _card(
     )
 
 
-def _write_sensor(request: Request, filmed: FilmedData) -> None:
+def _write_sensor(request: TrainOpticsRequest, filmed: FilmedData) -> None:
     """Write the idle image, what is known of its lights, and the sensor that uses both."""
     out = request.out.resolve()
     write_image(out / IDLE, filmed.idle)

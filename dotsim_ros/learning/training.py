@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from dotsim_ros.files import whole_file
-from dotsim_ros.learning.examples import Examples
+from dotsim_ros.learning.examples import ImageExamples
 from dotsim_ros.optics.network.card import BASES
 from dotsim_ros.optics.network.input import CARRIED
 
@@ -26,7 +26,7 @@ CHECKPOINT_INTERVAL_S = 20.0
 
 
 @dataclass(frozen=True)
-class Recipe:
+class TrainingRecipe:
     """How a network is trained on the mean square error of its image.
 
     Attributes:
@@ -49,9 +49,9 @@ class Recipe:
     averaging: float = 0.0
 
 
-PUBLISHED = Recipe()
-RECIPES: dict[str, Recipe] = {
-    "ours": Recipe(
+PUBLISHED = TrainingRecipe()
+RECIPES: dict[str, TrainingRecipe] = {
+    "ours": TrainingRecipe(
         learning_rate=4e-3,
         weight_decay=1e-2,
         batch=4,
@@ -67,7 +67,7 @@ RECIPES: dict[str, Recipe] = {
 
 
 @dataclass(frozen=True)
-class Progress:
+class TrainingProgress:
     """How far a training has come.
 
     Attributes:
@@ -129,7 +129,7 @@ def psnr_db(mean_square: float) -> float:
     return -10.0 * math.log10(max(mean_square, 1e-12))
 
 
-def _fingerprint(kind: str, recipe: Recipe, examples: Examples, seed: int) -> str:
+def _fingerprint(kind: str, recipe: TrainingRecipe, examples: ImageExamples, seed: int) -> str:
     digest = hashlib.sha256(repr((kind, asdict(recipe), seed)).encode())
     for tensor in (examples.frame, examples.rest, examples.image, examples.measured):
         digest.update(repr(tuple(tensor.shape)).encode())
@@ -137,7 +137,7 @@ def _fingerprint(kind: str, recipe: Recipe, examples: Examples, seed: int) -> st
     return digest.hexdigest()
 
 
-class Training:
+class NetworkTraining:
     """One network being trained.
 
     Args:
@@ -160,8 +160,8 @@ class Training:
         self,
         kind: str,
         network: nn.Module,
-        examples: Examples,
-        recipe: Recipe,
+        examples: ImageExamples,
+        recipe: TrainingRecipe,
         *,
         seed: int = 0,
         budget_s: float | None = None,
@@ -236,7 +236,7 @@ class Training:
                     mean.copy_(value)
         return float(loss.item()) * len(index)
 
-    def run(self, progress: Callable[[Progress], None] | None = None) -> Trained:
+    def run(self, progress: Callable[[TrainingProgress], None] | None = None) -> Trained:
         """Train to the end of the epochs or the budget.
 
         Raises:
@@ -272,11 +272,13 @@ class Training:
         network = copy.deepcopy(self._averaged).cpu().eval()
         return Trained(network, self.epoch, self._spent_s, self._cut_short, list(self._psnr_db))
 
-    def _progress(self) -> Progress:
+    def _progress(self) -> TrainingProgress:
         left_s = self._spent_s * (self.recipe.epochs - self.epoch) / max(self.epoch, 1)
         if self.budget_s is not None:
             left_s = min(left_s, max(self.budget_s - self._spent_s, 0.0))
-        return Progress(self.epoch, self.recipe.epochs, self._psnr_db[-1], self._spent_s, left_s)
+        return TrainingProgress(
+            self.epoch, self.recipe.epochs, self._psnr_db[-1], self._spent_s, left_s
+        )
 
     def _save(self) -> None:
         if self._checkpoint is None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.optics.idle import ByteImage
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
 UNMOVED_M = 1e-6
@@ -26,7 +26,7 @@ def untouched_frames(press: FilmedPress, filmed: FilmedData) -> list[int]:
     return list(range(int(moving[0]) if moving.size else len(moved_m)))
 
 
-def refined_idle(filmed: FilmedData, presses: Sequence[str] | None = None) -> ByteImage:
+def refined_idle(filmed: FilmedData, presses: Sequence[str] | None = None) -> ImageArray:
     """Return the mean (H, W, 3) of the idle image and the untouched frames of presses.
 
     The idle image counts as one frame: idle images taken at once may share their noise.

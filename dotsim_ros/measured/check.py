@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry
@@ -20,8 +20,6 @@ from dotsim_ros.measured.trajectory import (
     Topics,
     read_trajectory,
 )
-
-Array = NDArray[np.float64]
 
 LARGEST_LENGTH_M = 0.5
 """Nothing on a fingertip sensor is farther from its base."""
@@ -166,7 +164,7 @@ def check_bag(
             last[channel] = stamp
 
 
-def _check_length(values: Array, what: str) -> None:
+def _check_length(values: FloatArray, what: str) -> None:
     finite = np.isfinite(values)
     if not finite.all():
         raise ValueError(

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose, interpolate
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

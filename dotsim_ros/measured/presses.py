@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import DataSetEntry
 from dotsim_ros.measured.trajectory import Trajectory, read_trajectory
-
-FloatArray = NDArray[np.float64]
 
 LARGEST_COORDINATE_M = 1.0
 """A tactile sensor and what presses it are smaller; more is a length in millimetres."""

@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.presses import Press
-
-Array = NDArray[np.float64]
 
 STILL_M_S = 0.3e-3
 """An indenter that moves slower, and no farther than the noise of its pose, holds."""
@@ -48,7 +46,7 @@ class Recording:
     press: Press
     indenter: Indenter
     session_s: float
-    depth_m: Array
+    depth_m: FloatArray
     phase: tuple[Phase, ...]
 
     @property
@@ -61,7 +59,7 @@ class Recording:
         return any(phase in phases for phase in self.phase)
 
 
-def phases_of(poses: Sequence[Pose], stamp_s: Array, depth_m: Array) -> tuple[Phase, ...]:
+def phases_of(poses: Sequence[Pose], stamp_s: FloatArray, depth_m: FloatArray) -> tuple[Phase, ...]:
     """Return what the indenter does up to each of F frames.
 
     Args:

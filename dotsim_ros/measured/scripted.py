@@ -10,12 +10,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.measured.motion import Motion, at_speed, held, joined, pose_along, reversed_motion
-
-FloatArray = NDArray[np.float64]
 
 ARC_STEP_RAD = np.deg2rad(1.0)
 """Arcs are cut into chords this long: 0.6 um off the circle at 15.75 mm."""

@@ -23,12 +23,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.motion import Motion, at_speed, held, joined, pose_along, reversed_motion
-
-FloatArray = NDArray[np.float64]
 
 DOME_CENTRE_MM = {
     "hard_gel_sensor_1_auto": (-22.72, -0.96, -22.44),
@@ -44,7 +42,7 @@ STAGE_TO_BASE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True)
-class Press:
+class ShippedPress:
     """One real press.
 
     Attributes:
@@ -120,7 +118,7 @@ class Press:
         return joined(way, held(way.poses[-1], hold_s), reversed_motion(way))
 
 
-def read_presses(path: str | Path) -> tuple[Press, ...]:
+def read_presses(path: str | Path) -> tuple[ShippedPress, ...]:
     """Read a recording of real presses.
 
     Args:
@@ -169,5 +167,5 @@ def read_presses(path: str | Path) -> tuple[Press, ...]:
     presses = []
     for index, gel in enumerate(gels):
         stage_mm = position_mm[offset[index] : offset[index + 1]] - DOME_CENTRE_MM[gel]
-        presses.append(Press(index, gel, 1e-3 * stage_mm @ STAGE_TO_BASE.T))
+        presses.append(ShippedPress(index, gel, 1e-3 * stage_mm @ STAGE_TO_BASE.T))
     return tuple(presses)

@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagMessage, BagReader
 
-FloatArray = NDArray[np.float64]
-StampArray = NDArray[np.int64]
 StampedMessage = tuple[int, str, msg_adapters.Message]
 
 BASE_FRAME = "densetact_base"
@@ -49,7 +48,7 @@ class PoseChannel:
         frame_id: the base frame.
     """
 
-    stamp_ns: StampArray
+    stamp_ns: IntArray
     position_m: FloatArray
     quaternion_xyzw: FloatArray
     frame_id: str = BASE_FRAME
@@ -73,7 +72,7 @@ class WrenchChannel:
         frame_id: the frame they are expressed in.
     """
 
-    stamp_ns: StampArray
+    stamp_ns: IntArray
     force_n: FloatArray
     torque_nm: FloatArray
     frame_id: str = BASE_FRAME
@@ -89,7 +88,7 @@ class SkinChannel:
         frame_id: the frame of the points.
     """
 
-    stamp_ns: StampArray
+    stamp_ns: IntArray
     position_m: NDArray[np.float32]
     frame_id: str = BASE_FRAME
 
@@ -104,7 +103,7 @@ class ImageChannel:
         frame_id: the optical frame.
     """
 
-    stamp_ns: StampArray
+    stamp_ns: IntArray
     pixels: NDArray[np.uint8]
     frame_id: str = OPTICAL_FRAME
 
@@ -192,7 +191,7 @@ def _image_channel(messages: list[msg_adapters.Message]) -> ImageChannel:
     return ImageChannel(_stamps(messages), np.stack(images), messages[0].header.frame_id)
 
 
-def _stamps(messages: Iterable[msg_adapters.Message]) -> StampArray:
+def _stamps(messages: Iterable[msg_adapters.Message]) -> IntArray:
     return np.array([msg_adapters.message_stamp_ns(m) for m in messages], dtype=np.int64)
 
 

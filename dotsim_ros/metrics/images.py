@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+
+from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
 
 DEPTH_EDGES_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3)
 """Depths of the tip between which frames are told apart."""
 
-
-ByteImage = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
-FloatArray = NDArray[np.float64]
 
 FULL_SCALE = 255.0
 SIGNIFICANT_SHARE = 0.01
@@ -56,13 +53,13 @@ def psnr_db(mean_squared_error: float) -> float:
     return min(float(-10.0 * np.log10(mean_squared_error)), LARGEST_PSNR_DB)
 
 
-def image_psnr_db(predicted: ByteImage, measured: ByteImage) -> float:
+def image_psnr_db(predicted: ImageArray, measured: ImageArray) -> float:
     """Return the peak signal-to-noise ratio of images, or of chosen pixels, of one shape."""
     error = (predicted.astype(np.float64) - measured) / FULL_SCALE
     return psnr_db(float(np.mean(error**2)))
 
 
-def ssim_map(predicted: ByteImage, measured: ByteImage) -> FloatArray:
+def ssim_map(predicted: ImageArray, measured: ImageArray) -> FloatArray:
     """Return (H, W) structural similarity around each pixel, the mean of its channels.
 
     Gaussian windows, constants 0.01 and 0.03, biased variances, as published.
@@ -90,7 +87,7 @@ def ssim_map(predicted: ByteImage, measured: ByteImage) -> FloatArray:
 
 
 def score_image(
-    predicted: ByteImage, measured: ByteImage, regions: dict[str, BoolArray | None]
+    predicted: ImageArray, measured: ImageArray, regions: dict[str, BoolArray | None]
 ) -> dict[str, ImageScore]:
     """Return the scores of one frame over each region.
 

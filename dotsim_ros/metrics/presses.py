@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m, vertex_normals
@@ -24,9 +25,6 @@ from dotsim_ros.metrics.surfaces import (
     weighted_rms,
 )
 
-FloatArray = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
-
 JUDGED_DEPTH_M = 2.0e-3
 """Frames whose indenter is less deep are easy for every model and are not judged."""
 CONTACT_REACH_M = 0.5e-3
@@ -38,7 +36,7 @@ Factory = Callable[[Split, Sequence[Press], Mapping[str, Indenter], SkinMesh], M
 
 
 @dataclass(frozen=True)
-class FrameScore:
+class PressFrameScore:
     """How one predicted frame differs from the measured one.
 
     Attributes:
@@ -118,7 +116,7 @@ class ModelScores:
         failures: presses that it could not predict, which are in no score.
     """
 
-    scores: tuple[FrameScore, ...]
+    scores: tuple[PressFrameScore, ...]
     failures: tuple[Failure, ...] = ()
 
 
@@ -178,7 +176,7 @@ def score_press(
     *,
     seed: int = 0,
     from_depth_m: float = JUDGED_DEPTH_M,
-) -> list[FrameScore]:
+) -> list[PressFrameScore]:
     """Return the scores of the judged frames of a press.
 
     Args:
@@ -204,7 +202,7 @@ def score_press(
         inside = np.maximum(0.0, -distance[region])
         skin_m, contact_m = surface_errors(measured[frame], predicted, region, skin)
         scores.append(
-            FrameScore(
+            PressFrameScore(
                 press=press.name,
                 indenter=press.indenter,
                 frame=frame,
@@ -249,7 +247,7 @@ def floor_scores(
     *,
     seed: int = 0,
     from_depth_m: float = JUDGED_DEPTH_M,
-) -> list[FrameScore]:
+) -> list[PressFrameScore]:
     """Return what a perfect prediction would get: the measured surface against itself resampled,
     and forces against those measured.
 
@@ -261,7 +259,7 @@ def floor_scores(
 
 
 @dataclass(frozen=True)
-class Noise:
+class MeasuredNoise:
     """What was measured before anything touched, where a model cannot be wrong.
 
     Attributes:
@@ -277,7 +275,7 @@ class Noise:
     frames: int
 
 
-def measurement_noise(presses: Iterable[Press], skin: SkinMesh) -> Noise | None:
+def measurement_noise(presses: Iterable[Press], skin: SkinMesh) -> MeasuredNoise | None:
     """Return the noise of the frames before the first touch; None where there are none."""
     skin_m, vertex_m, force_n = [], [], []
     for press in presses:
@@ -292,14 +290,14 @@ def measurement_noise(presses: Iterable[Press], skin: SkinMesh) -> Noise | None:
         force_n.append(press.force_n[0])
     if not skin_m:
         return None
-    return Noise(_rms(skin_m), _rms(vertex_m), _rms(force_n), len(skin_m))
+    return MeasuredNoise(_rms(skin_m), _rms(vertex_m), _rms(force_n), len(skin_m))
 
 
 def _rms(values: Sequence[float] | Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def summarize(scores: Sequence[FrameScore]) -> Summary:
+def summarize(scores: Sequence[PressFrameScore]) -> Summary:
     """Return the figures of several frames.
 
     Raises:
@@ -336,7 +334,7 @@ class _ForceErrors:
     shear: float | None
 
 
-def _force_errors(scores: Sequence[FrameScore]) -> _ForceErrors:
+def _force_errors(scores: Sequence[PressFrameScore]) -> _ForceErrors:
     pairs = [
         (score.predicted_n, score.measured_n, score.normal)
         for score in scores
@@ -352,9 +350,9 @@ def _force_errors(scores: Sequence[FrameScore]) -> _ForceErrors:
     )
 
 
-def by_indenter(scores: Iterable[FrameScore]) -> dict[str, list[FrameScore]]:
+def by_indenter(scores: Iterable[PressFrameScore]) -> dict[str, list[PressFrameScore]]:
     """Return the scores of each indenter, in the order of their names."""
-    grouped: dict[str, list[FrameScore]] = {}
+    grouped: dict[str, list[PressFrameScore]] = {}
     for score in scores:
         grouped.setdefault(score.indenter, []).append(score)
     return dict(sorted(grouped.items()))
@@ -389,7 +387,7 @@ def evaluate_model(
         ValueError: the model could not be made.
     """
     model = factory(split, [presses[name] for name in split.train], indenters, skin)
-    scores: list[FrameScore] = []
+    scores: list[PressFrameScore] = []
     failures: list[Failure] = []
     for name in split.test:
         press = presses[name]

@@ -13,15 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.geometry.skin_mesh import face_vectors
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int32]
-BoolArray = NDArray[np.bool_]
 
 SAMPLE_COUNT = 2048
 SIGNIFICANT_SHARE = 0.01
@@ -50,7 +46,7 @@ class CloudDistances:
 
 
 def sample_surface(
-    position_m: FloatArray, triangles: IntArray, count: int, random: np.random.Generator
+    position_m: FloatArray, triangles: IndexArray, count: int, random: np.random.Generator
 ) -> FloatArray:
     """Return points (count, 3) drawn uniformly by area from a triangle surface (V, 3), (T, 3).
 
@@ -137,7 +133,7 @@ def _surface_distance(
 
 
 def surface_distance(
-    points_m: FloatArray, position_m: FloatArray, triangles: IntArray
+    points_m: FloatArray, position_m: FloatArray, triangles: IndexArray
 ) -> FloatArray:
     """Return the distance (N,) of points (N, 3) to the nearest point of a triangle surface.
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.pose import FloatArray
-from dotsim_ros.optics.renderer import IntArray, View
+from dotsim_ros.arrays import FloatArray, IndexArray
+from dotsim_ros.optics.renderer import View
 
 
-def image_motion_px(view: View, triangles: IntArray, pixel_before: FloatArray) -> FloatArray:
+def image_motion_px(view: View, triangles: IndexArray, pixel_before: FloatArray) -> FloatArray:
     """Return how far (H, W, 2) what each pixel shows has moved in the picture, x then y.
 
     Args:

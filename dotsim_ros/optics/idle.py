@@ -9,13 +9,10 @@ from typing import Any
 import cv2
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
-
-ByteImage = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
 
 DARK_LEVEL = 10
 """Grey level up to which a pixel counts as unlit."""
@@ -36,7 +33,7 @@ class LitDisc:
     rim_angle_deg: float
 
 
-def check_image(image: ByteImage) -> None:
+def check_image(image: ImageArray) -> None:
     """Raise ValueError unless the image is (H, W, 3) uint8."""
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8:
         raise ValueError(
@@ -45,7 +42,7 @@ def check_image(image: ByteImage) -> None:
         )
 
 
-def check_fine(fine: ByteImage, idle: ByteImage) -> None:
+def check_fine(fine: ImageArray, idle: ImageArray) -> None:
     """Raise ValueError unless `fine` (2 H - 1, 2 W - 1, 3) holds the lit pixels of an idle image
     (H, W, 3), with others half-way between them."""
     height, width = idle.shape[:2]
@@ -61,7 +58,7 @@ def check_fine(fine: ByteImage, idle: ByteImage) -> None:
         )
 
 
-def lit_region(image: ByteImage) -> BoolArray:
+def lit_region(image: ImageArray) -> BoolArray:
     """Return (H, W) where the image (H, W, 3) shows the lit gel: the largest bright region,
     dark spots of the pattern inside it included."""
     bright = (image.max(axis=2) > DARK_LEVEL).astype(np.uint8)
@@ -75,7 +72,7 @@ def lit_region(image: ByteImage) -> BoolArray:
     return np.asarray(filled, dtype=np.bool_)
 
 
-def resample(image: ByteImage, source: FisheyeCamera, target: FisheyeCamera) -> ByteImage:
+def resample(image: ImageArray, source: FisheyeCamera, target: FisheyeCamera) -> ImageArray:
     """Return the image (H, W, 3) as a camera of another size, direction or lens sees it.
 
     Both cameras stand at the same place; directions that the source does not see become black.
@@ -99,8 +96,8 @@ def resample(image: ByteImage, source: FisheyeCamera, target: FisheyeCamera) -> 
 
 
 def enlarged_fine(
-    fine: ByteImage, image: ByteImage, width: int, height: int
-) -> tuple[ByteImage, ByteImage]:
+    fine: ImageArray, image: ImageArray, width: int, height: int
+) -> tuple[ImageArray, ImageArray]:
     """Return an idle image and its samples half-way between, for a larger camera of one view.
 
     Args:
@@ -135,8 +132,8 @@ def fine_path(path: Path) -> Path:
 
 
 def fit_idle_image(
-    image: ByteImage, camera: FisheyeCamera, *, disc: LitDisc | None = None
-) -> ByteImage:
+    image: ImageArray, camera: FisheyeCamera, *, disc: LitDisc | None = None
+) -> ImageArray:
     """Return an idle frame (H, W, 3) of any size as the sensor's camera would see it.
 
     Args:
@@ -188,10 +185,10 @@ class IdleFrame:
             where they are not known.
     """
 
-    image: ByteImage
+    image: ImageArray
     lighting: Lighting = field(default_factory=Lighting)
     vignetting: Vignetting = field(default_factory=Vignetting)
-    fine: ByteImage | None = None
+    fine: ImageArray | None = None
 
 
 def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
@@ -227,7 +224,7 @@ def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
     return IdleFrame(fitted, lighting, vignetting, fine)
 
 
-def _read_image(path: Path) -> ByteImage:
+def _read_image(path: Path) -> ImageArray:
     if not path.exists():
         raise FileNotFoundError(f"no idle image {path}")
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)

@@ -17,9 +17,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
-
-Float32Array = NDArray[np.float32]
+from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
+from dotsim_ros.optics.idle import lit_region
 
 BLUR_PX = 2.0
 """Standard deviation of the blur, up to 240 pixels of height; of larger images in proportion."""
@@ -63,7 +62,7 @@ class Difference:
 
 
 def difference(
-    image: ByteImage | Float32Array, other: ByteImage | Float32Array, lit: BoolArray
+    image: ImageArray | Float32Array, other: ImageArray | Float32Array, lit: BoolArray
 ) -> Difference:
     """Return how two images (H, W, 3) differ within the lit disc (H, W)."""
     change = image.astype(np.float32) - other.astype(np.float32)
@@ -100,7 +99,7 @@ def read_idle_images(paths: Sequence[Path]) -> NDArray[np.uint8]:
         raise ValueError(
             "no idle image: record a few images without contact as idle_0.png, idle_1.png, ..."
         )
-    images: list[ByteImage] = []
+    images: list[ImageArray] = []
     for path in paths:
         pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         if pixels is None:
@@ -119,7 +118,7 @@ def read_idle_images(paths: Sequence[Path]) -> NDArray[np.uint8]:
     return np.stack(images)
 
 
-def mean_idle_image(images: NDArray[np.uint8], paths: Sequence[Path]) -> ByteImage:
+def mean_idle_image(images: NDArray[np.uint8], paths: Sequence[Path]) -> ImageArray:
     """Return the mean (H, W, 3) of idle images (N, H, W, 3) that show the same.
 
     Args:
@@ -146,7 +145,7 @@ def mean_idle_image(images: NDArray[np.uint8], paths: Sequence[Path]) -> ByteIma
     return np.rint(mean).astype(np.uint8)
 
 
-def check_untouched(idle: ByteImage, untouched: Iterable[tuple[str, ByteImage]]) -> None:
+def check_untouched(idle: ImageArray, untouched: Iterable[tuple[str, ImageArray]]) -> None:
     """Raise ValueError where frames without contact show another gel than the idle image.
 
     Args:

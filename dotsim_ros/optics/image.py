@@ -18,24 +18,23 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.frame_memory import FrameMemory
-from dotsim_ros.optics.idle import BoolArray, ByteImage, check_fine, check_image, lit_region
+from dotsim_ros.optics.idle import check_fine, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
-
-Float32Array = NDArray[np.float32]
 
 RIM_PX = 2
 """Width of the soft rim of the lit disc, whose colours are not spread outwards."""
 
 
-class Residual(Protocol):
+class Completion(Protocol):
     """What a learned model adds to the carried image."""
 
-    def __call__(self, view: View, carried: ByteImage) -> Float32Array:
+    def __call__(self, view: View, carried: ImageArray) -> Float32Array:
         """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
 
 
@@ -128,12 +127,12 @@ class ImageRenderer:
         self,
         camera: FisheyeCamera,
         skin_mesh: SkinMesh,
-        idle_image: ByteImage,
+        idle_image: ImageArray,
         *,
         lighting: Lighting | None = None,
         vignetting: Vignetting | None = None,
-        fine: ByteImage | None = None,
-        residual: Residual | None = None,
+        fine: ImageArray | None = None,
+        residual: Completion | None = None,
         device: str = "cpu",
     ) -> None:
         check_image(idle_image)
@@ -172,7 +171,7 @@ class ImageRenderer:
         self._ambient = wp.vec3(*ambient)
 
     def _set_idle(
-        self, idle_image: ByteImage, fine: ByteImage | None, brightness: Float32Array
+        self, idle_image: ImageArray, fine: ImageArray | None, brightness: Float32Array
     ) -> None:
         lit = lit_region(idle_image)
         self._idle = self._upload(idle_image, wp.uint8)
@@ -215,7 +214,7 @@ class ImageRenderer:
         """Return the brightness (V, 3) of each vertex over that at rest, without vignetting."""
         return np.asarray(self._gain(view).numpy(), dtype=np.float32)
 
-    def carry(self, view: View) -> ByteImage:
+    def carry(self, view: View) -> ImageArray:
         """Return the image (H, W, 3) without the residual."""
         gain = self._gain(view)
         image = self._memory.array(self._idle.shape, wp.uint8)
@@ -240,7 +239,7 @@ class ImageRenderer:
         )
         return np.asarray(image.numpy(), dtype=np.uint8)
 
-    def render(self, view: View) -> ByteImage:
+    def render(self, view: View) -> ImageArray:
         """Return the image (H, W, 3), red, green, blue, of what the camera sees."""
         carried = self.carry(view)
         if self.residual is None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array
 from dotsim_ros.geometry.camera import FisheyeCamera
-
-Float32Array = NDArray[np.float32]
 
 RED, GREEN, BLUE = np.eye(3)
 

@@ -15,17 +15,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.files import write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import ByteImage, read_description
+from dotsim_ros.optics.idle import read_description
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.specification import load_sensor
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -82,7 +80,7 @@ def render_idle_image(
     vignetting: Vignetting,
     style: PatternStyle,
     seed: int,
-) -> ByteImage:
+) -> ImageArray:
     """Return (H, W, 3) uint8: a dome of this radius, its centre at the base frame's origin, painted
     with a random pattern and lit by the LEDs.
 

@@ -14,6 +14,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
+from dotsim_ros.arrays import BoolArray, Float32Array, IndexArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
@@ -26,10 +27,6 @@ from dotsim_ros.optics.visibility import (
     VisibilityFinder,
     lens_of,
 )
-
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int32]
-BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ class View:
     depth_m: Float32Array
     normal: Float32Array
     material_point_m: Float32Array
-    triangle: IntArray
+    triangle: IndexArray
     barycentric: Float32Array
     vertex_position_m: Float32Array
     vertex_normal: Float32Array
@@ -64,7 +61,9 @@ class View:
         return self.triangle != kernels.NO_TRIANGLE
 
 
-def faces_around_vertices(triangles: IntArray, vertex_count: int) -> tuple[IntArray, IntArray]:
+def faces_around_vertices(
+    triangles: IndexArray, vertex_count: int
+) -> tuple[IndexArray, IndexArray]:
     """Return the faces at each vertex, (V + 1,) first entries and (3 T,) face numbers."""
     corners = triangles.ravel()
     first = np.concatenate([[0], np.cumsum(np.bincount(corners, minlength=vertex_count))])

@@ -16,13 +16,10 @@ from typing import Any, Protocol
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, IndexArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics import host_kernels, kernels
-
-Float32Array = NDArray[np.float32]
-IntArray = NDArray[np.int32]
 
 _MILLIMETRES = 1e3
 
@@ -133,7 +130,7 @@ class RayQueryFinder:
 class EmbreeFinder:
     """Embree through embreex; the hierarchy is built anew for every shape."""
 
-    def __init__(self, rays: Float32Array, triangles: IntArray) -> None:
+    def __init__(self, rays: Float32Array, triangles: IndexArray) -> None:
         self._valid = np.isfinite(rays[..., 2])
         self._rays = np.ascontiguousarray(rays[self._valid])
         self._origins = np.zeros_like(self._rays)

@@ -10,8 +10,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind
 from dotsim_ros.reference.deck import (
@@ -26,9 +26,6 @@ from dotsim_ros.reference.deck import (
 from dotsim_ros.reference.mesh import growing_marks, halved_marks
 from dotsim_ros.reference.surface import meridian
 from dotsim_ros.specification import ContactSpecification, GelSpecification
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 WEDGE_COUNT = 180
 """Of a full turn."""
@@ -55,7 +52,7 @@ class AxisymmetricSettings:
 
 
 @dataclass(frozen=True)
-class Section:
+class DomeSection:
     """A dome's half section, in quadrilaterals of 8 nodes.
 
     Attributes:
@@ -77,7 +74,7 @@ class Section:
     on_axis: IntArray
 
 
-def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> Section:
+def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> DomeSection:
     """Return the mesh of a dome's half section, fine at the apex.
 
     Raises:
@@ -104,7 +101,7 @@ def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> Secti
     element = np.stack([number[i : i + rows : 2, j : j + columns : 2] for i, j in corners], axis=-1)
     fixed = np.concatenate([number[:, -1], number[-1]])
     bonded = np.unique(fixed[fixed >= 0])
-    return Section(
+    return DomeSection(
         node_m=np.stack([reach * np.sin(turn), reach * np.cos(turn)], axis=-1)[is_node],
         element=element.reshape(-1, 8),
         skin_element=np.arange(element.shape[0]) * element.shape[1],
@@ -132,7 +129,7 @@ class AxisymmetricDeck:
         ValueError: the indenter is no body of revolution that stands on its tip.
     """
 
-    section: Section
+    section: DomeSection
     indenter: Indenter
     apex_m: float
     depth_m: Sequence[float]

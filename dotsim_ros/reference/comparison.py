@@ -8,16 +8,14 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.trajectory import Trajectory
 from dotsim_ros.specification import SensorSpecification
-
-FloatArray = NDArray[np.float64]
 
 STEP_S = 0.05
 """Of a quasi-static gel; it has no effect."""

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.implicit.contact import ONSET_M, REFERENCE_SPACING_M, SMOOTHING_M
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import IndenterMesh
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.reference.mesh import DomeMesh
 from dotsim_ros.specification import ContactSpecification
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 MM = 1e3
 MEGAPASCAL = 1e-6

@@ -13,14 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 GROWTH = 1.35
 """Largest ratio of the sizes of two neighbouring elements."""
@@ -37,7 +34,7 @@ REACH_M = 0.5e-3
 
 
 @dataclass(frozen=True)
-class Press:
+class MeshedPress:
     """Where a dome is pressed.
 
     Attributes:
@@ -69,7 +66,7 @@ class DomeMesh:
     bonded: IntArray
 
 
-def pressed_place(skin_m: FloatArray, indenter: Indenter, poses: Sequence[Pose]) -> Press:
+def pressed_place(skin_m: FloatArray, indenter: Indenter, poses: Sequence[Pose]) -> MeshedPress:
     """Return where an indenter on its way presses a dome about the origin.
 
     Args:
@@ -90,7 +87,7 @@ def pressed_place(skin_m: FloatArray, indenter: Indenter, poses: Sequence[Pose])
     pole = direction[pressed].mean(axis=0)
     pole /= np.linalg.norm(pole)
     angle = np.arccos(np.clip(direction[pressed] @ pole, -1.0, 1.0))
-    return Press(pole, float(radius.max() * angle.max()))
+    return MeshedPress(pole, float(radius.max() * angle.max()))
 
 
 def growing_marks(length: float, first: float, *, largest_ratio: float = GROWTH) -> FloatArray:
@@ -192,7 +189,7 @@ def _on_hemisphere(points: FloatArray, pole: FloatArray) -> FloatArray:
 
 
 def dome_mesh(
-    *, core_radius_m: float, outer_radius_m: float, press: Press, spacing_m: float
+    *, core_radius_m: float, outer_radius_m: float, press: MeshedPress, spacing_m: float
 ) -> DomeMesh:
     """Return the mesh of a dome shell.
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.make import law_of
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -16,8 +17,6 @@ from dotsim_ros.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSett
 from dotsim_ros.reference.mesh import interpolate_skin
 from dotsim_ros.reference.press import ReferencePress, reference_deck
 from dotsim_ros.reference.run import Solution, SolvedStep, solve, solve_section
-
-FloatArray = NDArray[np.float64]
 
 SPEED_M_S = 0.005
 FIRST_STAMP_NS = 1_000_000_000

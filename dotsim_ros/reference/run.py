@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.reference.axisymmetric import WEDGE_COUNT, AxisymmetricDeck
 from dotsim_ros.reference.deck import MM, Deck
-
-FloatArray = NDArray[np.float64]
 
 EXECUTABLES = ("ccx", "ccx_2.21", "ccx_2.22", "ccx_2.20")
 INSTALL = "apt-get install calculix-ccx"

@@ -5,12 +5,9 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind, IndenterMesh
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 ARC_STEP_RAD = np.deg2rad(20.0)
 """No piece of a rounding turns by more than this."""

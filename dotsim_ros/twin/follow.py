@@ -8,11 +8,9 @@ from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
-
-FloatArray = NDArray[np.float64]
 
 FIRST_STEP_S = 0.1
 """Duration of the way to the first pose, which no stamp gives."""

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.files import cache_directory, given_path
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
@@ -24,7 +25,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
-from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region, read_description
+from dotsim_ros.optics.idle import lit_region, read_description
 from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -32,10 +33,8 @@ from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError, follow
 
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 Progress = Callable[[str], None]
-UntouchedCheck = Callable[[ByteImage, Iterable[tuple[str, ByteImage]]], None]
+UntouchedCheck = Callable[[ImageArray, Iterable[tuple[str, ImageArray]]], None]
 """Raises ValueError where named frames without contact differ from the idle image (H, W, 3)."""
 
 LEAST_FRAMES = 10
@@ -59,7 +58,7 @@ class Rest:
         lit: (H, W) the lit disc of the idle image.
     """
 
-    idle: ByteImage
+    idle: ImageArray
     depth_m: Float32Array
     normal: Float32Array
     lit: BoolArray
@@ -82,10 +81,10 @@ class OpticalPress:
     name: str
     indenter: str
     tip_depth_m: FloatArray
-    measured: ByteImage
+    measured: ImageArray
     depth_m: Float32Array
     normal: Float32Array
-    carried: ByteImage
+    carried: ImageArray
 
 
 @dataclass(frozen=True)
@@ -119,7 +118,7 @@ class FilmedPress:
     name: str
     indenter: str
     tip_depth_m: FloatArray
-    measured: ByteImage
+    measured: ImageArray
     skin_position_m: Float32Array
     stamp_s: FloatArray
 
@@ -137,9 +136,9 @@ class FilmedData:
     """
 
     skin: SkinMesh
-    idle: ByteImage
+    idle: ImageArray
     presses: tuple[FilmedPress, ...]
-    fine: ByteImage | None = None
+    fine: ImageArray | None = None
 
 
 def _ignore(_line: str) -> None:
@@ -273,7 +272,7 @@ def read_optical_data(
     return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
 
 
-def camera_for(sensor: SensorSpecification, image: ByteImage, source: str) -> FisheyeCamera:
+def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> FisheyeCamera:
     """Return the sensor's camera at the resolution of a measured image (H, W, 3).
 
     Args:
@@ -342,7 +341,7 @@ def render_filmed(
     return OpticalData(camera, rest, tuple(seen))
 
 
-def _read_idle(data_set: DataSet) -> ByteImage:
+def _read_idle(data_set: DataSet) -> ImageArray:
     paths = data_set.idle_images()
     return mean_idle_image(read_idle_images(paths), paths)
 
@@ -368,7 +367,9 @@ def _entries(data_set: DataSet, presses: Sequence[str] | None) -> list[DataSetEn
     return [by_name[name] for name in presses]
 
 
-def _read_footage(entry: DataSetEntry, idle: ByteImage, topics: Topics) -> tuple[Press, ByteImage]:
+def _read_footage(
+    entry: DataSetEntry, idle: ImageArray, topics: Topics
+) -> tuple[Press, ImageArray]:
     """Return the poses at the images' stamps, and the images (F, H, W, 3)."""
     trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "image"))
     pose, image = trajectory.pose, trajectory.image

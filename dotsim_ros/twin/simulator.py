@@ -11,9 +11,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
@@ -29,8 +29,6 @@ from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, follow
-
-Array = NDArray[np.float64]
 
 REFERENCE_MODULUS_PA = 3.0e5
 """Young's modulus that everything is solved with."""
@@ -51,7 +49,7 @@ KEPT_GELS = 4
 KEPT_TABLES = 4
 
 
-def offset_pose(pose: Pose, offset: Array) -> Pose:
+def offset_pose(pose: Pose, offset: FloatArray) -> Pose:
     """Return a pose moved by (6,): metres along the indenter's axes, radians about its origin."""
     turn = np.array([*(0.5 * offset[3:]), 1.0])
     return Pose(pose.apply(offset[:3]), quaternion_product(pose.quaternion_xyzw, turn))
@@ -102,8 +100,8 @@ class GelSimulator:
         values: GelValues,
         indenter: Indenter,
         poses: Sequence[Pose],
-        stamp_s: Array,
-        offset: Array | None = None,
+        stamp_s: FloatArray,
+        offset: FloatArray | None = None,
         *,
         relaxation: PronySeries | None = None,
     ) -> SimulatedPress:

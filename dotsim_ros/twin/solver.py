@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
@@ -22,8 +22,6 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
-
-FloatArray = NDArray[np.float64]
 
 TOLERANCE_M = 5.0e-6
 """Of the solves: effects are tried at sizes that move the skin by tens of micrometres, and a solve

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.measured.bag import BagReader
-from dotsim_ros.view.pictures import Pictures
+from dotsim_ros.view.pictures import PanelImages
 from dotsim_ros.view.sheet import strongest_stamps, write_sheet
 from dotsim_ros.view.timeline import (
     ViewTopics,
@@ -71,7 +71,7 @@ def view_bag(request: ViewRequest) -> list[Path]:
     if stamps_ns.size == 0:
         raise ValueError(f"{request.bag} shows nothing: no image, no depth and no skin")
     forces = read_forces(request.bag, topics.wrench)
-    pictures = Pictures(iterate_moments(request.bag, topics), rest_m=_rest_m(request.rest))
+    pictures = PanelImages(iterate_moments(request.bag, topics), rest_m=_rest_m(request.rest))
     start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
     title = request.bag.resolve().stem
     chosen = set(strongest_stamps(stamps_ns, forces, count=request.column_count))

@@ -7,13 +7,10 @@ from dataclasses import dataclass
 
 import matplotlib
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.view.skin_map import SkinMap, rest_position_m
-from dotsim_ros.view.timeline import Moment
-
-Picture = NDArray[np.uint8]
-FloatArray = NDArray[np.float64]
+from dotsim_ros.view.timeline import BagMoment
 
 BACKGROUND = (16, 20, 26)
 SKIN_MAP_PX = 480
@@ -40,7 +37,7 @@ class Ranges:
     displacement_m: float | None
 
 
-def coloured(values: FloatArray, low: float, high: float, colours: str) -> Picture:
+def coloured(values: FloatArray, low: float, high: float, colours: str) -> ImageArray:
     """Return (..., 3) uint8 RGB of values on a colour scale; the background where not finite."""
     table = (matplotlib.colormaps[colours](np.arange(256))[:, :3] * 255.0 + 0.5).astype(np.uint8)
     valid = np.isfinite(values)
@@ -51,7 +48,7 @@ def coloured(values: FloatArray, low: float, high: float, colours: str) -> Pictu
     return picture
 
 
-class Pictures:
+class PanelImages:
     """Draws moments of one bag, all on the same scales.
 
     The skin's motion is that which its cloud tells; a cloud of bare positions is compared with
@@ -65,9 +62,9 @@ class Pictures:
         ValueError: the bag shows nothing.
     """
 
-    def __init__(self, moments: Iterable[Moment], *, rest_m: FloatArray | None = None) -> None:
+    def __init__(self, moments: Iterable[BagMoment], *, rest_m: FloatArray | None = None) -> None:
         self._rest_m = rest_m
-        self._first_image: Picture | None = None
+        self._first_image: ImageArray | None = None
         self._skin_map: SkinMap | None = None
         depths: list[float] = []
         displacements: list[float] = []
@@ -98,7 +95,7 @@ class Pictures:
             shapes["skin"] = (SKIN_MAP_PX, SKIN_MAP_PX)
         return shapes
 
-    def panel(self, name: str, moment: Moment) -> Picture | None:
+    def panel(self, name: str, moment: BagMoment) -> ImageArray | None:
         """Return one panel of a moment, or None before there is anything in it."""
         return {
             "image": self._image,
@@ -107,10 +104,10 @@ class Pictures:
             "skin": self._skin,
         }[name](moment)
 
-    def _image(self, moment: Moment) -> Picture | None:
+    def _image(self, moment: BagMoment) -> ImageArray | None:
         return moment.image
 
-    def _change(self, moment: Moment) -> Picture | None:
+    def _change(self, moment: BagMoment) -> ImageArray | None:
         if moment.image is None or self._first_image is None:
             return None
         if moment.image.shape != self._first_image.shape:
@@ -118,13 +115,13 @@ class Pictures:
         difference = moment.image.astype(np.float32) - self._first_image
         return np.clip(127.5 + CHANGE_GAIN * difference, 0.0, 255.0).astype(np.uint8)
 
-    def _depth(self, moment: Moment) -> Picture | None:
+    def _depth(self, moment: BagMoment) -> ImageArray | None:
         if moment.depth_m is None or self.ranges.depth_m is None:
             return None
         low, high = self.ranges.depth_m
         return coloured(np.asarray(moment.depth_m, dtype=np.float64), low, high, DEPTH_COLOURS)
 
-    def _skin(self, moment: Moment) -> Picture | None:
+    def _skin(self, moment: BagMoment) -> ImageArray | None:
         if moment.cloud is None or self.ranges.displacement_m is None:
             return None
         displacement = self._displacement_m(moment)
@@ -133,13 +130,13 @@ class Pictures:
         values = self._skin_map.raster(displacement)
         return coloured(values, 0.0, self.ranges.displacement_m, SKIN_COLOURS)
 
-    def _rest(self, moment: Moment) -> FloatArray:
+    def _rest(self, moment: BagMoment) -> FloatArray:
         if self._rest_m is None:
             assert moment.cloud is not None
             self._rest_m = rest_position_m(moment.cloud)
         return self._rest_m
 
-    def _displacement_m(self, moment: Moment) -> FloatArray:
+    def _displacement_m(self, moment: BagMoment) -> FloatArray:
         assert moment.cloud is not None
         rest = self._rest(moment)
         position = np.asarray(moment.cloud.position, dtype=np.float64)

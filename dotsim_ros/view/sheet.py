@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from dotsim_ros.files import whole_file
 from dotsim_ros.view.figure import FAINT, INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.pictures import Pictures
-from dotsim_ros.view.timeline import Forces, Moment
+from dotsim_ros.view.pictures import PanelImages
+from dotsim_ros.view.timeline import BagMoment, Forces
 
 COLUMN_INCHES = 2.6
 PLOT_INCHES = 2.3
@@ -47,8 +47,8 @@ def strongest_stamps(
 
 def write_sheet(
     path: str | Path,
-    moments: Iterable[Moment],
-    pictures: Pictures,
+    moments: Iterable[BagMoment],
+    pictures: PanelImages,
     forces: Forces | None,
     *,
     start_ns: int,
@@ -109,7 +109,7 @@ def write_sheet(
             figure.savefig(temporary, format="png")
 
 
-def _caption(moment: Moment, forces: Forces | None, start_ns: int) -> str:
+def _caption(moment: BagMoment, forces: Forces | None, start_ns: int) -> str:
     caption = f"{(moment.stamp_ns - start_ns) * 1e-9:.2f} s"
     if forces is not None:
         caption += f"   {np.linalg.norm(forces.at(moment.stamp_ns)):.2f} N"

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import Delaunay
 
 import msg_adapters
-
-FloatArray = NDArray[np.float64]
+from dotsim_ros.arrays import FloatArray
 
 FLAT_RATIO = 0.3
 """A skin lower than this part of its half-width is drawn as it lies, not unrolled."""

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.measured.bag import BagMessage, BagReader, serialized_stamp_ns
 from dotsim_ros.measured.trajectory import decode_colour
-
-FloatArray = NDArray[np.float64]
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
@@ -81,7 +80,7 @@ def find_topics(there: dict[str, str], *, given: ViewTopics | None = None) -> Vi
 
 
 @dataclass(frozen=True)
-class Moment:
+class BagMoment:
     """The newest of everything at one time.
 
     Attributes:
@@ -114,7 +113,7 @@ class Forces:
         return np.asarray(self.force_n[int(np.argmin(np.abs(self.stamp_ns - stamp_ns)))])
 
 
-def _changed(moment: Moment, message: BagMessage, topics: ViewTopics) -> Moment:
+def _changed(moment: BagMoment, message: BagMessage, topics: ViewTopics) -> BagMoment:
     content = message.message()
     if message.topic == topics.image:
         return replace(moment, image=decode_colour(content))
@@ -141,19 +140,19 @@ def _visible(topics: ViewTopics) -> list[str]:
     return [topic for topic in (topics.image, topics.depth, topics.points) if topic is not None]
 
 
-def iterate_moments(path: str | Path, topics: ViewTopics) -> Iterator[Moment]:
+def iterate_moments(path: str | Path, topics: ViewTopics) -> Iterator[BagMoment]:
     """Yield what the bag shows, once for each stamp, when all of that stamp has been read.
 
     Raises:
         FileNotFoundError: no bag at `path`.
         ValueError: it is no bag that can be read, or a message is malformed.
     """
-    moment: Moment | None = None
+    moment: BagMoment | None = None
     with BagReader(path) as bag:
         for message in bag.messages(*_visible(topics)):
             stamp_ns = serialized_stamp_ns(message.serialized)
             if moment is None:
-                moment = Moment(stamp_ns)
+                moment = BagMoment(stamp_ns)
             elif stamp_ns != moment.stamp_ns:
                 yield moment
                 moment = replace(moment, stamp_ns=stamp_ns)

@@ -17,10 +17,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import whole_file
 from dotsim_ros.view.figure import INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.pictures import Picture, Pictures
-from dotsim_ros.view.timeline import Forces, Moment
+from dotsim_ros.view.pictures import PanelImages
+from dotsim_ros.view.timeline import BagMoment, Forces
 
 PANELS = ("image", "depth", "skin")
 WIDTH_PX, HEIGHT_PX = 1280, 720
@@ -32,7 +33,7 @@ GIF_WIDTH_PX = 640
 
 
 @dataclass(frozen=True)
-class Place:
+class PanelPlace:
     """Where a panel lies on a frame, in pixels from the top left."""
 
     left: int
@@ -41,7 +42,7 @@ class Place:
     height: int
 
 
-def _places(shapes: dict[str, tuple[int, int]]) -> dict[str, Place]:
+def _places(shapes: dict[str, tuple[int, int]]) -> dict[str, PanelPlace]:
     names = [name for name in PANELS if name in shapes]
     aspects = [shapes[name][1] / shapes[name][0] for name in names]
     bar_px = 60
@@ -52,7 +53,7 @@ def _places(shapes: dict[str, tuple[int, int]]) -> dict[str, Place]:
     places = {}
     for name, aspect in zip(names, aspects, strict=True):
         width = round(height * aspect)
-        places[name] = Place(left, TITLE_PX + MARGIN_PX, width, height)
+        places[name] = PanelPlace(left, TITLE_PX + MARGIN_PX, width, height)
         left += width + MARGIN_PX + (0 if name == "image" else bar_px)
     return places
 
@@ -70,7 +71,7 @@ class Board:
 
     def __init__(
         self,
-        pictures: Pictures,
+        pictures: PanelImages,
         forces: Forces | None,
         *,
         start_ns: int,
@@ -130,7 +131,9 @@ class Board:
         self._plot_columns = (box.x0, box.x1)
         self._duration_s = plot.get_xlim()[1]
 
-    def _box(self, left: float, place: Place, width: float) -> tuple[float, float, float, float]:
+    def _box(
+        self, left: float, place: PanelPlace, width: float
+    ) -> tuple[float, float, float, float]:
         return (
             left / WIDTH_PX,
             1.0 - (place.top + place.height) / HEIGHT_PX,
@@ -138,7 +141,7 @@ class Board:
             place.height / HEIGHT_PX,
         )
 
-    def frame(self, moment: Moment) -> Picture:
+    def frame(self, moment: BagMoment) -> ImageArray:
         """Return the (720, 1280, 3) uint8 RGB frame of a moment."""
         frame = self._background.copy()
         for name, place in self._places.items():
@@ -160,7 +163,7 @@ class Board:
         frame[top:bottom, column : column + 2] = (255, 212, 59)
         return self._captioned(frame, moment, time_s)
 
-    def _captioned(self, frame: Picture, moment: Moment, time_s: float) -> Picture:
+    def _captioned(self, frame: ImageArray, moment: BagMoment, time_s: float) -> ImageArray:
         caption = f"{time_s:6.2f} s"
         if self._forces is not None:
             x, y, z = self._forces.at(moment.stamp_ns)
@@ -171,7 +174,7 @@ class Board:
         return frame
 
 
-def paced(moments: Iterable[Moment], *, fps: float, speed: float) -> Iterator[Moment]:
+def paced(moments: Iterable[BagMoment], *, fps: float, speed: float) -> Iterator[BagMoment]:
     """Yield the moment that is current at each frame of a video.
 
     Args:
@@ -181,7 +184,7 @@ def paced(moments: Iterable[Moment], *, fps: float, speed: float) -> Iterator[Mo
     """
     step_ns = speed * 1e9 / fps
     next_ns: float | None = None
-    last: Moment | None = None
+    last: BagMoment | None = None
     for last, following in pairwise(_with_end(moments)):
         if last is None:
             continue
@@ -194,7 +197,7 @@ def paced(moments: Iterable[Moment], *, fps: float, speed: float) -> Iterator[Mo
             next_ns += step_ns
 
 
-def _with_end(moments: Iterable[Moment]) -> Iterator[Moment | None]:
+def _with_end(moments: Iterable[BagMoment]) -> Iterator[BagMoment | None]:
     yield from moments
     yield None
 
@@ -207,7 +210,7 @@ def usual_rate_hz(stamps_ns: NDArray[np.int64]) -> float:
 
 
 def write_video(
-    path: str | Path, moments: Iterable[Moment], board: Board, *, fps: float, speed: float = 1.0
+    path: str | Path, moments: Iterable[BagMoment], board: Board, *, fps: float, speed: float = 1.0
 ) -> int:
     """Write an MP4 (H.264), whole or not at all.
 

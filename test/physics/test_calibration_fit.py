@@ -14,12 +14,12 @@ import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.calibration.fitting import (
-    Linearisation,
-    Problem,
+    FitProblem,
+    PressLinearisation,
     fit_press,
     linearise,
 )
-from dotsim_ros.calibration.loss import CHAMFER, POINTS, SKIN, Noise, force_deviation_n
+from dotsim_ros.calibration.loss import CHAMFER, POINTS, SKIN, LossNoise, force_deviation_n
 from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate
 from dotsim_ros.cli.main import main
@@ -58,7 +58,7 @@ SENSOR = replace(
 )
 BALL = sphere(0.004)
 TRUTH = replace(values_of(SENSOR), youngs_modulus_pa=2.0e5, poisson_ratio=0.465, friction=0.25)
-NOISE = Noise(skin_discretisation_m=0.0, force_discretisation=0.01)
+NOISE = LossNoise(skin_discretisation_m=0.0, force_discretisation=0.01)
 NAMES = ("E", "nu", "friction")
 
 
@@ -96,13 +96,13 @@ def observed(seed: int, values: GelValues = TRUTH) -> Observation:
     return Observation(Press(f"press_{seed}", "ball", poses, stamp_s, skin, force), BALL)
 
 
-def problem_of(names: tuple[str, ...] = NAMES, **changes: object) -> Problem:
-    made = Problem(chosen_parameters(names), values_of(SENSOR), NOISE, POINTS)
+def problem_of(names: tuple[str, ...] = NAMES, **changes: object) -> FitProblem:
+    made = FitProblem(chosen_parameters(names), values_of(SENSOR), NOISE, POINTS)
     return replace(made, **changes)  # type: ignore[arg-type]
 
 
 @cache
-def linearised(seed: int, skin_loss: str = POINTS) -> Linearisation:
+def linearised(seed: int, skin_loss: str = POINTS) -> PressLinearisation:
     problem = problem_of(skin_loss=skin_loss)
     return linearise(simulator(), observed(seed), problem, coordinates(problem.parameters, TRUTH))
 
@@ -152,7 +152,7 @@ def test_the_gradient_that_the_columns_give_is_the_adjoints() -> None:
         centre = values_of(SENSOR)
         for parameter, place in zip(parameters, away, strict=True):
             centre = replace(centre, **{parameter.field: parameter.to_value(float(place))})
-        problem = Problem(parameters, centre, NOISE, POINTS)
+        problem = FitProblem(parameters, centre, NOISE, POINTS)
         both.append(
             linearise(simulator(), observation, problem, coordinates(parameters, values)).total()[1]
         )

@@ -17,9 +17,9 @@ from dotsim_ros.gel.body import Dome
 from dotsim_ros.gel.explicit.gel import (
     DivergenceError,
     ExplicitGel,
+    ExplicitRegion,
     ExplicitSettings,
     ExplicitState,
-    Region,
     sample_body,
     stable_density_scale,
     wave_speed_m_s,
@@ -61,7 +61,7 @@ def top_skin(block: Block) -> SkinMesh:
     return flat_pad_skin((width, depth), block.upper_m[2], 0.001)
 
 
-def make_gel(body: Region, skin: SkinMesh, **changes: Any) -> ExplicitGel:
+def make_gel(body: ExplicitRegion, skin: SkinMesh, **changes: Any) -> ExplicitGel:
     arguments: dict[str, Any] = {
         "material": PAPER_MATERIAL,
         "density_kg_m3": DENSITY,

@@ -19,7 +19,7 @@ from dotsim_ros.evaluation.gap.hidden.reality import Truth
 from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
 from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.presses.search import find_gap
-from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.specification import load_sensor
 
@@ -47,7 +47,7 @@ def searched(
     (data / "truth.json").write_text("{}", encoding="utf-8")
     steps: list[str] = []
     found = find_gap(
-        Request(
+        GapRequest(
             measured=data,
             sensor=sensor,
             directory=run,

@@ -21,14 +21,14 @@ import yaml
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.evaluation.gap.hidden.pictures import LAWS, Takes
+from dotsim_ros.evaluation.gap.hidden.images import LAWS, Takes
 from dotsim_ros.evaluation.gap.hidden.reality import Truth
 from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
-from dotsim_ros.gap.find import find_gap_with_pictures
+from dotsim_ros.gap import find as optical_find
 from dotsim_ros.gap.findings import Findings, Verdict
-from dotsim_ros.gap.images.model import Film, PictureModel
-from dotsim_ros.gap.images.reading import Pictures, read_pictures
-from dotsim_ros.gap.presses.search_state import Request
+from dotsim_ros.gap.images.model import Film, TwinCamera
+from dotsim_ros.gap.images.reading import MeasuredImages, read_pictures
+from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -84,7 +84,7 @@ def unit(sensor: SensorSpecification, run: Path, tmp_path_factory: pytest.TempPa
     data = tmp_path_factory.mktemp("unit") / "measured"
     skin = dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M)
     measure_unit(data, sensor, skin, Truth(()), seed=SEED, only=PROTOCOLS)
-    model = PictureModel(sensor, width=WIDTH, height=HEIGHT)
+    model = TwinCamera(sensor, width=WIDTH, height=HEIGHT)
     dark = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
     assert cv2.imwrite(str(data / "idle_0.png"), cv2.cvtColor(model.idle, cv2.COLOR_RGB2BGR))
     blank = _with_images(data, lambda name, count: np.repeat(dark[None], count, axis=0))
@@ -118,7 +118,7 @@ def measure(unit: Unit, directory: Path, law: Law | None = None) -> Path:
     return data
 
 
-def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> Pictures:
+def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> MeasuredImages:
     """Write bags with images beside those that are there, and an index of them; read them."""
     folder = data / "filmed"
     shutil.rmtree(folder, ignore_errors=True)
@@ -143,14 +143,16 @@ def searched(
     channels: tuple[str, ...] = ("image",),
     candidates: tuple[str, ...] = CANDIDATES,
     reference: Path | None = None,
+    effects: tuple[Path, ...] = (),
 ) -> tuple[Findings, Overlay | None]:
-    return find_gap_with_pictures(
-        Request(
+    return optical_find.find_gap_with_pictures(
+        GapRequest(
             measured=data,
             sensor=sensor,
             directory=run,
             reference=reference,
             indenters=data / "indenters",
+            effects=effects,
             channels=channels,
             candidates=candidates,
             seed=1,
@@ -158,6 +160,37 @@ def searched(
         ),
         lambda step, done, total: None,
     )
+
+
+OWN_EFFECT = """
+from dotsim_ros.gap.effect import IMAGE, Effect, EffectParameter
+from dotsim_ros.gap.optical_terms import any_frame, radius_square
+
+
+def _image(values):
+    loss = values["rim_loss"]
+    return lambda image: image.pixels * (1.0 - loss * radius_square(image))[..., None]
+
+
+EFFECT = Effect(
+    name="dark_rim",
+    title="Dark rim",
+    parameters=(EffectParameter("rim_loss", "", 0.0, 0.0, 0.3, (0.05, 0.2)),),
+    channels=(IMAGE,),
+    protocol="any images",
+    excited_by=any_frame,
+    image=_image,
+)
+"""
+
+
+@pytest.fixture
+def own_effect(tmp_path: Path) -> Path:
+    """Return the folder of an effect that the shipped noise of images does not know."""
+    folder = tmp_path / "effects"
+    folder.mkdir()
+    (folder / "dark_rim.py").write_text(OWN_EFFECT, encoding="utf-8")
+    return folder
 
 
 def vignetted(takes: Takes) -> np.ndarray:
@@ -208,3 +241,52 @@ def test_another_unit_s_pictures_are_refused_and_the_gel_is_still_judged(
     assert findings.optical.verdict is Verdict.UNUSABLE
     assert "they belong to another unit" in findings.sentence
     assert findings.sentence.startswith("No gap")
+
+
+def test_an_effect_of_the_user_that_no_limit_is_known_of_is_listed(
+    tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification, own_effect: Path
+) -> None:
+    data = measure(unit, tmp_path, vignetted)
+    findings, overlay = searched(
+        data, sensor, run, effects=(own_effect,), candidates=("dark_rim", "gamma")
+    )
+    assert findings.optical is not None
+    assert findings.optical.not_tried == ("dark_rim",)
+    assert findings.sentence.endswith("Not tried: dark rim.")
+    assert any("--fit-optical-noise" in text and "dark_rim" in text for text in findings.warnings)
+    alone, overlay = searched(data, sensor, run, effects=(own_effect,), candidates=("dark_rim",))
+    assert alone.verdict is Verdict.UNUSABLE
+    assert overlay is None
+    assert alone.sentence == "Images: not searched. Not tried: dark rim."
+    assert any("--fit-optical-noise" in text for text in alone.warnings)
+
+
+def test_an_effect_of_the_user_is_found_with_a_reference_that_tells_its_limit(
+    tmp_path: Path,
+    unit: Unit,
+    run: Path,
+    sensor: SensorSpecification,
+    own_effect: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for folder in ("before", "after"):
+        (tmp_path / folder).mkdir()
+    reference = measure(unit, tmp_path / "before")
+    data = measure(unit, tmp_path / "after", vignetted)
+    wanted = {"effects": (own_effect,), "candidates": ("dark_rim", "gamma")}
+    findings, _ = searched(data, sensor, run, reference=reference, **wanted)
+    assert findings.optical is not None
+    assert findings.optical.not_tried == ("dark_rim",)
+    assert any("2 trajectories with pictures are too few" in text for text in findings.warnings)
+    # The unit of these tests has two trajectories.
+    monkeypatch.setattr(optical_find, "LEAST_TRAJECTORIES", 1)
+    findings, overlay = searched(data, sensor, run, reference=reference, **wanted)
+    assert findings.optical is not None
+    assert findings.optical.not_tried == ()
+    assert findings.named == ("dark_rim",)
+    assert any("their limits come from 2 trajectories" in text for text in findings.warnings)
+    assert overlay is not None
+    (active,) = active_effects(overlay, load_effects([own_effect]))
+    assert active.values["rim_loss"] == pytest.approx(0.12, rel=0.2)
+    again, _ = searched(reference, sensor, run, reference=reference, **wanted)
+    assert again.verdict is Verdict.NO_GAP

@@ -174,7 +174,7 @@ def test_region_stiffness_is_a_block_of_the_whole() -> None:
     field = linear_field(body, np.eye(3) + 0.5 * LINEAR_MAP)[0]
     every = np.arange(grid.node_count, dtype=np.int32)
     base = region_base(body.cells.node, every, 3 * grid.node_count)
-    region = body.region_stiffness(field, body.all_cells, base, 3 * grid.node_count)
+    region = body.region_stiffness(field, body.all_cells, base, 3 * grid.node_count, 0)
     linear = np.kron(body.linear.toarray(), np.eye(3))
     whole = body.stiffness(field, 0).toarray() - linear
     assert region == pytest.approx(whole, abs=1e-9 * np.abs(whole).max())

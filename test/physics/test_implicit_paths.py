@@ -118,35 +118,44 @@ def test_two_runs_are_equal_bit_for_bit(dome: ImplicitGel) -> None:
         assert_same(one(dome, pose), one(other, pose))
 
 
+RELAXING = {"prony": PronySeries((0.3,), (0.1,))}
+DYNAMIC = {"solver": {"dynamic": True}}
+
+
 @pytest.mark.parametrize(
     "setting",
-    [
-        {},
-        pytest.param(
-            {"prony": PronySeries((0.3,), (0.1,))},
-            marks=pytest.mark.xfail(
-                strict=True,
-                reason="the region's rest stiffness is taken with the relaxation of environment 0, "
-                "so that the iterations differ within the tolerance",
-            ),
-        ),
-        {"solver": {"dynamic": True}},
-    ],
-    ids=["elastic", "relaxing", "dynamic"],
+    [{}, RELAXING, DYNAMIC, RELAXING | DYNAMIC, RELAXING | {"exact": True}],
+    ids=["elastic", "relaxing", "dynamic", "relaxing dynamic", "relaxing exact"],
 )
-def test_environments_equal_single_runs(setting: dict[str, object]) -> None:
+def test_environments_equal_single_runs(setting: dict[str, Any]) -> None:
     paths = [
         [pressed(0.3e-3), pressed(0.6e-3, 0.2e-3), None, pressed(0.2e-3)],
         [None, pressed(0.8e-3, -1e-3), pressed(0.9e-3, -0.8e-3), None],
         [pressed(0.5e-3, 0.0, 2e-3), None, None, pressed(0.5e-3)],
+        # Steps that are not divided, beside steps of several substeps.
+        [pressed(0.2e-3), *(pressed(0.4e-3, x) for x in (0.4e-3, 0.8e-3, 1.2e-3))],
+        [pressed(0.2e-3), pressed(0.4e-3, 2e-3), pressed(0.5e-3, 2.1e-3), pressed(0.3e-3, 1e-3)],
     ]
-    batch = pad_gel(contact=FRICTION, environment_count=3, **setting)
+    batch = pad_gel(contact=FRICTION, environment_count=len(paths), **setting)
     together = [batch.step([path[k] for path in paths], 0.04) for k in range(4)]
     for e, path in enumerate(paths):
         single = pad_gel(contact=FRICTION, **setting)
         for k, pose in enumerate(path):
             alone = one(single, pose)
             assert_same(together[k][e], alone)
+
+
+@pytest.mark.parametrize(
+    "setting", [RELAXING, DYNAMIC, RELAXING | DYNAMIC], ids=["relaxing", "dynamic", "both"]
+)
+def test_reset_forgets_steps_of_another_length(setting: dict[str, Any]) -> None:
+    gel = pad_gel(contact=FRICTION, **setting)
+    fresh = [one(gel, pressed(depth), 0.04) for depth in (0.3e-3, 0.8e-3)]
+    for dt_s in (0.01, 0.04):
+        one(gel, pressed(1.0e-3), dt_s)
+    gel.reset()
+    for depth, expected in zip((0.3e-3, 0.8e-3), fresh, strict=True):
+        assert_same(one(gel, pressed(depth), 0.04), expected)
 
 
 def test_first_pose_in_the_gel_is_that_of_a_press() -> None:

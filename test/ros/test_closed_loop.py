@@ -18,7 +18,7 @@ import msg_adapters
 from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
 from dotsim_ros.evaluation.trajectory.trials import judge, trial_start
 from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
 from dotsim_ros.tasks.policy.paths import reference_path
 
 PATH = "figure_eight"

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
-from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, Noise
+from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
+from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate, median_estimate
@@ -22,12 +22,12 @@ TRUE_SHIFT = np.array([0.2, -0.3, 0.1])
 COUNT = 60
 
 
-def _linearised(problem: Problem, random: np.random.Generator) -> Linearisation:
+def _linearised(problem: FitProblem, random: np.random.Generator) -> PressLinearisation:
     found = {}
     for channel, size in SENSITIVITY.items():
         jacobian = size * random.normal(size=(COUNT, len(NAMES)))
         found[channel] = (jacobian, random.normal(size=COUNT) - jacobian @ TRUE_SHIFT)
-    return Linearisation(
+    return PressLinearisation(
         point=problem.centre(),
         information={c: j.T @ j for c, (j, _) in found.items()},
         gradient={c: j.T @ r for c, (j, r) in found.items()},
@@ -42,7 +42,7 @@ def calibration(press_count: int = 8) -> Calibration:
     """Return a calibration of some presses, one more left out."""
     random = np.random.default_rng(0)
     sensor = SensorSpecification()
-    problem = Problem(chosen_parameters(NAMES), values_of(sensor), Noise(), POINTS)
+    problem = FitProblem(chosen_parameters(NAMES), values_of(sensor), LossNoise(), POINTS)
     at = {f"{k}_slide_of_a_cone": _linearised(problem, random) for k in range(press_count)}
     fits = {}
     for name, lin in at.items():

@@ -12,7 +12,7 @@ from dotsim_ros.gap.findings import (
     ChannelGap,
     Findings,
     Pair,
-    Place,
+    ResidualPlace,
     Verdict,
     WorstFrame,
 )
@@ -24,7 +24,7 @@ PHASES = ("idle", "load", "hold", "slide", "release")
 REGIONS = {"skin": ("apex", "contact", "rim", "far", "base"), "force": ("normal", "tangential")}
 
 
-def places() -> tuple[Place, ...]:
+def places() -> tuple[ResidualPlace, ...]:
     random = np.random.default_rng(1)
     found = []
     for trajectory in TRAJECTORIES:
@@ -36,7 +36,7 @@ def places() -> tuple[Place, ...]:
                     strong = 9.0 if phase == "slide" and region in ("rim", "tangential") else 1.2
                     before = strong * random.uniform(0.8, 1.2)
                     found.append(
-                        Place(
+                        ResidualPlace(
                             channel,
                             trajectory,
                             phase,

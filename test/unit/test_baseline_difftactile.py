@@ -13,9 +13,9 @@ from dotsim_ros.baselines.difftactile import (
     DiffTactile,
     DivergenceError,
     DynamicGel,
+    FitTrials,
     GelConstants,
     Shell,
-    Trials,
     stiffness_at_rest,
 )
 from dotsim_ros.baselines.tetrahedra import TetrahedralMesh, attach_skin, dome_shell, edge_matrices
@@ -210,7 +210,7 @@ def test_a_known_gel_is_told_from_noisy_measurements(gel: DynamicGel, skin: Skin
     )
     grid = {"poisson_ratio": (0.38, 0.43, 0.48), "friction": (0.0, 0.2, 0.8)}
     fitted = difftactile.fit(
-        [measured], {"ball": BALL}, skin, grid=grid, trials=Trials(gel, {"ball": BALL})
+        [measured], {"ball": BALL}, skin, grid=grid, trials=FitTrials(gel, {"ball": BALL})
     )
     assert fitted.constants == truth.constants
     assert fitted.youngs_modulus_pa == pytest.approx(2.5e5, rel=1e-2)
@@ -220,6 +220,6 @@ def test_presses_that_tell_nothing_are_refused(gel: DynamicGel, skin: SkinMesh) 
     away = press_to(-0.001)
     rest = skin.rest_position_m[None]
     apart = Press("apart", "ball", away.poses, away.stamp_s, rest, np.zeros((1, 3)))
-    trials = Trials(gel, {"ball": BALL})
+    trials = FitTrials(gel, {"ball": BALL})
     with pytest.raises(ValueError, match="a modulus cannot be told"):
         difftactile.fit([apart], {"ball": BALL}, skin, trials=trials)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.calibration.fitting import Linearisation, PressFit, Problem
-from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, Noise, nearest_partners
+from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
+from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, LossNoise, nearest_partners
 from dotsim_ros.calibration.loss import residuals as missed
 from dotsim_ros.calibration.parameters import (
     chosen_parameters,
@@ -39,8 +39,8 @@ SENSOR = SensorSpecification()
 SKIN_MESH = dome_skin(0.01575, 3e-3)
 
 
-def problem_of(*names: str, with_offset: bool = False) -> Problem:
-    return Problem(chosen_parameters(names), values_of(SENSOR), Noise(), POINTS, with_offset)
+def problem_of(*names: str, with_offset: bool = False) -> FitProblem:
+    return FitProblem(chosen_parameters(names), values_of(SENSOR), LossNoise(), POINTS, with_offset)
 
 
 def test_values_of_a_sensor_come_back_from_its_file(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def one_frame_press(skin_m: Array, force_n: Array) -> Press:
 
 
 def test_a_shift_is_weighed_by_the_noise_point_to_point() -> None:
-    noise = Noise(skin_discretisation_m=0.0)
+    noise = LossNoise(skin_discretisation_m=0.0)
     rest = SKIN_MESH.rest_position_m
     press = one_frame_press(rest, np.array([0.0, 0.0, 2.0]))
     simulated = SimulatedPress(
@@ -126,7 +126,7 @@ def test_a_shift_is_weighed_by_the_noise_point_to_point() -> None:
 
 def test_points_that_err_together_tell_no_more_than_one() -> None:
     fine, coarse = dome_skin(0.01575, 1e-3), SKIN_MESH
-    noise = Noise(skin_m=1e-9)
+    noise = LossNoise(skin_m=1e-9)
     told = [mesh.vertex_count / noise.skin_point_m(mesh) ** 2 for mesh in (fine, coarse)]
     assert told[0] == pytest.approx(told[1], rel=0.2)
 
@@ -139,16 +139,16 @@ def test_chamfer_needs_no_order_of_the_points() -> None:
     for order in (np.arange(len(rest)), np.random.default_rng(0).permutation(len(rest))):
         press = one_frame_press(rest[order], np.zeros(3))
         partners = nearest_partners(press, simulated)
-        found.append(np.sum(missed(press, simulated, Noise(), SKIN_MESH, partners)[SKIN] ** 2))
+        found.append(np.sum(missed(press, simulated, LossNoise(), SKIN_MESH, partners)[SKIN] ** 2))
     assert found[0] == pytest.approx(found[1])
-    expected = len(rest) * (0.2e-3 / Noise().skin_point_m(SKIN_MESH)) ** 2
+    expected = len(rest) * (0.2e-3 / LossNoise().skin_point_m(SKIN_MESH)) ** 2
     assert found[0] == pytest.approx(expected)
 
 
 def linear_press(
     jacobian: dict[str, Array], residual: dict[str, Array], point: Array
-) -> Linearisation:
-    return Linearisation(
+) -> PressLinearisation:
+    return PressLinearisation(
         point,
         {c: j.T @ j for c, j in jacobian.items()},
         {c: jacobian[c].T @ residual[c] for c in jacobian},

@@ -38,7 +38,7 @@ from dotsim_ros.measured.trajectory import (
 )
 from dotsim_ros.metrics import presses as geometry
 from dotsim_ros.metrics.presses import (
-    FrameScore,
+    PressFrameScore,
     by_indenter,
     contact_region,
     floor_scores,
@@ -330,7 +330,7 @@ def test_same_seed_same_scores() -> None:
 
 
 def test_scores_are_grouped_by_indenter() -> None:
-    scores: list[FrameScore] = []
+    scores: list[PressFrameScore] = []
     for name in ("b", "a"):
         scores += floor_scores(press(indenter=name), BALL, SKIN)
     assert {k: len(v) for k, v in by_indenter(scores).items()} == {"a": 2, "b": 2}

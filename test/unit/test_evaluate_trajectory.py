@@ -23,8 +23,8 @@ from dotsim_ros.evaluation.trajectory.page import (
 from dotsim_ros.evaluation.trajectory.trials import (
     SETTINGS,
     Setting,
+    TrajectoryTrials,
     TrialPlan,
-    Trials,
     judge,
     limits_shown,
     run_trials,
@@ -39,9 +39,9 @@ from dotsim_ros.measured.bag import BAG_TYPES, BagFile
 from dotsim_ros.page import as_markdown
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.policy.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 PLACES = LoopPlaces(Pose(np.array([0.35, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0])))
 START_S = 1000.0
@@ -248,7 +248,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
             raise KeyboardInterrupt
         return recording_of(path, seconds=seconds)
 
-    def run(plan: TrialPlan) -> Trials:
+    def run(plan: TrialPlan) -> TrajectoryTrials:
         return run_trials(plan, loop, LIMITS, tmp_path, progress=lambda line: None)
 
     with pytest.raises(KeyboardInterrupt):

@@ -10,12 +10,18 @@ import pytest
 
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.presses.answer import Answer, answer_of, null_gains, screen, sizes_by_channel
-from dotsim_ros.gap.presses.assumptions import SHARED, Nuisance
-from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, Whitening
-from dotsim_ros.gap.presses.evidence import Case, Trajectory, Variant
+from dotsim_ros.gap.presses.answer import (
+    SearchAnswer,
+    answer_of,
+    null_gains,
+    screen,
+    sizes_by_channel,
+)
+from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance
+from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whitening
+from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
-from dotsim_ros.gap.presses.search_state import Request, Search
+from dotsim_ros.gap.presses.search_state import GapRequest, Search
 from dotsim_ros.gap.report.wording import sentence
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
@@ -33,9 +39,9 @@ EFFECT = Effect(
 )
 
 
-def trajectory_of(observed: np.ndarray, random: np.random.Generator) -> Trajectory:
+def trajectory_of(observed: np.ndarray, random: np.random.Generator) -> EvidenceTrajectory:
     used = np.ones(SHAPE, dtype=bool)
-    return Trajectory(
+    return EvidenceTrajectory(
         recording=None,
         is_reference=False,
         places=None,
@@ -68,7 +74,7 @@ def variant_of(change: list[np.ndarray]) -> Variant:
 def case_of(observed: list[np.ndarray], random: np.random.Generator) -> Case:
     trajectories = [trajectory_of(one, random) for one in observed]
     # Sizes are not refined: the effect is linear, and there is nothing to solve.
-    nuisances = [Nuisance("E", "log", 0.1, SHARED)]
+    nuisances = [PressNuisance("E", "log", 0.1, SHARED)]
     nothing = SimpleNamespace(solve_count=0)
     return Case(trajectories, nuisances, {EFFECT.name: EFFECT}, nothing, None, None)
 
@@ -80,18 +86,18 @@ def search_of(
     share = np.where(OF_FORCE, force, skin)
     observed = [share * one + random.standard_normal(SHAPE) for one in change]
     return Search(
-        Request(Path(), None, Path(), budget=0),
+        GapRequest(Path(), None, Path(), budget=0),
         case_of(observed, random),
         list(range(TRAJECTORIES)),
         [],
-        Noise(),
+        ChannelNoise(),
         Discrepancy(np.eye(SIZE), np.eye(SIZE), "drawn"),
         random,
         lambda step, done, total: None,
     )
 
 
-def answered(search: Search, change: list[np.ndarray]) -> Answer:
+def answered(search: Search, change: list[np.ndarray]) -> SearchAnswer:
     ranked = screen(search, [variant_of(change)])
     return answer_of(search, ranked, *null_gains(search, ranked, NULLS))
 

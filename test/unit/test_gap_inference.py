@@ -7,10 +7,10 @@ import pytest
 
 from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter
 from dotsim_ros.gap.decision import HEAVIER, limit_factor, threshold_of
-from dotsim_ros.gap.presses.assumptions import SHARED, Nuisance, centred
+from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance, centred
 from dotsim_ros.gap.presses.certainty import CHI_SQUARE, profile_ends
 from dotsim_ros.gap.presses.covariance import Whitening
-from dotsim_ros.gap.presses.evidence import Case, Segment, Trajectory, Variant
+from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Segment, Variant
 from dotsim_ros.gap.presses.inference import (
     Evidence,
     cosines,
@@ -183,7 +183,7 @@ def test_a_profile_of_a_linear_effect_ends_at_its_standard_errors(
 
 def test_what_the_twin_is_known_to_be_off_by_is_no_residual(random: np.random.Generator) -> None:
     nuisances = centred(
-        [Nuisance("E", "log", 0.1, SHARED), Nuisance("delay", "s", 0.005, SHARED)],
+        [PressNuisance("E", "log", 0.1, SHARED), PressNuisance("delay", "s", 0.005, SHARED)],
         {"delay": 0.007},
     )
     shape = (4, 5)
@@ -192,7 +192,7 @@ def test_what_the_twin_is_known_to_be_off_by_is_no_residual(random: np.random.Ge
     # A column is of one deviation.
     observed = predicted + 0.007 / 0.005 * columns[1]
     used = np.ones(shape, dtype=bool)
-    trajectory = Trajectory(
+    trajectory = EvidenceTrajectory(
         recording=None,
         is_reference=False,
         places=None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import html
 import io
 import json
@@ -17,12 +18,14 @@ from PIL import Image
 
 from dotsim_ros.effects.effect import Active, Response, response_filters
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.gap.findings import Findings, Place, Verdict, as_record, findings_of
+from dotsim_ros.effects.overlay import FILE_NAME, FoundEffect, Overlay, read_overlay
+from dotsim_ros.files import MANIFEST, replace_files
+from dotsim_ros.gap.findings import Findings, ResidualPlace, Verdict, as_record, findings_of
 from dotsim_ros.gap.report.effects import effects_table
 from dotsim_ros.gap.report.figures import heatmap
 from dotsim_ros.gap.report.places import by_phase, by_trajectory
 from dotsim_ros.gap.report.sections import page_of
-from dotsim_ros.gap.report.write import write_report
+from dotsim_ros.gap.report.write import write_findings, write_report
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.page import (
     Bullets,
@@ -111,6 +114,51 @@ def test_the_report_holds_the_findings_and_their_origin(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "provenance.json").read_text())["commit"]
 
 
+def files_below(folder: Path) -> dict[str, bytes]:
+    found = [path for path in folder.rglob("*") if path.is_file()]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def test_a_report_leaves_nothing_of_the_report_before(tmp_path: Path) -> None:
+    slip = Overlay(
+        "sensor_a", "0123", (FoundEffect("coulomb_slip", named().candidates[0].estimates),)
+    )
+    again, fresh = tmp_path / "again", tmp_path / "fresh"
+    write_findings(again, named(), slip)
+    old = set(files_below(again))
+    assert {"phases_after.png", FILE_NAME} <= old
+    assert read_overlay(again / FILE_NAME) == slip
+    own = {
+        "notes.png": b"of the user",
+        "run/solves/0.npz": b"of the run",
+        # Written by a report, and changed since.
+        "phases_after.png": b"annotated by the user",
+    }
+    for name, content in own.items():
+        (again / name).parent.mkdir(parents=True, exist_ok=True)
+        (again / name).write_bytes(content)
+    write_findings(again, no_gap(), None)
+    write_findings(fresh, no_gap(), None)
+    left = files_below(again)
+    assert set(left) == set(files_below(fresh)) | set(own)
+    assert {name: left[name] for name in own} == own
+    assert old - set(left), "the second report has as many pictures as the first"
+
+
+def test_files_that_no_report_wrote_are_left_alone(tmp_path: Path) -> None:
+    folder = tmp_path / "report"
+    folder.mkdir()
+    outside = tmp_path / "outside.png"
+    outside.write_bytes(b"")
+    digest = hashlib.sha256(b"").hexdigest()
+    for manifest in (f'{{"../outside.png": "{digest}"}}', "[1]", "no JSON"):
+        (folder / MANIFEST).write_text(manifest, encoding="utf-8")
+        replace_files(folder, {"a.png": b"a"})
+        replace_files(folder, {"b.png": b"b"})
+        assert outside.exists()
+        assert set(files_below(folder)) == {"b.png", MANIFEST}
+
+
 def test_findings_of_another_version_are_refused() -> None:
     with pytest.raises(ValueError, match="version 7, expected 1"):
         findings_of({**as_record(no_gap()), "version": 7})
@@ -164,8 +212,8 @@ def test_places_are_summed_over_what_is_not_shown() -> None:
 
 
 def test_a_stated_sum_is_used_and_not_counted_again() -> None:
-    def place(trajectory: str, phase: str, before: float, count: int) -> Place:
-        return Place("force", trajectory, phase, "all", before, before, 0.0, 0.0, count)
+    def place(trajectory: str, phase: str, before: float, count: int) -> ResidualPlace:
+        return ResidualPlace("force", trajectory, phase, "all", before, before, 0.0, 0.0, count)
 
     parts = (place("a", "hold", 1.0, 10), place("b", "hold", 3.0, 10))
     stated = (*parts, place("all", "hold", 2.5, 20))
@@ -176,9 +224,11 @@ def test_a_stated_sum_is_used_and_not_counted_again() -> None:
 
 
 def test_many_regions_and_trajectories_are_summed_up_for_a_narrow_picture() -> None:
-    def place(number: int, region: int) -> Place:
+    def place(number: int, region: int) -> ResidualPlace:
         size = float(number)
-        return Place("image", f"t{number}", "idle", f"tile {region}", size, size, 0.0, 0.0, 5)
+        return ResidualPlace(
+            "image", f"t{number}", "idle", f"tile {region}", size, size, 0.0, 0.0, 5
+        )
 
     table = by_trajectory([place(number, region) for number in range(40) for region in range(9)])
     assert table.columns == ("image",)

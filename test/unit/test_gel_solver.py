@@ -86,7 +86,7 @@ def test_region_step_is_exact_where_the_strain_lies_within() -> None:
     local = LocalTangent(single, grid.mass_over_density * 0.0)
     field = 0.05 * grid.node_position_m[:, 2:] * np.array([0.5, -0.3, 1.0])
     every = np.arange(grid.node_count, dtype=np.int32)
-    region = local.region(single.all_cells, every)
+    region = local.region(single.all_cells, every, 0)
     stiffness = local.assemble(region, field.astype(np.float32), 0)
     factor = local.factor(region, stiffness)
     double = ElasticBody(grid, LAW).stiffness(field, 0)

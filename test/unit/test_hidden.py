@@ -10,7 +10,7 @@ import pytest
 
 import dotsim_ros.evaluation.gap.hidden
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Answer, Motion
+from dotsim_ros.evaluation.gap.hidden.laws import LAWS, LawAnswer, LawMotion
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, draw_truth, library_names
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.pose import Pose
@@ -50,13 +50,13 @@ def test_a_law_changes_something(name: str) -> None:
         changed |= found != values or relaxation is not None
     if law.motion is not None:
         poses = [Pose(np.array([0.0, 0.0, z])) for z in (0.0, -1e-3, -0.5e-3)]
-        ways = law.motion(Motion(poses, stamp, force), size, random, random)
+        ways = law.motion(LawMotion(poses, stamp, force), size, random, random)
         changed |= any(
             not np.allclose(a.position_m, b.position_m, atol=1e-7, rtol=0.0)
             for a, b in zip(ways, poses, strict=True)
         )
     if law.answer is not None:
-        skin, load = law.answer(Answer(moved, force, rest, stamp, 0.0), size)
+        skin, load = law.answer(LawAnswer(moved, force, rest, stamp, 0.0), size)
         changed |= not (np.allclose(skin, moved) and np.allclose(load, force))
     assert changed
 
@@ -72,7 +72,7 @@ def test_a_truth_is_drawn_by_its_seed_and_told_by_its_hash() -> None:
 
 
 def test_a_mounting_offset_is_the_unit_s_and_not_each_trajectory_s() -> None:
-    motion = Motion(
+    motion = LawMotion(
         [Pose(np.zeros(3)), Pose(np.array([1e-3, 0.0, 0.0]))], np.arange(2.0), np.ones((2, 3))
     )
     law = LAWS["mounted_off"].motion

@@ -13,7 +13,7 @@ from dotsim_ros.effects.live import specification_with_effects, wrench_with_forc
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.nodes.common.ingest import Fault
-from dotsim_ros.nodes.tactile_sim.motion import Motion
+from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
 from dotsim_ros.nodes.tactile_sim.session import SensorSession
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import MaterialSpecification, load_sensor
@@ -48,7 +48,7 @@ def pressed(depth_mm: float) -> Pose:
 def forces_n(session: SensorSession, *depth_mm: float) -> list[float]:
     """Return the normal force at each depth, 0.04 s apart."""
     moments = [
-        session.follow(Motion(pressed(depth), (k + 1) * STEP_NS, None))
+        session.follow(MotionOrder(pressed(depth), (k + 1) * STEP_NS, None))
         for k, depth in enumerate(depth_mm)
     ]
     return [float(moment.gel.wrench.force_n[2]) for moment in moments]
@@ -130,7 +130,7 @@ def test_time_of_the_session_goes_on_over_a_new_start_and_not_over_a_reset(
     # 0.04 s for the first frame, then 0.04 s each.
     drifted = [(1.0 + 4e-2 * (k + 1) * 5e-3) * straight[k] for k in (0, 1)]
     assert forces_n(session, 0.5, 0.5) == pytest.approx(drifted, rel=1e-9)
-    again = session.follow(Motion(pressed(0.5), STEP_NS, Fault.JUMP))
+    again = session.follow(MotionOrder(pressed(0.5), STEP_NS, Fault.JUMP))
     third = (1.0 + 12e-2 * 5e-3) * straight[0]
     assert again.gel.wrench.force_n[2] == pytest.approx(third, rel=1e-9)
     session.reset()
@@ -141,14 +141,16 @@ def test_a_new_start_forgets_what_was_pressed(sensor: TactileSensor) -> None:
     session = session_of(sensor, active("permanent_set", share=0.1))
     rest_m = sensor.skin.rest_position_m
     forces_n(session, 0.5, 1.0)
-    left = session.follow(Motion(pressed(-1.0), 10 * STEP_NS, None)).gel.skin_position_m - rest_m
+    left = (
+        session.follow(MotionOrder(pressed(-1.0), 10 * STEP_NS, None)).gel.skin_position_m - rest_m
+    )
     assert left[:, 2].min() == pytest.approx(-0.1e-3, rel=0.1)
-    fresh = session.follow(Motion(pressed(-1.0), STEP_NS, Fault.JUMP))
+    fresh = session.follow(MotionOrder(pressed(-1.0), STEP_NS, Fault.JUMP))
     assert np.array_equal(fresh.gel.skin_position_m, rest_m)
 
 
 def test_an_effect_on_the_image_leaves_the_rest_alone(sensor: TactileSensor) -> None:
-    motion = Motion(pressed(0.8), STEP_NS, None)
+    motion = MotionOrder(pressed(0.8), STEP_NS, None)
     plain = session_of(sensor).follow(motion).render()
     red = session_of(sensor, active("led_imbalance_red", loss_share=0.2)).follow(motion).render()
     assert np.array_equal(red.image[..., 1:], plain.image[..., 1:])
@@ -163,7 +165,8 @@ def test_motion_blur_needs_a_motion(sensor: TactileSensor) -> None:
         # The first frame comes from nowhere, the second one drags the skin, the third one rests.
         poses = [Pose(np.array([x, 0.0, APEX_M - 1e-3])) for x in (0.0, 1e-3, 1e-3)]
         moments = [
-            session.follow(Motion(pose, (k + 1) * STEP_NS, None)) for k, pose in enumerate(poses)
+            session.follow(MotionOrder(pose, (k + 1) * STEP_NS, None))
+            for k, pose in enumerate(poses)
         ]
         return [moment.render().image.astype(float) for moment in moments]
 

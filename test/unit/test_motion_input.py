@@ -7,8 +7,8 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.motion import (
-    Motion,
     MotionGate,
+    MotionOrder,
     NewestMotion,
     Velocity,
     velocity_axes,
@@ -59,12 +59,12 @@ def test_what_is_forgotten_leads_nowhere(gate):
 
 def test_a_new_start_that_was_not_simulated_stays_one():
     slot = NewestMotion()
-    slot.put(Motion(pose_at(1.0), 1, Fault.JUMP))
-    slot.put(Motion(pose_at(1.001), 2, None))
+    slot.put(MotionOrder(pose_at(1.0), 1, Fault.JUMP))
+    slot.put(MotionOrder(pose_at(1.001), 2, None))
     newest = slot.take()
     assert (newest.stamp_ns, newest.new_start) == (2, Fault.JUMP)
     assert slot.take() is None
-    slot.put(Motion(pose_at(1.002), 3, None))
+    slot.put(MotionOrder(pose_at(1.002), 3, None))
     assert slot.take().new_start is None
 
 

@@ -37,7 +37,7 @@ from dotsim_ros.gap.findings import (
     findings_of,
 )
 from dotsim_ros.gap.images.case import OpticalCase, Shot
-from dotsim_ros.gap.images.fit import PictureSearch, mean_squares, without_effects
+from dotsim_ros.gap.images.fit import ImageSearch, mean_squares, without_effects
 from dotsim_ros.gap.images.null import fit_optical_null, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
 from dotsim_ros.gap.images.search import signatures_of
@@ -78,7 +78,7 @@ def signatures():
 @pytest.fixture(scope="module")
 def searched(null, signatures):
     case = case_of(FILMS, null_residual(0))
-    return PictureSearch(case, case.shots, EFFECTS, null, alpha=0.02, seed=0, signatures=signatures)
+    return ImageSearch(case, case.shots, EFFECTS, null, alpha=0.02, seed=0, signatures=signatures)
 
 
 def residuals_with(law, seed):
@@ -174,6 +174,43 @@ def test_an_effect_whose_scatter_is_not_known_is_told_apart(null, signatures):
     assert not null.knows(LIBRARY["motion_blur"])
     with pytest.raises(ValueError, match="knows nothing of motion_blur"):
         null.variances("motion_blur", signatures["gamma"][0])
+    # A file of the user's that takes a shipped effect's name, with another parameter.
+    gamma = LIBRARY["gamma"]
+    (exponent,) = gamma.parameters
+    assert not null.knows(replace(gamma, parameters=(replace(exponent, name="power"),)))
+
+
+def test_a_reference_tells_the_scatter_of_effects_that_the_file_does_not_know(null):
+    films = [film_of(number) for number in REFERENCES]
+    random = np.random.default_rng(7)
+    case = case_of(films, [drawn(change, random) for change in changes_of(films)])
+    vignetting = LIBRARY["vignetting"]
+    poorer = replace(null, spurious=tuple(s for s in null.spurious if s.effect != "vignetting"))
+    assert not poorer.knows(vignetting)
+    # The same data tell the same, as if the file had been made with the effect.
+    again = poorer.with_effects([vignetting], case)
+    assert sorted(again.spurious, key=repr) == sorted(null.spurious, key=repr)
+    assert again.noise.trajectory_count == len(REFERENCES)
+    # Fewer trajectories raise the thresholds.
+    few = poorer.with_effects([vignetting], replace(case, shots=case.shots[:3]))
+    assert few.noise.trajectory_count == 3
+    searches = [
+        ImageSearch(case, case.shots, EFFECTS, one, alpha=0.02, seed=0) for one in (again, few)
+    ]
+    assert searches[1].threshold > searches[0].threshold
+
+
+def test_effects_that_were_not_tried_are_in_the_report_and_the_record():
+    found = replace(optical(Verdict.NO_GAP), not_tried=("my_tint",))
+    both = combined(no_gap(), found)
+    assert findings_of(as_record(both)) == both
+    text = as_markdown(page_of(both, {}, LIBRARY))
+    assert "## Not tried" in text
+    assert "my_tint" in text
+    assert "--fit-optical-noise" in text
+    older = as_record(both)
+    del older["optical"]["not_tried"]
+    assert findings_of(older).optical.not_tried == ()
 
 
 def test_the_shipped_noise_knows_every_effect_of_the_camera():

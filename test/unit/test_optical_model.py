@@ -6,7 +6,7 @@ from optical_presses import dented
 
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.gap.images.model import PictureModel, resized
+from dotsim_ros.gap.images.model import TwinCamera, resized
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.specification import load_sensor
 
@@ -21,7 +21,7 @@ def sensor():
 
 @pytest.fixture(scope="module")
 def model(sensor):
-    return PictureModel(sensor, width=WIDTH, height=HEIGHT)
+    return TwinCamera(sensor, width=WIDTH, height=HEIGHT)
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +94,7 @@ def test_a_film_keeps_its_view_at_another_size(film):
 
 def test_the_unit_s_own_idle_frame_takes_the_twin_s_place(sensor, model):
     darker = (0.8 * model.idle).astype(np.uint8)
-    own = PictureModel(sensor, width=WIDTH, height=HEIGHT, idle=darker)
+    own = TwinCamera(sensor, width=WIDTH, height=HEIGHT, idle=darker)
     rest = skin_of(sensor.gel).rest_position_m
     film = own.film(rest[None], np.zeros(1), 0.0)
     np.testing.assert_allclose(film.pixels[0], darker, atol=0.5)
@@ -102,4 +102,4 @@ def test_the_unit_s_own_idle_frame_takes_the_twin_s_place(sensor, model):
 
 def test_a_picture_of_another_shape_is_refused(sensor):
     with pytest.raises(ValueError, match="aspect ratio"):
-        PictureModel(sensor, width=80, height=80)
+        TwinCamera(sensor, width=80, height=80)

@@ -20,8 +20,8 @@ from dotsim_ros.learning.preview import write_preview  # noqa: E402
 from dotsim_ros.learning.training import (  # noqa: E402
     CHECKPOINT,
     RECIPES,
-    Progress,
-    Training,
+    NetworkTraining,
+    TrainingProgress,
     batches,
 )
 
@@ -120,7 +120,7 @@ def test_a_killed_training_goes_on_where_it_stopped(data, tmp_path):
 
     def training(directory):
         torch.manual_seed(5)
-        return Training(
+        return NetworkTraining(
             "ours",
             make_network("ours"),
             examples,
@@ -129,7 +129,7 @@ def test_a_killed_training_goes_on_where_it_stopped(data, tmp_path):
             checkpoint_interval_s=0.0,
         )
 
-    def die(progress: Progress) -> None:
+    def die(progress: TrainingProgress) -> None:
         if progress.epoch == 2:
             raise KilledError
 

@@ -9,7 +9,7 @@ import pytest
 from dotsim_ros.tasks.policy.examples import moved_picture, moved_position
 from dotsim_ros.tasks.policy.images import (
     CHANNEL_COUNT,
-    NetworkInput,
+    PolicyInput,
     PolicyView,
     fingerprint,
 )
@@ -67,13 +67,13 @@ def test_numbers_out_of_range_are_refused():
 
 def test_the_change_of_an_untouched_sensor_is_zero_and_does_not_depend_on_the_light():
     view = PolicyView(side_px=96)
-    bright = NetworkInput(view.picture(IDLE))
+    bright = PolicyInput(view.picture(IDLE))
     assert bright(view.picture(IDLE)).shape == (CHANNEL_COUNT, 96, 96)
     assert np.all(bright(view.picture(IDLE))[:3] == 0.0)
     dim = (0.6 * IDLE).astype(np.uint8)
     dim_spot = (0.6 * spotted(320, 240)).astype(np.uint8)
     change = bright(view.picture(spotted(320, 240)))[:3]
-    dimmed = NetworkInput(view.picture(dim))(view.picture(dim_spot))[:3]
+    dimmed = PolicyInput(view.picture(dim))(view.picture(dim_spot))[:3]
     assert np.abs(change).max() > 1.0
     assert np.abs(change - dimmed).max() < 0.15 * np.abs(change).max()
 

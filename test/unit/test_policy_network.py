@@ -19,7 +19,7 @@ from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.network.carded_weights import CARD, GRAPH, WEIGHTS, card_from
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import FORMAT, POLICY, PolicyCard
-from dotsim_ros.tasks.policy.images import CHANNEL_COUNT, NetworkInput
+from dotsim_ros.tasks.policy.images import CHANNEL_COUNT, PolicyInput
 from dotsim_ros.tasks.policy.network import load_policy, open_session, save_policy
 from dotsim_ros.tasks.policy.paths import PATHS as PATH_NAMES
 
@@ -75,7 +75,7 @@ def written(tmp_path_factory):
 
 def test_a_loaded_policy_answers_as_the_network(written):
     network, folder = written
-    given = NetworkInput(DRAWN.view.picture(IDLE))(DRAWN.view.picture(IMAGE))
+    given = PolicyInput(DRAWN.view.picture(IDLE))(DRAWN.view.picture(IMAGE))
     with torch.inference_mode():
         expected = network(torch.from_numpy(given)[None])[0].numpy()
     for row, name in enumerate(PATHS):

@@ -19,7 +19,7 @@ from dotsim_ros.tasks.policy.demonstration import (
 )
 from dotsim_ros.tasks.policy.examples import (
     LEAST_WEIGHT,
-    Examples,
+    PolicyExamples,
     data_hash,
     exposed,
     frames_of,
@@ -108,7 +108,7 @@ def test_folders_of_other_paths_are_refused(demonstrations, tmp_path):
 
 
 def test_answers_are_the_experts_and_count_where_the_path_is_near():
-    examples = Examples(frames_of([drawn_episode(0)]), PATHS, CONTACT, SIDE)
+    examples = PolicyExamples(frames_of([drawn_episode(0)]), PATHS, CONTACT, SIDE)
     path = reference_path("line", CONTACT)
     places = np.stack([path.position_m[10], path.position_m[10] + [0.0, 0.0, 1.5e-3]])
     commands, weight, place = examples.answers(places)
@@ -121,7 +121,7 @@ def test_answers_are_the_experts_and_count_where_the_path_is_near():
 
 def test_a_batch_turns_pictures_and_answers_together():
     """The spot in each input lies where its answer's place says."""
-    examples = Examples(frames_of([drawn_episode(1, count=40)]), PATHS, CONTACT, SIDE)
+    examples = PolicyExamples(frames_of([drawn_episode(1, count=40)]), PATHS, CONTACT, SIDE)
     random = np.random.default_rng(0)
     pictures, commands, weight, place = examples.batch(np.arange(40), random)
     assert commands.shape == (40, 2, 6)
@@ -146,9 +146,9 @@ def test_a_new_exposure_changes_both_pictures_alike():
 
 
 def recipe(count: int):
-    from dotsim_ros.tasks.policy.training import Recipe
+    from dotsim_ros.tasks.policy.training import PolicyRecipe
 
-    return Recipe(example_count=count, batch=8, side_px=SIDE)
+    return PolicyRecipe(example_count=count, batch=8, side_px=SIDE)
 
 
 def weights_of(training):
@@ -162,7 +162,7 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
 
     monkeypatch.setattr(policy_training, "ROUND", 16)
     frames = read_split([demonstrations])[0]
-    examples = Examples(frames, PATHS, CONTACT, SIDE)
+    examples = PolicyExamples(frames, PATHS, CONTACT, SIDE)
 
     def training(folder, count=32):
         return policy_training.Training(

@@ -8,7 +8,7 @@ import pytest
 import msg_adapters
 from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE, BagReader, serialized_stamp_ns
 from dotsim_ros.measured.trajectory import Topics, read_trajectory
-from dotsim_ros.nodes.tactile_record.recording import Recording
+from dotsim_ros.nodes.tactile_record.recording import BagRecording
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 TOPIC = Topics().wrench
@@ -26,7 +26,7 @@ def serialized(index):
 
 
 def test_everything_put_is_written(tmp_path):
-    recording = Recording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=2**20)
+    recording = BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=2**20)
     threads = [
         threading.Thread(
             target=lambda part=part: [recording.put(TOPIC, serialized(i)) for i in part]
@@ -45,7 +45,7 @@ def test_everything_put_is_written(tmp_path):
 
 
 def test_log_times_are_those_of_the_headers(tmp_path):
-    recording = Recording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=2**20)
+    recording = BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=2**20)
     recording.put(TOPIC, serialized(7))
     recording.close()
     with BagReader(tmp_path / "bag") as bag:
@@ -53,7 +53,7 @@ def test_log_times_are_those_of_the_headers(tmp_path):
 
 
 def test_what_finds_the_queue_full_is_counted(tmp_path):
-    recording = Recording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=10)
+    recording = BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=10)
     assert not recording.put(TOPIC, serialized(0))
     summary = recording.close()
     assert summary.dropped == {TOPIC: 1}
@@ -61,7 +61,7 @@ def test_what_finds_the_queue_full_is_counted(tmp_path):
 
 
 def test_failure_ends_the_recording_and_leaves_nothing(tmp_path):
-    recording = Recording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=2**20)
+    recording = BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=2**20)
     recording.put(TOPIC, serialized(0))
     recording.put(TOPIC, b"short")
     summary = recording.close()
@@ -75,7 +75,7 @@ def test_failure_ends_the_recording_and_leaves_nothing(tmp_path):
 def test_existing_path_is_refused(tmp_path):
     (tmp_path / "bag").mkdir()
     with pytest.raises(FileExistsError):
-        Recording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=1)
+        BagRecording(tmp_path / "bag", {TOPIC: WRENCH}, queue_bytes=1)
 
 
 def test_stamp_of_big_endian_message():

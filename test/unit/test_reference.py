@@ -17,7 +17,7 @@ from dotsim_ros.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSett
 from dotsim_ros.reference.data_set import ReferenceDataSet, read_solved_presses
 from dotsim_ros.reference.deck import EARLY_M, Deck, StepControl
 from dotsim_ros.reference.mesh import (
-    Press,
+    MeshedPress,
     corner_volumes,
     dome_mesh,
     interpolate_skin,
@@ -59,7 +59,7 @@ def _mesh(tilt_deg=0.0, spacing_m=1.2e-3, radius_m=3e-3):
     return dome_mesh(
         core_radius_m=CORE_M,
         outer_radius_m=OUTER_M,
-        press=Press(pole, radius_m),
+        press=MeshedPress(pole, radius_m),
         spacing_m=spacing_m,
     )
 
@@ -116,7 +116,7 @@ def test_a_shell_without_core_is_refused():
         dome_mesh(
             core_radius_m=0.0,
             outer_radius_m=OUTER_M,
-            press=Press(np.array([0.0, 0.0, 1.0]), 3e-3),
+            press=MeshedPress(np.array([0.0, 0.0, 1.0]), 3e-3),
             spacing_m=1e-3,
         )
 

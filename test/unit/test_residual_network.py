@@ -31,7 +31,7 @@ from dotsim_ros.optics.network.carded_weights import (
     weights_hash,
     write_weights,
 )
-from dotsim_ros.optics.network.completion import ResidualNetwork
+from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
@@ -105,7 +105,7 @@ def folder(made, tmp_path):
 
 
 def open_network(directory, camera, sensor=SENSOR.name):
-    return ResidualNetwork(directory, sensor=sensor, camera=camera)
+    return CompletionNetwork(directory, sensor=sensor, camera=camera)
 
 
 @pytest.mark.parametrize("kind", ["ours", "unet"])
@@ -292,7 +292,7 @@ def test_a_sensor_refuses_a_network_that_is_not_its_own(made):
 def test_the_stand_in_sensor_ships_with_its_network():
     shipped = load_sensor("sensor_a")
     camera = FisheyeCamera.from_specification(shipped.camera)
-    network = ResidualNetwork(
+    network = CompletionNetwork(
         given_path(shipped.camera.residual), sensor=shipped.name, camera=camera
     )
     metrics = network.card.metrics
@@ -316,11 +316,11 @@ def test_running_a_network_loads_no_torch(made):
     program = (
         "import sys; from pathlib import Path; import dotsim_ros.sensor; "
         "assert 'onnxruntime' not in sys.modules; "
-        "from dotsim_ros.optics.network.completion import ResidualNetwork; "
+        "from dotsim_ros.optics.network.completion import CompletionNetwork; "
         "from dotsim_ros.specification import load_sensor; "
         "from dotsim_ros.geometry.camera import FisheyeCamera; "
         "camera = FisheyeCamera.from_specification(load_sensor('densetact2').camera); "
-        f"ResidualNetwork(Path({str(made[0])!r}), sensor='densetact2', camera=camera); "
+        f"CompletionNetwork(Path({str(made[0])!r}), sensor='densetact2', camera=camera); "
         "assert 'torch' not in sys.modules and 'onnx' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True, cwd=Path(__file__).parents[2])

@@ -11,9 +11,9 @@ import pytest
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
-from dotsim_ros.tasks.arm.control import ArmControl, ControlSettings, Order
-from dotsim_ros.tasks.policy.freshness import Heard, StreamWatch
-from dotsim_ros.tasks.policy.safety import Readings, Reason, SafetyLimits, State
+from dotsim_ros.tasks.control.arm_control import ArmControl, ControlSettings, Order
+from dotsim_ros.tasks.control.freshness import HeardMessage, StreamWatch
+from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, State
 
 TICK_S = 0.01
 LIMITS = SafetyLimits()
@@ -57,7 +57,7 @@ class Bench:
         heard, why = watch.hear(
             stamp_of(self.now_s - lag_s), arrival_s=self.now_s, clock_ns=stamp_of(self.now_s)
         )
-        if heard is Heard.JUMPED:
+        if heard is HeardMessage.JUMPED:
             self.control.latch(Reason.CLOCK_JUMP, why)
 
     def readings(self) -> Readings:
@@ -242,10 +242,10 @@ def test_stamps_that_run_back_are_a_jump_and_two_that_change_places_are_not():
     watch = StreamWatch("image", jump_s=0.5)
     watch.hear(stamp_of(1.0), arrival_s=1.0, clock_ns=stamp_of(1.0))
     heard, _ = watch.hear(stamp_of(0.99), arrival_s=1.02, clock_ns=stamp_of(1.02))
-    assert heard is Heard.NOTHING_NEW
+    assert heard is HeardMessage.NOTHING_NEW
     assert watch.reading(1.02).age_s == pytest.approx(0.02)
     heard, why = watch.hear(stamp_of(0.97), arrival_s=1.04, clock_ns=stamp_of(1.04))
-    assert heard is Heard.JUMPED
+    assert heard is HeardMessage.JUMPED
     assert "runs back by 0.030 s" in why
 
 
@@ -256,18 +256,18 @@ def heard(watch, *, stamp_s, arrival_s, clock_s=None):
 
 def test_a_stream_that_is_held_up_and_catches_up_is_delayed_but_no_jump():
     watch = StreamWatch("image", jump_s=0.5)
-    assert heard(watch, stamp_s=1.0, arrival_s=1.0) is Heard.NEW
-    assert heard(watch, stamp_s=1.04, arrival_s=1.9) is Heard.NEW
+    assert heard(watch, stamp_s=1.0, arrival_s=1.0) is HeardMessage.NEW
+    assert heard(watch, stamp_s=1.04, arrival_s=1.9) is HeardMessage.NEW
     assert watch.reading(1.9).delay_s == pytest.approx(0.86)
-    assert heard(watch, stamp_s=1.9, arrival_s=1.93) is Heard.NEW
+    assert heard(watch, stamp_s=1.9, arrival_s=1.93) is HeardMessage.NEW
     assert watch.reading(1.93).delay_s == pytest.approx(0.03)
 
 
 def test_a_machine_whose_time_is_set_is_a_jump_although_the_stamps_follow():
     watch = StreamWatch("image", jump_s=0.5)
     heard(watch, stamp_s=1.0, arrival_s=1.0)
-    assert heard(watch, stamp_s=3.04, arrival_s=1.04, clock_s=3.04) is Heard.JUMPED
-    assert heard(watch, stamp_s=3.08, arrival_s=1.08, clock_s=3.08) is Heard.NEW
+    assert heard(watch, stamp_s=3.04, arrival_s=1.04, clock_s=3.04) is HeardMessage.JUMPED
+    assert heard(watch, stamp_s=3.08, arrival_s=1.08, clock_s=3.08) is HeardMessage.NEW
 
 
 def test_an_image_that_is_repeated_gets_older():

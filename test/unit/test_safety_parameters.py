@@ -10,8 +10,8 @@ import yaml
 
 from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.beat import Beat
+from dotsim_ros.nodes.common.counters import MissCounter, RateMeter, Spread
 from dotsim_ros.nodes.common.options import option_of
-from dotsim_ros.nodes.tactile_policy.counters import MissCounter, RateMeter, Spread
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 
 

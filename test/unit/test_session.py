@@ -10,7 +10,7 @@ from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.health import FAULT_MEMORY_S, Condition, FrameCounter, statuses
-from dotsim_ros.nodes.tactile_sim.motion import Motion
+from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
 from dotsim_ros.nodes.tactile_sim.session import SensorSession
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import load_sensor
@@ -43,7 +43,7 @@ def pressed(depth_mm):
 
 
 def motion(depth_mm, stamp_ns):
-    return Motion(pressed(depth_mm), stamp_ns, None)
+    return MotionOrder(pressed(depth_mm), stamp_ns, None)
 
 
 def statuses_of(counter, gel, now_s):

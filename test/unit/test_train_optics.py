@@ -17,7 +17,7 @@ from dotsim_ros.learning.untouched import refined_idle, untouched_frames, with_r
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.split import hold_out_of_protocols
 from dotsim_ros.optics.network.card import read_network
-from dotsim_ros.optics.network.completion import ResidualNetwork
+from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
@@ -138,7 +138,7 @@ def test_a_trained_sensor_can_be_loaded(tmp_path, capsys):
     idle = cv2.imread(trained.camera.idle_image)
     assert idle.shape == (240, 320, 3)
     camera = FisheyeCamera.from_specification(trained.camera)
-    network = ResidualNetwork(out, sensor="sensor_a", camera=camera)
+    network = CompletionNetwork(out, sensor="sensor_a", camera=camera)
     assert (network.card.width, network.card.height) == (160, 120)
     assert len(network.card.data["train"]) == 2
     assert read_network(out).metrics == json.loads((out / "card.json").read_text())["metrics"]

@@ -16,7 +16,7 @@ from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.bag import BAG_TYPES, BagFile
 from dotsim_ros.view.sheet import strongest_stamps
 from dotsim_ros.view.skin_map import SkinMap
-from dotsim_ros.view.timeline import Forces, Moment, ViewTopics, find_topics, iterate_moments
+from dotsim_ros.view.timeline import BagMoment, Forces, ViewTopics, find_topics, iterate_moments
 from dotsim_ros.view.video import paced
 
 PERIOD_NS = 40_000_000
@@ -163,7 +163,7 @@ def test_moments_hold_all_of_one_stamp(bag):
 
 
 def test_video_shows_the_moment_that_is_current():
-    moments = [Moment(stamp) for stamp in (0, 10, 30)]
+    moments = [BagMoment(stamp) for stamp in (0, 10, 30)]
     shown = [moment.stamp_ns for moment in paced(moments, fps=1e8, speed=1.0)]
     assert shown == [0, 10, 10, 30]
 

@@ -19,14 +19,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.baselines.optics.pixels import TOWARDS_CAMERA, draw_pixels, pixel_grid
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
-
-ByteImage = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
 
 SAMPLES = 3_000_000
 
@@ -67,7 +64,7 @@ class PerPixelImage:
     layers: tuple[tuple[Float32Array, Float32Array], ...]
     name: str
 
-    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+    def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`."""
         grid = pixel_grid(rest)
         images = []

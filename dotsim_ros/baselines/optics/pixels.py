@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.twin.footage import OpticalPress, Rest
-
-BoolArray = NDArray[np.bool_]
-ByteImage = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
 
 FULL_SCALE = 255.0
 TOWARDS_CAMERA = np.array([0.0, 0.0, -1.0], dtype=np.float32)
@@ -100,7 +97,7 @@ class PixelGrid:
         turned = filled_normal(normal[self.seen], self.rest_normal)
         return turned, relative_normal(turned, self.rest_normal)
 
-    def changed(self, idle: ByteImage, change: NDArray[np.floating]) -> ByteImage:
+    def changed(self, idle: ImageArray, change: NDArray[np.floating]) -> ImageArray:
         """Return the image (H, W, 3) with colours (N, 3), full scale 1, added where it is seen."""
         image = idle.copy()
         level = idle[self.seen] + FULL_SCALE * change

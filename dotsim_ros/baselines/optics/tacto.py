@@ -17,12 +17,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import differential_evolution, nnls
 
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.baselines.optics.pixels import (
     FULL_SCALE,
-    BoolArray,
     check_frames,
     filled_normal,
     pixel_grid,
@@ -30,10 +29,6 @@ from dotsim_ros.baselines.optics.pixels import (
 )
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
-
-ByteImage = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 LIGHTS = 3
 SEARCH_PIXELS = 20_000
@@ -140,7 +135,7 @@ class TactoImage:
     camera: FisheyeCamera
     name: str = "tacto"
 
-    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+    def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`.
 
         Args:

@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.baselines.optics.pixels import (
     PixelGrid,
     PixelSamples,
@@ -30,11 +31,6 @@ from dotsim_ros.baselines.optics.pixels import (
 )
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
-
-ByteImage = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 PUBLISHED_BINS = 125
 CANDIDATE_BINS = (8, 16, 32, 64, PUBLISHED_BINS)
@@ -131,7 +127,7 @@ class TaximImage:
     table: Float32Array
     name: str = "taxim"
 
-    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+    def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`."""
         grid = pixel_grid(rest)
         terms = polynomial_terms(grid.position).astype(np.float32)
@@ -139,7 +135,7 @@ class TaximImage:
 
     def _frame(
         self, normal: Float32Array, grid: PixelGrid, terms: Float32Array, rest: Rest
-    ) -> ByteImage:
+    ) -> ImageArray:
         entry = slope_bins(grid.normals(normal)[1], self.bins)
         change = np.einsum("nt,ntc->nc", terms, self.table[entry])
         return grid.changed(rest.idle, change)

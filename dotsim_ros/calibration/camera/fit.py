@@ -21,23 +21,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.calibration.camera.model import (
     CENTRE_NAMES,
     LENS,
     LIGHTS,
     REFERENCE_HEIGHT_PX,
     CameraModel,
-    Parameter,
+    CameraParameter,
     moved,
     with_gloss,
 )
-from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
+from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 Progress = Callable[[str], None]
 
 LEAST_DEPTH_M = 1.0e-3
@@ -124,7 +123,7 @@ class CameraFit:
     exposure: FloatArray
 
 
-def rim_circle(idle: ByteImage) -> Rim | None:
+def rim_circle(idle: ImageArray) -> Rim | None:
     """Return the circle through the rim of the lit disc of an image (H, W, 3), of which the image's
     border may cut off a part; None where there is no such circle."""
     lit = lit_region(idle)
@@ -176,8 +175,8 @@ def fit_camera(
     start: CameraModel,
     *,
     lens_filmed: FilmedData | None = None,
-    lens: Sequence[Parameter] = LENS,
-    lights: Sequence[Parameter] = LIGHTS,
+    lens: Sequence[CameraParameter] = LENS,
+    lights: Sequence[CameraParameter] = LIGHTS,
     rounds: int = ROUNDS,
     progress: Progress = lambda _line: None,
 ) -> CameraFit:
@@ -227,7 +226,7 @@ def fit_camera(
 
 
 def _fitted(
-    parameter: Parameter, start: CameraModel, model: CameraModel, steps: float
+    parameter: CameraParameter, start: CameraModel, model: CameraModel, steps: float
 ) -> FittedParameter:
     """Return a parameter with its posterior deviation, which is given in steps."""
     after = parameter.value(model)
@@ -255,7 +254,7 @@ class _Group:
 
     name: str
     filmed: FilmedData
-    parameters: Sequence[Parameter]
+    parameters: Sequence[CameraParameter]
     blur_px: float
     pattern_only: bool
     centre: FloatArray
@@ -278,7 +277,7 @@ def _chosen_frames(presses: Sequence[FilmedPress]) -> list[tuple[FilmedPress, in
 
 
 def _priors(
-    first: CameraModel, parameters: Sequence[Parameter], rim: Rim | None
+    first: CameraModel, parameters: Sequence[CameraParameter], rim: Rim | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return centre and deviation (P,) of the priors, in steps from the first model."""
     centre = np.zeros(len(parameters))
@@ -333,7 +332,7 @@ class _Problem:
             raise ValueError("no pixel of the chosen frames moves, so they do not tell the camera")
         self.observations = max(area / (PATCH_PX * scale) ** 2, 1.0)
 
-    def _blurred(self, image: ByteImage) -> Float32Array:
+    def _blurred(self, image: ImageArray) -> Float32Array:
         if not self._pattern_only:
             return _blur(image.astype(np.float32), self._blur_px)
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.float32)

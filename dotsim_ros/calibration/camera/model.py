@@ -13,15 +13,13 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.optics.idle import read_description
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
 from dotsim_ros.specification import CameraSpecification
-
-FloatArray = NDArray[np.float64]
 
 REFERENCE_HEIGHT_PX = 240.0
 """Image height that parameters in pixels are stated for."""
@@ -145,7 +143,7 @@ def camera_section(
 
 
 @dataclass(frozen=True)
-class Parameter:
+class CameraParameter:
     """One number of the model.
 
     Attributes:
@@ -163,7 +161,9 @@ class Parameter:
     value: Callable[[CameraModel], float]
 
 
-def moved(model: CameraModel, parameters: Sequence[Parameter], steps: FloatArray) -> CameraModel:
+def moved(
+    model: CameraModel, parameters: Sequence[CameraParameter], steps: FloatArray
+) -> CameraModel:
     """Return a model with parameters (P,) moved by so many of their steps."""
     for parameter, count in zip(parameters, steps.tolist(), strict=True):
         model = parameter.moved(model, count * parameter.step)
@@ -174,14 +174,14 @@ def _with_camera(model: CameraModel, **changes: Any) -> CameraModel:
     return replace(model, camera=replace(model.camera, **changes))
 
 
-def _centre(axis: int) -> Parameter:
+def _centre(axis: int) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         centre = np.array(model.camera.principal_point_px)
         centre[axis] += amount * model.camera.height / REFERENCE_HEIGHT_PX
         return _with_camera(model, principal_point_px=centre)
 
     # A few pixels, as makers state.
-    return Parameter(
+    return CameraParameter(
         CENTRE_NAMES[axis],
         0.25,
         3.0,
@@ -209,8 +209,8 @@ def _turned(model: CameraModel, axis: int, angle_rad: float) -> CameraModel:
     return _with_camera(model, pose=pose)
 
 
-def _turn(name: str, axis: int, prior_rad: float) -> Parameter:
-    return Parameter(
+def _turn(name: str, axis: int, prior_rad: float) -> CameraParameter:
+    return CameraParameter(
         name,
         0.004,
         prior_rad,
@@ -219,13 +219,13 @@ def _turn(name: str, axis: int, prior_rad: float) -> Parameter:
     )
 
 
-def _place(axis: int) -> Parameter:
+def _place(axis: int) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         place = np.array(model.camera.pose.position_m)
         place[axis] += amount
         return _with_camera(model, pose=Pose(place, model.camera.pose.quaternion_xyzw))
 
-    return Parameter(
+    return CameraParameter(
         f"position_{'xyz'[axis]}_m",
         0.1e-3,
         0.2e-3,
@@ -234,13 +234,13 @@ def _place(axis: int) -> Parameter:
     )
 
 
-def _radial(order: int, prior: float) -> Parameter:
+def _radial(order: int, prior: float) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         distortion = np.array(model.camera.distortion)
         distortion[order] += amount
         return _with_camera(model, distortion=distortion)
 
-    return Parameter(
+    return CameraParameter(
         f"k{order + 1}", 0.004, prior, move, lambda model: float(model.camera.distortion[order])
     )
 
@@ -248,7 +248,7 @@ def _radial(order: int, prior: float) -> Parameter:
 LENS = (
     _centre(0),
     _centre(1),
-    Parameter(
+    CameraParameter(
         "focal_px",
         0.003,
         0.01,
@@ -268,30 +268,32 @@ POSITION = (_place(0), _place(1), _place(2))
 """Where the camera stands, which a few presses hardly tell."""
 
 
-def _light(name: str, step: float, prior: float, *, least: float = -np.inf) -> Parameter:
+def _light(name: str, step: float, prior: float, *, least: float = -np.inf) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         value = max(getattr(model.lights, name) + amount, least)
         return replace(model, lights=replace(model.lights, **{name: value}))
 
-    return Parameter(name, step, prior, move, lambda model: float(getattr(model.lights, name)))
+    return CameraParameter(
+        name, step, prior, move, lambda model: float(getattr(model.lights, name))
+    )
 
 
-def _light_factor(name: str, prior: float) -> Parameter:
+def _light_factor(name: str, prior: float) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         value = getattr(model.lights, name) * float(np.exp(amount))
         return replace(model, lights=replace(model.lights, **{name: value}))
 
-    return Parameter(name, 0.1, prior, move, lambda model: float(getattr(model.lights, name)))
+    return CameraParameter(name, 0.1, prior, move, lambda model: float(getattr(model.lights, name)))
 
 
-def _azimuth(colour: int) -> Parameter:
+def _azimuth(colour: int) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         azimuth = list(model.lights.azimuth_deg)
         azimuth[colour] += amount
         red, green, blue = azimuth
         return replace(model, lights=replace(model.lights, azimuth_deg=(red, green, blue)))
 
-    return Parameter(
+    return CameraParameter(
         f"azimuth_{('red', 'green', 'blue')[colour]}_deg",
         2.0,
         10.0,
@@ -300,13 +302,13 @@ def _azimuth(colour: int) -> Parameter:
     )
 
 
-def _falloff() -> Parameter:
+def _falloff() -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
         first, *others = model.falloff or (0.0,)
         # A lens loses light towards the edge, and not all of it within the image.
         return replace(model, falloff=(float(np.clip(first + amount, -0.6, 0.0)), *others))
 
-    return Parameter(
+    return CameraParameter(
         "falloff", 0.05, 0.2, move, lambda model: model.falloff[0] if model.falloff else 0.0
     )
 

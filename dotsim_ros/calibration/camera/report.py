@@ -8,11 +8,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.calibration.camera.fit import CameraFit
 from dotsim_ros.calibration.camera.model import CameraModel
-from dotsim_ros.calibration.camera.score import FrameScore, by_depth
+from dotsim_ros.calibration.camera.score import CameraFrameScore, by_depth
 from dotsim_ros.metrics.images import image_psnr_db
-from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import FilmedData
@@ -20,7 +20,7 @@ from dotsim_ros.twin.footage import FilmedData
 CONTRAST = 4
 """Differences in the sheet are shown so many times larger, around grey."""
 
-Scores = Mapping[str, Mapping[str, Sequence[FrameScore]]]
+Scores = Mapping[str, Mapping[str, Sequence[CameraFrameScore]]]
 """Scores by model ("before", "lens", "after") and by set ("train", "held_out")."""
 
 
@@ -78,7 +78,7 @@ def summary_lines(figures: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def draw_sheet(filmed: FilmedData, model: CameraModel) -> ByteImage:
+def draw_sheet(filmed: FilmedData, model: CameraModel) -> ImageArray:
     """Return measured, carried and their difference, side by side, for the deepest frame of one
     press of each indenter."""
     renderer = SkinRenderer(model.camera, filmed.skin)
@@ -111,7 +111,7 @@ def draw_sheet(filmed: FilmedData, model: CameraModel) -> ByteImage:
     return np.vstack(rows)
 
 
-def _titled(image: ByteImage, title: str) -> ByteImage:
+def _titled(image: ImageArray, title: str) -> ImageArray:
     titled = np.ascontiguousarray(image)
     if titled is image:
         titled = image.copy()

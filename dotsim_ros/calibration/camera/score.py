@@ -18,16 +18,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.calibration.camera.model import REFERENCE_HEIGHT_PX, CameraModel
 from dotsim_ros.metrics.images import depth_ranges, image_psnr_db
-from dotsim_ros.optics.idle import BoolArray, ByteImage, lit_region
+from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData
-
-FloatArray = NDArray[np.float64]
-Float32Array = NDArray[np.float32]
 
 PATCH_PX = 12
 MOTION_PX = 0.5
@@ -40,7 +38,7 @@ UNCHANGING = Lighting(ambient_fraction=1e9)
 
 
 @dataclass(frozen=True)
-class FrameScore:
+class CameraFrameScore:
     """How one frame is met.
 
     Attributes:
@@ -73,7 +71,7 @@ def score_frames(
     model: CameraModel,
     *,
     progress: Callable[[str], None] = lambda _line: None,
-) -> list[FrameScore]:
+) -> list[CameraFrameScore]:
     """Return the scores of all frames.
 
     Args:
@@ -102,7 +100,7 @@ def score_frames(
             measured = press.measured[frame]
             carried = images["shaded"].carry(view)
             scores.append(
-                FrameScore(
+                CameraFrameScore(
                     press=press.name,
                     indenter=press.indenter,
                     frame=frame,
@@ -137,14 +135,14 @@ def _judged(
     return np.asarray(inside & (seen > MOTION_PX * len(lit) / REFERENCE_HEIGHT_PX))
 
 
-def _even(grey: Float32Array, size_px: float) -> ByteImage:
+def _even(grey: Float32Array, size_px: float) -> ImageArray:
     """Return an image (H, W) whose neighbourhoods have one mean and one contrast."""
     mean = cv2.GaussianBlur(grey, (0, 0), size_px)
     spread = np.sqrt(np.maximum(cv2.GaussianBlur(grey**2, (0, 0), size_px) - mean**2, 0.0))
     return np.clip(128.0 + 50.0 * (grey - mean) / (spread + 2.0), 0.0, 255.0).astype(np.uint8)
 
 
-def _errors_px(carried: ByteImage, measured: ByteImage, judged: BoolArray) -> FloatArray:
+def _errors_px(carried: ImageArray, measured: ImageArray, judged: BoolArray) -> FloatArray:
     """Return the lengths of the mean flow in the patches that are judged by more than half."""
     grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (carried, measured)]
     scale = len(carried) / REFERENCE_HEIGHT_PX
@@ -163,7 +161,7 @@ def _errors_px(carried: ByteImage, measured: ByteImage, judged: BoolArray) -> Fl
     return np.array(lengths)
 
 
-def summarize_frames(scores: Iterable[FrameScore]) -> dict[str, float | int] | None:
+def summarize_frames(scores: Iterable[CameraFrameScore]) -> dict[str, float | int] | None:
     """Return mean PSNR and root mean square reprojection error of frames; None without any."""
     chosen = list(scores)
     if not chosen:
@@ -181,7 +179,7 @@ def summarize_frames(scores: Iterable[FrameScore]) -> dict[str, float | int] | N
     return summary
 
 
-def by_depth(scores: Iterable[FrameScore]) -> Mapping[str, dict[str, float | int]]:
+def by_depth(scores: Iterable[CameraFrameScore]) -> Mapping[str, dict[str, float | int]]:
     """Return the summaries of untouched frames, of depths in between, of each press's deepest
     frame and of all frames."""
     chosen = list(scores)

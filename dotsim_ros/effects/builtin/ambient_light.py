@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import FULL_SCALE, any_frame, within_scale
 
 
 def _image(values: Values) -> ImageFilter:
     veil = FULL_SCALE * values["added_share"]
 
-    def veiled(image: SeenImage) -> Array:
+    def veiled(image: SeenImage) -> FloatArray:
         return within_scale(image.pixels + veil)
 
     return veiled

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import within_scale
 from dotsim_ros.measured.recording import Phase
 
@@ -23,7 +16,7 @@ DARK_LEVEL = 1.0
 def _image(values: Values) -> ImageFilter:
     strength = values["strength"]
 
-    def exposed(image: SeenImage) -> Array:
+    def exposed(image: SeenImage) -> FloatArray:
         wanted = max(float(np.mean(image.idle)), DARK_LEVEL)
         seen = max(float(np.mean(image.pixels)), DARK_LEVEL)
         return within_scale(image.pixels * (wanted / seen) ** strength)

@@ -8,15 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    FORCE,
-    SKIN,
-    Array,
-    Effect,
-    EffectParameter,
-    MotionFilter,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter, MotionFilter, Values
 from dotsim_ros.effects.excitation import reverses
 from dotsim_ros.geometry.pose import Pose
 
@@ -25,7 +18,7 @@ def _motion(values: Values) -> MotionFilter:
     half_m = 0.5 * values["width_m"]
     follower_m = None
 
-    def dragged(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
+    def dragged(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
         nonlocal follower_m
         if follower_m is None:
             follower_m = pose.position_m

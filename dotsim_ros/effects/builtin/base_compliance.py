@@ -2,15 +2,8 @@
 
 from __future__ import annotations
 
-from dotsim_ros.effects.effect import (
-    FORCE,
-    SKIN,
-    Array,
-    Effect,
-    EffectParameter,
-    MotionFilter,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter, MotionFilter, Values
 from dotsim_ros.effects.excitation import touches
 from dotsim_ros.effects.pose_terms import shifted
 from dotsim_ros.geometry.pose import Pose
@@ -19,7 +12,7 @@ from dotsim_ros.geometry.pose import Pose
 def _motion(values: Values) -> MotionFilter:
     compliance = values["compliance_m_n"]
 
-    def pushed_back(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
+    def pushed_back(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
         return shifted(pose, compliance * force_n)
 
     return pushed_back

@@ -10,15 +10,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import FixedResampling, any_frame
 from dotsim_ros.geometry.camera import FisheyeCamera
 
@@ -28,7 +21,7 @@ def _image(values: Values) -> ImageFilter:
         [values["tilt_x_rad"], values["tilt_y_rad"], values["roll_rad"]]
     ).as_matrix()
 
-    def source(image: SeenImage) -> tuple[Array, Array]:
+    def source(image: SeenImage) -> tuple[FloatArray, FloatArray]:
         height, width = image.pixels.shape[:2]
         camera = FisheyeCamera(width, height, image.focal_px, image.centre_px)
         directions, _ = camera.rays()

@@ -7,20 +7,13 @@ focal lengths and c' the new centre.
 
 from __future__ import annotations
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import FixedResampling, any_frame, pixel_places
 
 
 def _image(values: Values) -> ImageFilter:
-    def source(image: SeenImage) -> tuple[Array, Array]:
+    def source(image: SeenImage) -> tuple[FloatArray, FloatArray]:
         x, y = pixel_places(image)
         centre_x, centre_y = image.centre_px
         shift_x = values["shift_x_rad"] * image.focal_px

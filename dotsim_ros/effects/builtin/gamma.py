@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import FULL_SCALE, any_frame, within_scale
 
 
 def _image(values: Values) -> ImageFilter:
     exponent = values["exponent"]
 
-    def bent(image: SeenImage) -> Array:
+    def bent(image: SeenImage) -> FloatArray:
         # Identical, not only nearly, where nothing is bent.
         if exponent == 1.0:
             return image.pixels

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 from collections import deque
 
-from dotsim_ros.effects.effect import (
-    FORCE,
-    SKIN,
-    Array,
-    Effect,
-    EffectParameter,
-    MotionFilter,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter, MotionFilter, Values
 from dotsim_ros.effects.excitation import touches
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.measured.recording import Phase, Recording
@@ -22,7 +15,7 @@ def _motion(values: Values) -> MotionFilter:
     latency_s = values["latency_s"]
     past: deque[tuple[float, Pose]] = deque()
 
-    def delayed(stamp_s: float, pose: Pose, force_n: Array) -> Pose:
+    def delayed(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
         past.append((stamp_s, pose))
         then_s = stamp_s - latency_s
         while len(past) > 1 and past[1][0] <= then_s:

@@ -9,22 +9,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import within_scale
 
 
 def _image(values: Values) -> ImageFilter:
     final, time_s = values["final_loss_share"], values["time_s"]
 
-    def dimmed(image: SeenImage) -> Array:
+    def dimmed(image: SeenImage) -> FloatArray:
         warm = -np.expm1(-max(image.session_s, 0.0) / time_s)
         return within_scale(image.pixels * (1.0 - final * warm))
 

@@ -9,15 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import moves_fast, pixel_places, sampled, within_scale
 
 SAMPLES_PER_PX = 2.0
@@ -27,7 +20,7 @@ MOST_SAMPLES = 33
 def _image(values: Values) -> ImageFilter:
     exposure_s = values["exposure_s"]
 
-    def blurred(image: SeenImage) -> Array:
+    def blurred(image: SeenImage) -> FloatArray:
         path_px = exposure_s * image.flow_px_s
         longest_px = float(np.linalg.norm(path_px, axis=2).max(initial=0.0))
         if longest_px == 0.0:

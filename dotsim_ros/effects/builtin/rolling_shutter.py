@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import moves_fast, pixel_places, sampled, within_scale
 
 
 def _image(values: Values) -> ImageFilter:
     readout_s = values["readout_s"]
 
-    def skewed(image: SeenImage) -> Array:
+    def skewed(image: SeenImage) -> FloatArray:
         if readout_s == 0.0 or not np.any(image.flow_px_s):
             return image.pixels
         x, y = pixel_places(image)

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import FULL_SCALE, any_frame
 
 
 def _image(values: Values) -> ImageFilter:
     level = FULL_SCALE * values["clip_share"]
 
-    def clipped(image: SeenImage) -> Array:
+    def clipped(image: SeenImage) -> FloatArray:
         return np.minimum(image.pixels, level)
 
     return clipped

@@ -2,22 +2,15 @@
 
 from __future__ import annotations
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import any_frame, radius_square, within_scale
 
 
 def _image(values: Values) -> ImageFilter:
     loss = values["edge_loss"]
 
-    def vignetted(image: SeenImage) -> Array:
+    def vignetted(image: SeenImage) -> FloatArray:
         return within_scale(image.pixels * (1.0 - loss * radius_square(image))[..., None])
 
     return vignetted

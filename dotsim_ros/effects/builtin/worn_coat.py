@@ -8,22 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.effects.effect import (
-    IMAGE,
-    Array,
-    Effect,
-    EffectParameter,
-    ImageFilter,
-    SeenImage,
-    Values,
-)
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import any_frame, pixel_places, within_scale
 
 PLACES_RAD = (0.0, -1.0, -0.5, 0.5, 1.0)
 
 
 def _image(values: Values) -> ImageFilter:
-    def worn(image: SeenImage) -> Array:
+    def worn(image: SeenImage) -> FloatArray:
         x, y = pixel_places(image)
         across_x = (x - image.centre_px[0]) / image.focal_px - values["x_rad"]
         across_y = (y - image.centre_px[1]) / image.focal_px - values["y_rad"]

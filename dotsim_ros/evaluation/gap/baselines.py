@@ -11,16 +11,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.presses.conclusions import change_by_trajectory
 from dotsim_ros.gap.presses.evidence import Case, Segment
 from dotsim_ros.gap.presses.inference import Evidence, draw_null, fit_nuisances
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
-
-Array = NDArray[np.float64]
 
 LASSO_NULLS = 100
 
@@ -70,7 +68,7 @@ def left_on_others(
     )
 
 
-def _square(evidence: Evidence, nuisance: Array) -> float:
+def _square(evidence: Evidence, nuisance: FloatArray) -> float:
     return float(np.mean((evidence.residual - evidence.nuisance @ nuisance) ** 2))
 
 
@@ -107,12 +105,12 @@ def lasso_name(search: Search, ranked: Sequence[Ranked]) -> str | None:
     return segments[int(np.argmax(size))][0] if size.max() > 0.0 else None
 
 
-def _towards(segment: Segment) -> Array:
+def _towards(segment: Segment) -> FloatArray:
     """Return the segment's column in the direction that it may go."""
     return segment.column if segment.high > -segment.low else -segment.column
 
 
-def _positive_lasso(gram: Array, right: Array, penalty: float) -> Array:
+def _positive_lasso(gram: FloatArray, right: FloatArray, penalty: float) -> FloatArray:
     """Return x >= 0 with the least x^T gram x / 2 - right^T x + penalty sum(x)."""
     found = minimize(
         lambda x: (0.5 * x @ gram @ x - (right - penalty) @ x, gram @ x - (right - penalty)),

@@ -45,7 +45,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
     from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
     from dotsim_ros.gap.presses.search import find_gap
-    from dotsim_ros.gap.presses.search_state import Request
+    from dotsim_ros.gap.presses.search_state import GapRequest
     from dotsim_ros.gap.report.write import write_findings
     from dotsim_ros.geometry.skin_mesh import dome_skin
     from dotsim_ros.progress import PrintedProgress
@@ -66,7 +66,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
         seed=seed,
         progress=lambda done, total: progress("measure", done, total),
     )
-    request = Request(
+    request = GapRequest(
         measured=data,
         sensor=sensor,
         directory=directory / "run",

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.gap.null import residuals_without_effect
 from dotsim_ros.evaluation.gap.presses import (
     Source,
@@ -29,8 +29,6 @@ from dotsim_ros.gap.presses.assumptions import BIASED, DIFFERENTIAL
 from dotsim_ros.gap.presses.covariance import Discrepancy, fit_discrepancy
 from dotsim_ros.gap.presses.inference import fit_nuisances
 from dotsim_ros.measured.recording import Recording
-
-Array = NDArray[np.float64]
 
 SPLITS = 4
 """Draws of the halves."""
@@ -93,7 +91,7 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
     )
 
 
-def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, Array]:
+def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, FloatArray]:
     """Return what the twin leaves of each recording, (F, SIZE), by name."""
     each = residuals_without_effect(
         replace(source.measurement, recordings=tuple(recordings)),
@@ -106,7 +104,7 @@ def _residuals(source: Source, recordings: Sequence[Recording]) -> dict[str, Arr
 
 
 def _covariances(
-    source: Source, recordings: Sequence[Recording], residuals: Mapping[str, Array]
+    source: Source, recordings: Sequence[Recording], residuals: Mapping[str, FloatArray]
 ) -> Discrepancy:
     text = f"{len(recordings)} presses of {source.directory.name} with {source.sensor.name}"
     return fit_discrepancy(recordings, [residuals[r.name] for r in recordings], text)

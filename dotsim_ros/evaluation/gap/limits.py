@@ -10,16 +10,14 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.gap.presses import NULL_DRAWS
 from dotsim_ros.gap.presses.answer import null_gains, screen, set_limits
 from dotsim_ros.gap.presses.evidence import Segment, Variant
 from dotsim_ros.gap.presses.inference import fit_nuisances, lengths
 from dotsim_ros.gap.presses.screening import best_trial
 from dotsim_ros.gap.presses.search_state import Ranked, Search
-
-Array = NDArray[np.float64]
 
 HALVINGS = 7
 SMALLEST = 1.0 / 128.0
@@ -68,7 +66,7 @@ def _smallest_seen(
     def size_at(share: float) -> float:
         return variant.absent + share * (end - variant.absent)
 
-    def change_at(share: float) -> Array:
+    def change_at(share: float) -> FloatArray:
         change = search.case.change_at(variant, size_at(share))
         return search.case.whitened(change, search.chosen)
 

@@ -5,16 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.presses.observables import observe, places_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement
 from dotsim_ros.specification import SensorSpecification
-
-Array = NDArray[np.float64]
 
 
 def residuals_without_effect(
@@ -24,7 +20,7 @@ def residuals_without_effect(
     *,
     workers: int = 2,
     progress: Callable[[int, int], None] | None = None,
-) -> list[Array]:
+) -> list[FloatArray]:
     """Return measured minus simulated, (F, SIZE), of each trajectory.
 
     Args:

@@ -13,11 +13,11 @@ import numpy as np
 
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.simulate import open_solver
-from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, Nuisance, centred
-from dotsim_ros.gap.presses.covariance import Discrepancy, Noise
+from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, PressNuisance, centred
+from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.presses.search import simulate_effects
-from dotsim_ros.gap.presses.search_state import Request, Search
+from dotsim_ros.gap.presses.search_state import GapRequest, Search
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -60,9 +60,9 @@ class Source:
         """The presses, read once."""
         return read_measurement(self.directory, own_skin=skin_of(self.sensor.gel))
 
-    def request(self, seed: int) -> Request:
+    def request(self, seed: int) -> GapRequest:
         """Return what a search of such presses is asked for."""
-        return Request(self.directory, self.sensor, self.run, budget=0, seed=seed)
+        return GapRequest(self.directory, self.sensor, self.run, budget=0, seed=seed)
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def open_case(
     source: Source,
     names: Sequence[str],
     discrepancy: Discrepancy,
-    nuisances: Sequence[Nuisance],
+    nuisances: Sequence[PressNuisance],
     *,
     is_own_reference: bool = False,
 ) -> Iterator[tuple[Case, list[str], SkinMesh]]:
@@ -135,7 +135,7 @@ def open_case(
             library=library,
             solver=solver,
             skin=measurement.skin,
-            noise=Noise(),
+            noise=ChannelNoise(),
             discrepancy=discrepancy,
             channels=("skin", "force"),
             progress=lambda done, total: source.progress("calibrate", done, total),
@@ -189,7 +189,7 @@ def silent(step: str, done: int, total: int) -> None:
 def search_of(
     case: Case,
     chosen: Sequence[int],
-    request: Request,
+    request: GapRequest,
     seed: int,
     discrepancy: Discrepancy,
     progress: Progress = silent,
@@ -200,7 +200,7 @@ def search_of(
         case=case,
         chosen=list(chosen),
         locked=[],
-        noise=Noise(),
+        noise=ChannelNoise(),
         discrepancy=discrepancy,
         random=np.random.default_rng(seed),
         progress=progress,

@@ -8,7 +8,6 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dotsim_ros.evaluation.gap.presses import (
     NULL_DRAWS,
@@ -22,8 +21,6 @@ from dotsim_ros.gap.presses.answer import answer_of, null_gains, screen
 from dotsim_ros.gap.presses.certainty import estimates_of
 from dotsim_ros.gap.presses.evidence import Variant
 from dotsim_ros.gap.presses.inference import lengths
-
-Array = NDArray[np.float64]
 
 SHARES = (0.4, 0.6, 0.8)
 """Of the way from none to each end of an effect's range."""

@@ -15,12 +15,12 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.evaluation.gap.baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
-from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Law
+from dotsim_ros.evaluation.gap.hidden.laws import LAWS, HiddenLaw
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, library_names, part_names
 from dotsim_ros.evaluation.gap.hidden.reality import answer_of as reality_of
 from dotsim_ros.evaluation.gap.limits import detection_limits
@@ -54,8 +54,6 @@ from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 from dotsim_ros.twin.solver import TOLERANCE_M
-
-Array = NDArray[np.float64]
 
 DECIDED_BY = ("dotsim_ros.evaluation.gap.study",)
 """The code, with all that it imports, that decides what a hidden law does."""
@@ -207,8 +205,8 @@ class _Remembering(GelSimulator):
         values: GelValues,
         indenter: Indenter,
         poses: Sequence[Pose],
-        stamp_s: Array,
-        offset: Array | None = None,
+        stamp_s: FloatArray,
+        offset: FloatArray | None = None,
         *,
         relaxation: PronySeries | None = None,
     ) -> SimulatedPress:
@@ -222,19 +220,19 @@ class _Remembering(GelSimulator):
         return self._known[key]
 
 
-def full_size(law: Law) -> float:
+def full_size(law: HiddenLaw) -> float:
     """Return the size at the end of a law's range that is farthest from nothing."""
     return law.low if law.name in ("slippery", "compressible") else law.high
 
 
 def _hidden_changes(
     presses: Presses, source: Source, laws: Sequence[str], seed: int
-) -> dict[str, list[Array]]:
+) -> dict[str, list[FloatArray]]:
     """Return by law, at the upper end of its range, what it does to each trajectory (F, SIZE)."""
     case, run = presses.case, source.run
     simulator = _Remembering(source.sensor, presses.skin)
     values = values_of(source.sensor)
-    result: dict[str, list[Array]] = {}
+    result: dict[str, list[FloatArray]] = {}
     total = len(laws) * len(case.trajectories)
     for place, name in enumerate(laws):
         size = full_size(LAWS[name])
@@ -277,7 +275,7 @@ def _hidden_changes(
 
 def _cases(
     presses: Presses,
-    changes: Mapping[str, Sequence[Array]],
+    changes: Mapping[str, Sequence[FloatArray]],
     source: Source,
     nulls: int,
     repeats: int,
@@ -303,7 +301,7 @@ def _cases(
 
 def _decide(
     presses: Presses,
-    changes: Mapping[str, Sequence[Array]],
+    changes: Mapping[str, Sequence[FloatArray]],
     source: Source,
     truth: tuple[tuple[str, float], ...],
     size: int,
@@ -334,7 +332,7 @@ def _decide(
     answer = answer_of(search, ranked, gains, pattern_gains)
     others = [number for number in range(count) if number not in chosen]
 
-    def size_of(change: Sequence[Array]) -> float:
+    def size_of(change: Sequence[FloatArray]) -> float:
         return float(lengths(search.evidence, altered.whitened(change, chosen)[:, None])[0])
 
     columns = [altered.whitened(hidden, chosen), *(entry.trial.change for entry in ranked)]

@@ -23,9 +23,9 @@ from dotsim_ros.metrics.presses import (
     CONTACT_REACH_M,
     JUDGED_DEPTH_M,
     Factory,
-    FrameScore,
+    MeasuredNoise,
     ModelScores,
-    Noise,
+    PressFrameScore,
     by_indenter,
     evaluate_model,
     floor_scores,
@@ -167,7 +167,9 @@ def evaluate_geometry(
     return figures
 
 
-def _figures_of(results: Mapping[str, ModelScores], noise: Noise | None = None) -> dict[str, Any]:
+def _figures_of(
+    results: Mapping[str, ModelScores], noise: MeasuredNoise | None = None
+) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     failures = [asdict(f) | {"split": s} for s, r in results.items() for f in r.failures]
     drawn = results.get(HELD_OUT)
@@ -188,14 +190,18 @@ def _figures_of(results: Mapping[str, ModelScores], noise: Noise | None = None) 
     return figures
 
 
-def _figures(scores: Sequence[FrameScore], noise: Noise | None) -> dict[str, Any] | None:
+def _figures(
+    scores: Sequence[PressFrameScore], noise: MeasuredNoise | None
+) -> dict[str, Any] | None:
     if not scores:
         return None
     figures = asdict(summarize(scores))
     return figures if noise is None else figures | _noise_figures(scores, noise)
 
 
-def _noise_figures(scores: Sequence[FrameScore], noise: Noise) -> dict[str, float | None]:
+def _noise_figures(
+    scores: Sequence[PressFrameScore], noise: MeasuredNoise
+) -> dict[str, float | None]:
     """Return what the noise of the measurement alone makes of the figures without samples."""
     forces = [score.measured_n for score in scores if score.measured_n is not None]
     inside = [score.inside_m for score in scores if np.isfinite(score.inside_m)]

@@ -24,8 +24,8 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
 from dotsim_ros.baselines.optics import per_pixel
 from dotsim_ros.evaluation.optics.judge import Factory, mean_score
 from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
@@ -45,11 +45,6 @@ from dotsim_ros.specification import (
     SolverSpecification,
 )
 from dotsim_ros.twin.footage import OpticalPress, Rest
-
-ByteImage = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 BALL_RADIUS_M = 2.35e-3
 PIXELS_PER_METRE = 19.58e3
@@ -93,10 +88,10 @@ class BallPress:
     name: str
     centre_px: FloatArray
     radius_px: float
-    image: ByteImage
+    image: ImageArray
 
 
-def read_ball_presses(directory: Path) -> tuple[ByteImage, list[BallPress]]:
+def read_ball_presses(directory: Path) -> tuple[ImageArray, list[BallPress]]:
     """Return the image without contact, and the presses sorted by name.
 
     Args:
@@ -132,7 +127,7 @@ def read_ball_presses(directory: Path) -> tuple[ByteImage, list[BallPress]]:
     return idle, sorted(presses, key=lambda press: press.name)
 
 
-def _read_image(path: Path) -> ByteImage:
+def _read_image(path: Path) -> ImageArray:
     if not path.is_file():
         raise FileNotFoundError(f"no image {path}")
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
@@ -251,7 +246,7 @@ class FlatScene:
         return np.asarray((press.centre_px - self.camera.principal_point_px) / PIXELS_PER_METRE)
 
 
-def flat_scene(idle: ByteImage, sensor: SensorSpecification = SENSOR) -> FlatScene:
+def flat_scene(idle: ImageArray, sensor: SensorSpecification = SENSOR) -> FlatScene:
     """Return the camera over a pad, with the image without contact."""
     height, width = idle.shape[:2]
     camera = flat_camera(width, height, sensor.gel.pad_size_m[2])

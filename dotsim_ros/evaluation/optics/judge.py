@@ -8,14 +8,13 @@ from itertools import pairwise
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit, optical_splits
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.metrics.images import ImageScore, depth_ranges, image_psnr_db, psnr_db, score_image
 from dotsim_ros.twin.footage import FilmedPress, OpticalData, OpticalPress, Rest
 
-ByteImage = NDArray[np.uint8]
 AnyPress = TypeVar("AnyPress", FilmedPress, OpticalPress)
 
 DEEP_M = 2.0e-3
@@ -29,7 +28,7 @@ class ImageModel(Protocol):
     def name(self) -> str:
         """How tables call it."""
 
-    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+    def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return the images (F, H, W, 3) of a press; its measured ones are not read.
 
         Args:
@@ -48,7 +47,7 @@ class Idle:
 
     name: str = "idle"
 
-    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+    def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `ImageModel`."""
         return np.broadcast_to(rest.idle, press.carried.shape).copy()
 
@@ -59,13 +58,13 @@ class Carried:
 
     name: str = "carried"
 
-    def predict(self, press: OpticalPress, rest: Rest) -> ByteImage:
+    def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `ImageModel`."""
         return press.carried
 
 
 @dataclass(frozen=True)
-class FrameScores:
+class ImageFrameScores:
     """How one frame was predicted.
 
     Attributes:
@@ -138,7 +137,7 @@ def score_frames(
     rest: Rest,
     *,
     keep: Iterable[FrameKey] = (),
-) -> tuple[list[FrameScores], dict[FrameKey, ByteImage]]:
+) -> tuple[list[ImageFrameScores], dict[FrameKey, ImageArray]]:
     """Return the scores of frames, and the predicted images (H, W, 3) of those to keep.
 
     Args:
@@ -152,8 +151,8 @@ def score_frames(
         ValueError: the model gives images of another shape.
     """
     wanted = set(keep)
-    scores: list[FrameScores] = []
-    images: dict[FrameKey, ByteImage] = {}
+    scores: list[ImageFrameScores] = []
+    images: dict[FrameKey, ImageArray] = {}
     for name, frames in frames_by_press(keys).items():
         press = presses[name]
         judged = with_frames(press, frames)
@@ -167,7 +166,7 @@ def score_frames(
         for frame, image, measured in zip(frames, predicted, judged.measured, strict=True):
             score = score_image(image, measured, {"frame": None, "disc": rest.lit})
             scores.append(
-                FrameScores(
+                ImageFrameScores(
                     press=name,
                     indenter=press.indenter,
                     frame=frame,
@@ -190,7 +189,7 @@ def mean_score(scores: Sequence[ImageScore]) -> dict[str, float]:
     }
 
 
-def summarize(scores: Sequence[FrameScores]) -> dict[str, Any]:
+def summarize(scores: Sequence[ImageFrameScores]) -> dict[str, Any]:
     """Return the figures of frames: over the whole frame at the top, then by region and depth.
 
     Returns:
@@ -218,7 +217,7 @@ def summarize(scores: Sequence[FrameScores]) -> dict[str, Any]:
     return figures
 
 
-def _figures(scores: Sequence[FrameScores]) -> dict[str, Any]:
+def _figures(scores: Sequence[ImageFrameScores]) -> dict[str, Any]:
     return {
         **mean_score([score.frame_score for score in scores]),
         "disc": mean_score([score.disc_score for score in scores]),
@@ -227,23 +226,23 @@ def _figures(scores: Sequence[FrameScores]) -> dict[str, Any]:
     }
 
 
-def _figures_or_none(scores: Sequence[FrameScores]) -> dict[str, Any] | None:
+def _figures_or_none(scores: Sequence[ImageFrameScores]) -> dict[str, Any] | None:
     return _figures(scores) if scores else None
 
 
-def scores_as_json(scores: Iterable[FrameScores]) -> list[dict[str, Any]]:
+def scores_as_json(scores: Iterable[ImageFrameScores]) -> list[dict[str, Any]]:
     """Return scores as plain values."""
     return [asdict(score) for score in scores]
 
 
-def scores_from_json(rows: Iterable[Mapping[str, Any]]) -> list[FrameScores]:
+def scores_from_json(rows: Iterable[Mapping[str, Any]]) -> list[ImageFrameScores]:
     """Return scores of plain values.
 
     Raises:
         KeyError, TypeError: they are no scores.
     """
     return [
-        FrameScores(
+        ImageFrameScores(
             **{
                 **row,
                 "frame_score": ImageScore(**row["frame_score"]),
@@ -254,7 +253,7 @@ def scores_from_json(rows: Iterable[Mapping[str, Any]]) -> list[FrameScores]:
     ]
 
 
-def ceilings(data: OpticalData, idle_images: ByteImage) -> dict[str, float]:
+def ceilings(data: OpticalData, idle_images: ImageArray) -> dict[str, float]:
     """Return what no model can pass, from measured images that show the same.
 
     `camera_noise_db`: a noiseless image against one with the camera's noise, told from the
@@ -279,7 +278,7 @@ def ceilings(data: OpticalData, idle_images: ByteImage) -> dict[str, float]:
     return figures
 
 
-def _noise_db(images: Sequence[ByteImage] | ByteImage) -> float:
+def _noise_db(images: Sequence[ImageArray] | ImageArray) -> float:
     """Return the PSNR of images that show the same against one without their noise."""
     pairs = [
         np.mean(((first.astype(np.float64) - second) / 255.0) ** 2)

@@ -18,9 +18,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
@@ -32,11 +32,6 @@ from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.specification import SensorSpecification
-
-ByteImage = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
-Float32Array = NDArray[np.float32]
-FloatArray = NDArray[np.float64]
 
 BALL_RADIUS_M = 4.0e-3
 """Consistent with the recorded presses on such sensors; the shape was not recorded."""
@@ -80,8 +75,8 @@ class RealPair:
         mask: (H, W) the lit disc.
     """
 
-    idle: ByteImage
-    pressed: ByteImage
+    idle: ImageArray
+    pressed: ImageArray
     mask: BoolArray
 
 
@@ -109,7 +104,7 @@ def read_real_pair(directory: Path) -> RealPair:
     return RealPair(idle, pressed, np.asarray(mask > 127))
 
 
-def pattern_of(image: ByteImage) -> Float32Array:
+def pattern_of(image: ImageArray) -> Float32Array:
     """Return the fine pattern (H, W, 3) at even contrast, without what shading does to it."""
     levels = image.astype(np.float32)
     fine = cv2.GaussianBlur(levels, (0, 0), FINE_PX) - cv2.GaussianBlur(levels, (0, 0), COARSE_PX)
@@ -117,7 +112,7 @@ def pattern_of(image: ByteImage) -> Float32Array:
     return np.asarray(fine / (contrast + CONTRAST_FLOOR), dtype=np.float32)
 
 
-def pattern_likeness(image: ByteImage, other: ByteImage, region: BoolArray) -> float:
+def pattern_likeness(image: ImageArray, other: ImageArray, region: BoolArray) -> float:
     """Return the correlation of the patterns of two images over a region, 1 for the same."""
     first, second = pattern_of(image)[region], pattern_of(other)[region]
     return float(np.sum(first * second) / np.sqrt(np.sum(first**2) * np.sum(second**2)))
@@ -252,10 +247,10 @@ def evaluate_real_pair(
     inner = cv2.erode(pair.mask.astype(np.uint8), np.ones((9, 9), dtype=np.uint8)) > 0
     measured = pair.pressed.astype(np.float64)
 
-    def squared(image: ByteImage) -> float:
+    def squared(image: ImageArray) -> float:
         return float(np.mean((image[pair.mask] - measured[pair.mask]) ** 2))
 
-    def row(image: ByteImage, ball: BallPose | None) -> dict[str, Any]:
+    def row(image: ImageArray, ball: BallPose | None) -> dict[str, Any]:
         score = score_image(image, pair.pressed, {"frame": None, "mask": pair.mask})
         return {
             **asdict(score["frame"]),

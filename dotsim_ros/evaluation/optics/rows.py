@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.evaluation.optics.judge import (
-    FrameScores,
+    ImageFrameScores,
     ImageModel,
     restricted,
     score_frames,
@@ -41,8 +41,6 @@ from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit
 from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.provenance import provenance
 from dotsim_ros.twin.footage import OpticalData, OpticalPress
-
-ByteImage = NDArray[np.uint8]
 
 _FORMAT = 1
 
@@ -92,8 +90,8 @@ class Row:
         training: of a network; None for what is no network.
     """
 
-    scores: tuple[FrameScores, ...]
-    images: dict[FrameKey, ByteImage]
+    scores: tuple[ImageFrameScores, ...]
+    images: dict[FrameKey, ImageArray]
     fit_s: float
     predict_s: float
     commit: str

@@ -10,16 +10,13 @@ import matplotlib
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import BoolArray, ImageArray
 from dotsim_ros.evaluation.optics.rows import Row, RowMaker
 from dotsim_ros.evaluation.optics.split import FrameKey
 from dotsim_ros.files import whole_file
 from dotsim_ros.metrics.images import score_image
 from dotsim_ros.view.figure import STYLE
-
-ByteImage = NDArray[np.uint8]
-BoolArray = NDArray[np.bool_]
 
 SHOWN_MODELS = ("ours", "carried", "paper", "tacto", "difftactile", "taxim")
 ERROR_GAIN = 3.0
@@ -32,8 +29,8 @@ JPEG_QUALITY = 85
 
 def write_optics_sheet(
     path: Path,
-    measured: Mapping[FrameKey, ByteImage],
-    predicted: Mapping[str, Mapping[FrameKey, ByteImage]],
+    measured: Mapping[FrameKey, ImageArray],
+    predicted: Mapping[str, Mapping[FrameKey, ImageArray]],
     lit: BoolArray,
     *,
     title: str,
@@ -79,7 +76,7 @@ def write_optics_sheet(
             figure.savefig(temporary, format="jpeg", pil_kwargs={"quality": JPEG_QUALITY})
 
 
-def _error(predicted: ByteImage, measured: ByteImage) -> ByteImage:
+def _error(predicted: ImageArray, measured: ImageArray) -> ImageArray:
     difference = np.abs(predicted.astype(np.float64) - measured)
     return np.clip(ERROR_GAIN * difference, 0.0, 255.0).astype(np.uint8)
 

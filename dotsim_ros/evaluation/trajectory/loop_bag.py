@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 import msg_adapters
-from dotsim_ros.geometry.pose import FloatArray, Pose, compose
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pose import Pose, compose
 from dotsim_ros.measured.bag import BagReader
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
 
 _DECODERS = {
     "ee_pose": (msg_adapters.decode_pose_stamped, 7),

@@ -11,10 +11,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.evaluation.trajectory.trials import SETTINGS, limits_shown
 from dotsim_ros.files import whole_file
-from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.page import (
     Bullets,
     Gallery,
@@ -25,10 +25,10 @@ from dotsim_ros.page import (
     page_figure,
     picture_of,
 )
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 from dotsim_ros.tasks.policy.rollout import APPROACH_S
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 COLUMNS = (
     Column("mean_error_mm", "mean error mm ↓"),

@@ -17,18 +17,18 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key
 from dotsim_ros.files import given_path, whole_file, write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.optics.idle import read_idle_frame, resample
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor, sensor_path
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.demonstration import within_bounds
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, ReferencePath, reference_path
 from dotsim_ros.tasks.policy.rollout import APPROACH_S
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 SIMULATED, TRANSFERRED, SHIFTED = "simulated", "transferred", "shifted"
 SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED)
@@ -115,7 +115,7 @@ class Loop(Protocol):
 
 
 @dataclass
-class Trials:
+class TrajectoryTrials:
     """The recordings of a plan, and what they are worth.
 
     Attributes:
@@ -214,7 +214,7 @@ def run_trials(
     *,
     contact: DomeContact | None = None,
     progress: Callable[[str], None],
-) -> Trials:
+) -> TrajectoryTrials:
     """Run what has not been run before, and judge all.
 
     Args:
@@ -229,7 +229,7 @@ def run_trials(
         OSError: a trial could not be run in TRIES tries.
     """
     contact = contact or DomeContact()
-    trials = Trials()
+    trials = TrajectoryTrials()
     for setting in plan.settings:
         for name in plan.paths:
             path = reference_path(name, contact)
@@ -421,7 +421,7 @@ def limits_shown(limits: SafetyLimits) -> dict[str, Any]:
     }
 
 
-def trajectory_figures(plan: TrialPlan, trials: Trials) -> dict[str, Any]:
+def trajectory_figures(plan: TrialPlan, trials: TrajectoryTrials) -> dict[str, Any]:
     """Return the figures as the JSON file holds them."""
     figures: dict[str, Any] = {}
     for setting in plan.settings:

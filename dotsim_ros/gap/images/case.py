@@ -8,14 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Active, Effect
-from dotsim_ros.gap.images.model import Film, PictureModel, resized, resized_picture
-from dotsim_ros.gap.images.reading import Pictures
+from dotsim_ros.gap.images.model import Film, TwinCamera, resized, resized_picture
+from dotsim_ros.gap.images.reading import MeasuredImages
 from dotsim_ros.gap.images.tile_noise import contact_change
 from dotsim_ros.gap.images.tiles import TileMeter, tile_grid
 from dotsim_ros.measured.recording import Phase, Recording
-
-Array = NDArray[np.float64]
 
 IDLE = "idle"
 """Name of the trajectory that the idle images make: one frame, their mean, at the session's
@@ -41,8 +40,8 @@ class Shot:
     recording: Recording | None
     measured: NDArray[np.generic]
     film: Film
-    residual: Array
-    change: Array
+    residual: FloatArray
+    change: FloatArray
 
     def of_frames(self, frames: NDArray[np.integer]) -> Shot:
         """Return some of the frames; the films keep how fast the picture moved there."""
@@ -74,7 +73,7 @@ class OpticalCase:
 
     shots: tuple[Shot, ...]
     meter: TileMeter
-    camera: Array
+    camera: FloatArray
 
     def without_contact(self) -> OpticalCase:
         """Return the frames in which nothing touches the skin."""
@@ -92,15 +91,15 @@ class OpticalCase:
         """Return the shots of some names, in their own order."""
         return [shot for shot in self.shots if shot.name in names]
 
-    def changed_by(self, shot: Shot, effects: Sequence[Active]) -> Array:
+    def changed_by(self, shot: Shot, effects: Sequence[Active]) -> FloatArray:
         """Return (F, T, 6) what effects do to the observables of a shot."""
         return self.meter.difference(shot.film.with_effects(effects), shot.film.pixels)
 
 
 def optical_case(
-    pictures: Pictures,
-    model: PictureModel,
-    skins: Mapping[str, Array],
+    pictures: MeasuredImages,
+    model: TwinCamera,
+    skins: Mapping[str, FloatArray],
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> OpticalCase:

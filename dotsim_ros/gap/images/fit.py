@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Active, Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
@@ -21,9 +21,9 @@ from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import OpticalCase, Shot
 from dotsim_ros.gap.images.null import OpticalNull
 from dotsim_ros.gap.images.search import (
-    Nuisance,
+    CameraNuisance,
+    EffectScore,
     OpticalSearch,
-    Score,
     Signature,
     alike,
     camera_nuisances,
@@ -32,8 +32,6 @@ from dotsim_ros.gap.images.search import (
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
-
-Array = NDArray[np.float64]
 
 ROUNDS = 2
 """How often a signature is made anew."""
@@ -54,7 +52,7 @@ class Fitted:
     """
 
     effect: Effect
-    score: Score
+    score: EffectScore
     signature: Signature
 
     @property
@@ -83,7 +81,7 @@ class OpticalAnswer:
     verdict: Verdict
     named: tuple[Fitted, ...]
     alternatives: tuple[str, ...]
-    scores: tuple[Score, ...]
+    scores: tuple[EffectScore, ...]
     statistic: float
     threshold: float
     explained: float
@@ -93,7 +91,7 @@ class OpticalAnswer:
     estimates: Mapping[str, tuple[Estimate, ...]]
 
 
-class PictureSearch:
+class ImageSearch:
     """Looks for optical effects in some trajectories of a case.
 
     Args:
@@ -123,7 +121,7 @@ class PictureSearch:
         self._films = [shot.film for shot in self.shots]
         self._changes = [shot.change for shot in self.shots]
         self.noise: TileNoise = null.at(case.meter, case.camera)
-        self.nuisances: tuple[Nuisance, ...] = camera_nuisances(self._films, case.meter)
+        self.nuisances: tuple[CameraNuisance, ...] = camera_nuisances(self._films, case.meter)
         if signatures is None:
             signatures = signatures_of(effects, self._films, case.meter)
         self.signatures = dict(signatures)
@@ -134,7 +132,7 @@ class PictureSearch:
         spurious = self.null.spurious_of(signatures)
         return OpticalSearch(signatures, self.noise, self.nuisances, self._changes, spurious)
 
-    def answer(self, residuals: Sequence[Array] | None = None) -> OpticalAnswer:
+    def answer(self, residuals: Sequence[FloatArray] | None = None) -> OpticalAnswer:
         """Return what the rule makes of residuals (F, T, 6) of the shots; None for their own."""
         measured = [s.residual for s in self.shots] if residuals is None else list(residuals)
         scores = self.search.score(measured)
@@ -179,16 +177,18 @@ class PictureSearch:
             estimates,
         )
 
-    def _first(self, scores: Sequence[Score]) -> Score | None:
+    def _first(self, scores: Sequence[EffectScore]) -> EffectScore | None:
         """Return the score that explains most of those past the threshold."""
         return next((s for s in scores if s.statistic > self.threshold), None)
 
-    def _square(self, residuals: Sequence[Array]) -> float:
+    def _square(self, residuals: Sequence[FloatArray]) -> float:
         """Return the square of a residual, whitened and free of nuisances."""
         whitened = self.search.whitened(residuals)
         return float(whitened @ whitened)
 
-    def _without(self, residuals: Sequence[Array], named: Sequence[Fitted]) -> list[Array]:
+    def _without(
+        self, residuals: Sequence[FloatArray], named: Sequence[Fitted]
+    ) -> list[FloatArray]:
         """Return what named effects leave of residuals."""
         active = [one.active for one in named]
         return [
@@ -196,7 +196,9 @@ class PictureSearch:
             for residual, shot in zip(residuals, self.shots, strict=True)
         ]
 
-    def _named(self, measured: Sequence[Array], first: Score) -> tuple[list[Fitted], float]:
+    def _named(
+        self, measured: Sequence[FloatArray], first: EffectScore
+    ) -> tuple[list[Fitted], float]:
         """Return the effects that are added, and the square that they leave."""
         named = [self._refined(measured, first)]
         rest = self._without(measured, named)
@@ -218,7 +220,7 @@ class PictureSearch:
             named, left = both, least
         return named, left
 
-    def _refined(self, residuals: Sequence[Array], score: Score) -> Fitted:
+    def _refined(self, residuals: Sequence[FloatArray], score: EffectScore) -> Fitted:
         """Return an effect fitted with a signature made at the size found, and its shape searched
         about the best probe's."""
         effect = self._effects[score.name]
@@ -238,7 +240,7 @@ class PictureSearch:
         return best
 
     def _tried(
-        self, effect: Effect, values: Mapping[str, float], residuals: Sequence[Array]
+        self, effect: Effect, values: Mapping[str, float], residuals: Sequence[FloatArray]
     ) -> Fitted:
         """Return an effect fitted with a signature made at some values."""
         probed = _probed_at(effect, values)
@@ -246,14 +248,14 @@ class PictureSearch:
         score = self._searching(signatures).score(residuals)[0]
         return Fitted(effect, score, signatures[effect.name][0])
 
-    def _alternatives(self, scores: Sequence[Score], best: Fitted) -> tuple[str, ...]:
+    def _alternatives(self, scores: Sequence[EffectScore], best: Fitted) -> tuple[str, ...]:
         """Return the effects that the data do not tell from the best one."""
         order = sorted(scores, key=lambda score: score.name != best.effect.name)
         past = {score.name for score in scores if score.statistic > self.threshold}
         return tuple(n for n in alike(order, self.search.likeness())[1:] if n in past)
 
     def _estimates(
-        self, measured: Sequence[Array], named: Sequence[Fitted]
+        self, measured: Sequence[FloatArray], named: Sequence[Fitted]
     ) -> tuple[dict[str, tuple[Estimate, ...]], float]:
         """Return the parameters of named effects with intervals by a bootstrap over trajectories,
         and the share of its repetitions that rank the first one first."""
@@ -289,8 +291,8 @@ class PictureSearch:
 
 
 def mean_squares(
-    shots: Sequence[Shot], residuals: Sequence[Array], noise: TileNoise, case: OpticalCase
-) -> Array:
+    shots: Sequence[Shot], residuals: Sequence[FloatArray], noise: TileNoise, case: OpticalCase
+) -> FloatArray:
     """Return the mean square of each shot's residual, in expected variances, the camera's gain and
     black level being fitted to all of them."""
     nuisances = camera_nuisances([shot.film for shot in shots], case.meter)
@@ -301,7 +303,7 @@ def mean_squares(
 
 def without_effects(
     case: OpticalCase, shots: Sequence[Shot], named: Sequence[Fitted]
-) -> list[Array]:
+) -> list[FloatArray]:
     """Return what named effects leave of the residuals of shots."""
     active = [one.active for one in named]
     return [shot.residual - case.changed_by(shot, active) for shot in shots]

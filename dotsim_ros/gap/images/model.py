@@ -18,15 +18,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.effects.effect import Active, Array, SeenImage, image_filters
+from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
+from dotsim_ros.effects.effect import Active, SeenImage, image_filters
 
 if TYPE_CHECKING:
     from dotsim_ros.geometry.camera import FisheyeCamera
     from dotsim_ros.optics.renderer import View
     from dotsim_ros.specification import SensorSpecification
-
-ByteImage = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -43,12 +41,12 @@ class Film:
         focal_px: pixels a radian.
     """
 
-    stamp_s: Array
-    session_s: Array
+    stamp_s: FloatArray
+    session_s: FloatArray
     pixels: Float32Array
     flow_px_s: Float32Array
-    idle: Array
-    centre_px: Array
+    idle: FloatArray
+    centre_px: FloatArray
     focal_px: float
 
     def seen(self) -> Iterator[SeenImage]:
@@ -94,7 +92,7 @@ def resized_picture(picture: NDArray[Any], width: int, height: int) -> NDArray[A
     return np.asarray(cv2.resize(picture, (width, height), interpolation=way))
 
 
-class PictureModel:
+class TwinCamera:
     """Makes the pictures of skins with a sensor's calibrated camera and its frozen network.
 
     Args:
@@ -118,7 +116,7 @@ class PictureModel:
         *,
         width: int,
         height: int,
-        idle: ByteImage | None = None,
+        idle: ImageArray | None = None,
     ) -> None:
         # Loaded on use: they start Warp.
         from dotsim_ros.files import given_path
@@ -126,17 +124,17 @@ class PictureModel:
         from dotsim_ros.geometry.camera import FisheyeCamera
         from dotsim_ros.optics.idle import read_idle_frame
         from dotsim_ros.optics.image import ImageRenderer
-        from dotsim_ros.optics.network.loading import residual_network
+        from dotsim_ros.optics.network.loading import completion_network
         from dotsim_ros.optics.renderer import SkinRenderer
 
         full = FisheyeCamera.from_specification(sensor.camera)
         self.camera: FisheyeCamera = full.scaled(width, height)
         frame = read_idle_frame(given_path(sensor.camera.idle_image), self.camera)
-        self.idle: ByteImage = frame.image if idle is None else idle
+        self.idle: ImageArray = frame.image if idle is None else idle
         skin = skin_of(sensor.gel)
         self._triangles = skin.triangles
         self._renderer = SkinRenderer(self.camera, skin)
-        network = residual_network(sensor, self.camera)
+        network = completion_network(sensor, self.camera)
         residual = None
         if network is not None:
             untouched = self._renderer.render(skin.rest_position_m)
@@ -151,7 +149,9 @@ class PictureModel:
             fine=frame.fine if idle is None else None,
         )
 
-    def film(self, skin_position_m: NDArray[np.floating], stamp_s: Array, start_s: float) -> Film:
+    def film(
+        self, skin_position_m: NDArray[np.floating], stamp_s: FloatArray, start_s: float
+    ) -> Film:
         """Return what the camera sees of a skin that moves.
 
         Args:
@@ -181,7 +181,11 @@ class PictureModel:
         return self._film(np.zeros(1), np.zeros(1), self.idle[None].astype(np.float32), flow)
 
     def _film(
-        self, stamp_s: Array, session_s: Array, pixels: Float32Array, flow_px_s: Float32Array
+        self,
+        stamp_s: FloatArray,
+        session_s: FloatArray,
+        pixels: Float32Array,
+        flow_px_s: Float32Array,
     ) -> Film:
         return Film(
             stamp_s,

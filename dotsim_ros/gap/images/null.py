@@ -9,17 +9,17 @@ another's pictures as a guess, each of whose tiles takes the deviations of the n
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from scipy.stats import t as student
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.files import parameter_path, whole_file
-from dotsim_ros.gap.images.case import IDLE, OpticalCase
+from dotsim_ros.gap.images.case import IDLE, OpticalCase, Shot
 from dotsim_ros.gap.images.search import (
     Direction,
     OpticalSearch,
@@ -30,8 +30,6 @@ from dotsim_ros.gap.images.search import (
 )
 from dotsim_ros.gap.images.tile_noise import Correlation, TileNoise, estimate_noise
 from dotsim_ros.gap.images.tiles import TileMeter
-
-Array = NDArray[np.float64]
 
 FILE = "gap/optical_noise.npz"
 VERSION = 1
@@ -69,11 +67,11 @@ class OpticalNull:
 
     noise: TileNoise
     spurious: tuple[SpuriousSize, ...]
-    excess: Array
+    excess: FloatArray
     sensor: str
     source: str
 
-    def at(self, meter: TileMeter, camera: Array) -> TileNoise:
+    def at(self, meter: TileMeter, camera: FloatArray) -> TileNoise:
         """Return the covariance of other tiles.
 
         Args:
@@ -94,10 +92,37 @@ class OpticalNull:
         )
 
     def knows(self, effect: Effect) -> bool:
-        """Return whether the scatter of an effect's size is known."""
-        return any(one.effect == effect.name for one in self.spurious)
+        """Return whether the scatter of an effect's sizes is known, by its parameters' names."""
+        directions = {p.name for p in effect.parameters if p.none is not None}
+        shape = {p.name for p in effect.parameters if p.none is None}
+        return bool(self._known(effect.name, directions, shape))
 
-    def variances(self, name: str, signature: Signature) -> Array:
+    def _known(self, name: str, directions: set[str], shape: set[str]) -> list[SpuriousSize]:
+        return [
+            one
+            for one in self.spurious
+            if (one.effect, set(one.deviation), set(one.shape)) == (name, directions, shape)
+        ]
+
+    def with_effects(self, effects: Sequence[Effect], case: OpticalCase) -> OpticalNull:
+        """Return it with the sizes that some more effects seem to have where nothing is missing.
+
+        Thresholds then count on no more trajectories than those of the case.
+
+        Args:
+            effects: with an image hook.
+            case: pictures in which nothing is wrong.
+        """
+        shots = [shot for shot in case.shots if shot.name != IDLE]
+        signatures = signatures_of(effects, [shot.film for shot in shots], case.meter)
+        found = _spurious_sizes(signatures, shots, self.at(case.meter, case.camera), case.meter)
+        others = tuple(one for one in self.spurious if one.effect not in signatures)
+        fewest = min(self.noise.trajectory_count, len(shots))
+        return replace(
+            self, noise=replace(self.noise, trajectory_count=fewest), spurious=others + found
+        )
+
+    def variances(self, name: str, signature: Signature) -> FloatArray:
         """Return (P,) the variance of a signature's sizes, in squared steps.
 
         That of the probe whose shape is nearest.
@@ -106,7 +131,7 @@ class OpticalNull:
             ValueError: the file knows nothing of this effect's parameters.
         """
         names = {d.name for d in signature.directions}
-        known = [s for s in self.spurious if s.effect == name and set(s.deviation) == names]
+        known = self._known(name, names, set(signature.shape))
         if not known:
             raise ValueError(
                 f"the file of the images' noise knows nothing of {name} "
@@ -116,7 +141,9 @@ class OpticalNull:
         nearest = min(known, key=lambda one: _distance(one, signature, known, step))
         return np.array([(nearest.deviation[d.name] / d.step) ** 2 for d in signature.directions])
 
-    def spurious_of(self, signatures: Mapping[str, Sequence[Signature]]) -> dict[str, list[Array]]:
+    def spurious_of(
+        self, signatures: Mapping[str, Sequence[Signature]]
+    ) -> dict[str, list[FloatArray]]:
         """Return the variances of all signatures, as `OpticalSearch` takes them."""
         return {
             name: [self.variances(name, one) for one in several]
@@ -181,21 +208,9 @@ def fit_optical_null(
     residuals, changes = [s.residual for s in shots], [s.change for s in shots]
     films, centre = [s.film for s in shots], case.meter.grid.centre_px
     noise = estimate_noise(residuals, changes, case.camera, centre)
-    nuisances = camera_nuisances(films, case.meter)
     if signatures is None:
         signatures = signatures_of(effects, films, case.meter)
-    search = OpticalSearch(signatures, noise, nuisances, changes)
-    variances = search.spurious_variances(residuals)
-    spurious = [
-        SpuriousSize(
-            name,
-            dict(one.shape),
-            one.directions[0].step,
-            _deviations(one.directions, variance),
-        )
-        for name, several in signatures.items()
-        for one, variance in zip(several, variances[name], strict=True)
-    ]
+    spurious = _spurious_sizes(signatures, shots, noise, case.meter)
     excess = np.zeros(len(shots))
     for left_out in range(len(shots)):
         others = [k for k in range(len(shots)) if k != left_out]
@@ -208,10 +223,32 @@ def fit_optical_null(
         )
         if progress is not None:
             progress(left_out + 1, len(shots))
-    return OpticalNull(noise, tuple(spurious), excess, sensor, source)
+    return OpticalNull(noise, spurious, excess, sensor, source)
 
 
-def _deviations(directions: Sequence[Direction], variance: Array) -> dict[str, float]:
+def _spurious_sizes(
+    signatures: Mapping[str, Sequence[Signature]],
+    shots: Sequence[Shot],
+    noise: TileNoise,
+    meter: TileMeter,
+) -> tuple[SpuriousSize, ...]:
+    """Return how far effects' sizes scatter in trajectories in which nothing is wrong."""
+    nuisances = camera_nuisances([shot.film for shot in shots], meter)
+    search = OpticalSearch(signatures, noise, nuisances, [shot.change for shot in shots])
+    variances = search.spurious_variances([shot.residual for shot in shots])
+    return tuple(
+        SpuriousSize(
+            name,
+            dict(one.shape),
+            one.directions[0].step,
+            _deviations(one.directions, variance),
+        )
+        for name, several in signatures.items()
+        for one, variance in zip(several, variances[name], strict=True)
+    )
+
+
+def _deviations(directions: Sequence[Direction], variance: FloatArray) -> dict[str, float]:
     return {
         d.name: abs(d.step) * float(np.sqrt(v)) for d, v in zip(directions, variance, strict=True)
     }

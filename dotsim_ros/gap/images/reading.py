@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import ImageArray
 from dotsim_ros.gap.images.model import resized_picture
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
@@ -19,9 +20,6 @@ from dotsim_ros.measured.measurement import find_indenter
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, PoseChannel, Topics, read_trajectory
-
-Array = NDArray[np.float64]
-ByteImage = NDArray[np.uint8]
 
 MOST_PICTURES = 300
 """Of a data set; trajectories are thinned evenly to come to no more."""
@@ -40,7 +38,7 @@ FINE_PX = 6.0
 
 
 @dataclass(frozen=True)
-class Pictured:
+class ImageTrajectory:
     """A trajectory with pictures.
 
     Attributes:
@@ -49,11 +47,11 @@ class Pictured:
     """
 
     recording: Recording
-    measured: ByteImage
+    measured: ImageArray
 
 
 @dataclass(frozen=True)
-class Pictures:
+class MeasuredImages:
     """What a camera took of a data set.
 
     Attributes:
@@ -65,13 +63,13 @@ class Pictures:
     """
 
     directory: Path
-    idle_images: ByteImage
-    trajectories: tuple[Pictured, ...]
+    idle_images: ImageArray
+    trajectories: tuple[ImageTrajectory, ...]
     warnings: tuple[str, ...]
     digest: str
 
     @property
-    def idle(self) -> ByteImage:
+    def idle(self) -> ImageArray:
         """Mean (H, W, 3) of the idle images."""
         return np.rint(self.idle_images.mean(axis=0)).astype(np.uint8)
 
@@ -93,7 +91,7 @@ def read_pictures(
     indenters: str | Path | None = None,
     names: Sequence[str] | None = None,
     topics: Topics = MEASURED_TOPICS,
-) -> Pictures:
+) -> MeasuredImages:
     """Read the pictures of a data set.
 
     Args:
@@ -117,7 +115,7 @@ def read_pictures(
     entries = [e for e in data_set.entries if e.has_images and (names is None or e.name in names)]
     most = _most_frames([entry.frame_count for entry in entries])
     warnings: list[str] = []
-    found: list[Pictured] = []
+    found: list[ImageTrajectory] = []
     digest = hashlib.sha256(idle_images.tobytes())
     session_s = 0.0
     for entry in data_set.entries:
@@ -135,12 +133,12 @@ def read_pictures(
             "camera's images beside the poses, and say 'images: true' in the index"
             + "".join(f"; {text}" for text in warnings)
         )
-    return Pictures(
+    return MeasuredImages(
         data_set.directory, idle_images, tuple(found), tuple(warnings), digest.hexdigest()[:16]
     )
 
 
-def resized_pictures(pictures: Pictures, width: int, height: int) -> Pictures:
+def resized_pictures(pictures: MeasuredImages, width: int, height: int) -> MeasuredImages:
     """Return the same pictures at another size."""
     if pictures.idle_images.shape[1:3] == (height, width):
         return pictures
@@ -154,7 +152,7 @@ def resized_pictures(pictures: Pictures, width: int, height: int) -> Pictures:
     )
 
 
-def check_same_unit(idle: ByteImage, measured: ByteImage, *, owner: str) -> None:
+def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> None:
     """Refuse pictures of another unit: the pattern of the coat is each unit's own.
 
     Args:
@@ -179,7 +177,7 @@ def check_same_unit(idle: ByteImage, measured: ByteImage, *, owner: str) -> None
         )
 
 
-def pattern_likeness(one: ByteImage, other: ByteImage) -> float:
+def pattern_likeness(one: ImageArray, other: ImageArray) -> float:
     """Return how alike the patterns of two pictures (H, W, 3) are: the median, over pieces of the
     picture, of their correlation at the best shift."""
     first, second = _fine(one), _fine(other)
@@ -200,7 +198,7 @@ def pattern_likeness(one: ByteImage, other: ByteImage) -> float:
     return float(np.median(found)) if found else 0.0
 
 
-def _fine(picture: ByteImage) -> NDArray[np.float32]:
+def _fine(picture: ImageArray) -> NDArray[np.float32]:
     """Return (H, W) what is fine in a picture, relative to its brightness; 0 where it is dark."""
     grey = picture.mean(axis=2).astype(np.float32)
     size_px = FINE_PX * picture.shape[0] / 240.0
@@ -218,7 +216,7 @@ def _most_frames(counts: Sequence[int]) -> int:
     return max(LEAST_FRAMES, MOST_PICTURES // max(len(counts), 1))
 
 
-def _resized(pictures: ByteImage, width: int, height: int) -> ByteImage:
+def _resized(pictures: ImageArray, width: int, height: int) -> ImageArray:
     return np.stack([resized_picture(one, width, height) for one in pictures])
 
 
@@ -230,13 +228,13 @@ def _duration_s(entry: DataSetEntry, topics: Topics) -> float:
 def _read(
     data_set: DataSet,
     entry: DataSetEntry,
-    idle_images: ByteImage,
+    idle_images: ImageArray,
     skin: SkinMesh,
     session_s: float,
     indenters: str | Path | None,
     topics: Topics,
     most: int,
-) -> Pictured:
+) -> ImageTrajectory:
     trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "wrench", "image"))
     pose, image, wrench = trajectory.pose, trajectory.image, trajectory.wrench
     if image is None or pose is None:
@@ -270,7 +268,7 @@ def _read(
         depth_m,
         phases_of(poses, stamp_s, depth_m),
     )
-    return Pictured(recording, image.pixels[frames])
+    return ImageTrajectory(recording, image.pixels[frames])
 
 
 def _pose_at(pose: PoseChannel, stamp_ns: int) -> Pose:

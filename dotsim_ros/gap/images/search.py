@@ -26,21 +26,19 @@ from dataclasses import dataclass
 from itertools import combinations, product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Active, Effect, EffectParameter
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.images.model import Film
 from dotsim_ros.gap.images.tile_noise import TileNoise
 from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHARPNESS, TileMeter
 
-Array = NDArray[np.float64]
-
 OFFSET_LEVELS = 0.5
 """Deviation of the camera's black level, grey levels: its prior. Ambient light is more."""
 
-Spurious = Mapping[str, Sequence[Array]]
+Spurious = Mapping[str, Sequence[FloatArray]]
 """Variance of the spurious size along each direction of each signature, by effect."""
 
 LEAST_SPURIOUS = 0.002
@@ -88,11 +86,11 @@ class Signature:
 
     directions: tuple[Direction, ...]
     shape: Mapping[str, float]
-    blocks: tuple[Array, ...]
+    blocks: tuple[FloatArray, ...]
 
 
 @dataclass(frozen=True)
-class Nuisance:
+class CameraNuisance:
     """What may differ without anything missing.
 
     Attributes:
@@ -102,12 +100,12 @@ class Nuisance:
     """
 
     name: str
-    blocks: tuple[Array, ...]
+    blocks: tuple[FloatArray, ...]
     deviation: float
 
 
 @dataclass(frozen=True)
-class Score:
+class EffectScore:
     """How well one effect explains the residual.
 
     Attributes:
@@ -178,7 +176,7 @@ def _direction(parameter: EffectParameter, probes: Sequence[float]) -> Direction
     return Direction(parameter.name, float(parameter.none), steps[0], parameter.low, parameter.high)
 
 
-def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[Array]:
+def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[FloatArray]:
     """Return what each probe of an effect does to one trajectory, (F, T, 6, P) each.
 
     Args:
@@ -208,7 +206,7 @@ def signatures_of(
         meter: that compares.
     """
     optical = [effect for effect in effects if effect.image is not None]
-    blocks: dict[str, list[list[Array]]] = {effect.name: [] for effect in optical}
+    blocks: dict[str, list[list[FloatArray]]] = {effect.name: [] for effect in optical}
     for film in films:
         for effect in optical:
             blocks[effect.name].append(signature_blocks(effect, film, meter))
@@ -221,7 +219,7 @@ def signatures_of(
     }
 
 
-def camera_nuisances(films: Iterable[Film], meter: TileMeter) -> tuple[Nuisance, ...]:
+def camera_nuisances(films: Iterable[Film], meter: TileMeter) -> tuple[CameraNuisance, ...]:
     """Return the gain of the camera, free, and its black level, within `OFFSET_LEVELS`.
 
     One of each for the whole data set. A free black level would hide ambient light, which is alike
@@ -237,8 +235,8 @@ def camera_nuisances(films: Iterable[Film], meter: TileMeter) -> tuple[Nuisance,
         level[..., COLOURS] = 1.0
         offset.append(level)
     return (
-        Nuisance("gain", tuple(gain), np.inf),
-        Nuisance("black level", tuple(offset), OFFSET_LEVELS),
+        CameraNuisance("gain", tuple(gain), np.inf),
+        CameraNuisance("black level", tuple(offset), OFFSET_LEVELS),
     )
 
 
@@ -263,8 +261,8 @@ class OpticalSearch:
         self,
         signatures: Mapping[str, Sequence[Signature]],
         noise: TileNoise,
-        nuisances: Sequence[Nuisance],
-        changes: Sequence[Array],
+        nuisances: Sequence[CameraNuisance],
+        changes: Sequence[FloatArray],
         spurious: Spurious | None = None,
     ) -> None:
         listed = [(name, one) for name, several in signatures.items() for one in several]
@@ -300,7 +298,7 @@ class OpticalSearch:
             self._spurious.append(np.zeros(len(one.directions)) if known is None else known)
             numbers[name] += 1
 
-    def _whitened(self, blocks: Sequence[Sequence[Array]]) -> Array:
+    def _whitened(self, blocks: Sequence[Sequence[FloatArray]]) -> FloatArray:
         """Return (N, P) of several sets of blocks (F, T, 6, p), side by side."""
         rows = []
         for number, change in enumerate(self._changes):
@@ -311,11 +309,11 @@ class OpticalSearch:
             rows.append(self._noise.whiten(values, change))
         return np.concatenate(rows)
 
-    def whitened(self, residual: Sequence[Array]) -> Array:
+    def whitened(self, residual: Sequence[FloatArray]) -> FloatArray:
         """Return (N,) a residual, (F, T, 6) of each trajectory, whitened and free of nuisances."""
         return self._free(self._whitened([tuple(r[..., None] for r in residual)]))[:, 0]
 
-    def score(self, residual: Sequence[Array]) -> list[Score]:
+    def score(self, residual: Sequence[FloatArray]) -> list[EffectScore]:
         """Return the scores of all effects, best first.
 
         Args:
@@ -325,7 +323,7 @@ class OpticalSearch:
         beyond = float(whitened @ whitened) - len(whitened)
         return self._scores(self._gram, self._columns.T @ whitened, beyond, self._spurious)
 
-    def products(self, residual: Sequence[Array]) -> Array:
+    def products(self, residual: Sequence[FloatArray]) -> FloatArray:
         """Return (K, M, M) the products of signatures, nuisances and residual of each trajectory:
         what `score_products` takes, summed over any of them."""
         rows = np.concatenate(
@@ -339,7 +337,7 @@ class OpticalSearch:
         parts = [rows[a:b] for a, b in zip(self._ends[:-1], self._ends[1:], strict=True)]
         return np.stack([part.T @ part for part in parts])
 
-    def score_products(self, products: Array) -> list[Score]:
+    def score_products(self, products: FloatArray) -> list[EffectScore]:
         """Return the scores of all effects, best first, of trajectories drawn with repetition.
 
         Args:
@@ -354,7 +352,7 @@ class OpticalSearch:
         # How many numbers there are plays no part in sizes.
         return self._scores(left[:-1, :-1], left[:-1, -1], float(left[-1, -1]), self._spurious)
 
-    def spurious_variances(self, residuals: Sequence[Array]) -> Spurious:
+    def spurious_variances(self, residuals: Sequence[FloatArray]) -> Spurious:
         """Return the variances of the sizes that effects seem to have where there is none.
 
         Args:
@@ -365,13 +363,13 @@ class OpticalSearch:
         # Each trajectory by itself, and all together: an error that all share shows there.
         right, square = map(np.array, zip(*alone, whole, strict=True))
         variance = _variance_beyond(right, square)
-        found: dict[str, list[Array]] = {name: [] for name in self._names}
+        found: dict[str, list[FloatArray]] = {name: [] for name in self._names}
         for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
             least = [LEAST_SPURIOUS * (d.high - d.low) / d.step for d in signature.directions]
             found[name].append(np.maximum(variance[part], np.square(least)))
         return {name: tuple(several) for name, several in found.items()}
 
-    def _alone(self, number: int, residuals: Sequence[Array]) -> tuple[Array, Array]:
+    def _alone(self, number: int, residuals: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
         """Return the products of the columns with one trajectory's residual, and their squares,
         freed from the nuisances of this trajectory."""
         part = slice(self._ends[number], self._ends[number + 1])
@@ -381,7 +379,7 @@ class OpticalSearch:
         residual = free(self._noise.whiten(residuals[number][..., None], change))[:, 0]
         return columns.T @ residual, np.sum(columns**2, axis=0)
 
-    def null_statistics(self, count: int, seed: int) -> Array:
+    def null_statistics(self, count: int, seed: int) -> FloatArray:
         """Return (count,) the largest statistic of each of so many residuals without any effect."""
         random = np.random.default_rng(seed)
         value, vector = np.linalg.eigh(self._gram)
@@ -415,7 +413,7 @@ class OpticalSearch:
 
     def likeness(self) -> list[Likeness]:
         """Return how alike each two effects look, the most alike first; of excited ones alone."""
-        bases: dict[str, list[Array]] = {}
+        bases: dict[str, list[FloatArray]] = {}
         for name, signature, part in zip(self._owners, self._signatures, self._slices, strict=True):
             basis = self._basis(part)
             if basis.shape[1] and signature.directions:
@@ -434,14 +432,14 @@ class OpticalSearch:
         ]
         return sorted(found, key=lambda one: -one.cosine)
 
-    def _basis(self, part: slice) -> Array:
+    def _basis(self, part: slice) -> FloatArray:
         columns = self._columns[:, part]
         left, value, _ = np.linalg.svd(columns, full_matrices=False)
         return np.asarray(left[:, value > LEAST_NORM])
 
     def _scores(
-        self, gram: Array, right: Array, beyond: float, spurious: Sequence[Array]
-    ) -> list[Score]:
+        self, gram: FloatArray, right: FloatArray, beyond: float, spurious: Sequence[FloatArray]
+    ) -> list[EffectScore]:
         """Return scores, best fit first.
 
         Args:
@@ -450,7 +448,7 @@ class OpticalSearch:
             beyond: how much the residual's square exceeds that of noise.
             spurious: variances of the spurious sizes, of each signature.
         """
-        best: dict[str, Score] = {}
+        best: dict[str, EffectScore] = {}
         for name, signature, part, variance in zip(
             self._owners, self._signatures, self._slices, spurious, strict=True
         ):
@@ -467,15 +465,15 @@ class OpticalSearch:
         self,
         name: str,
         signature: Signature,
-        gram: Array,
-        right: Array,
+        gram: FloatArray,
+        right: FloatArray,
         beyond: float,
-        variance: Array,
-    ) -> Score:
+        variance: FloatArray,
+    ) -> EffectScore:
         directions = signature.directions
         values = {**signature.shape, **{d.name: d.none for d in directions}}
         if float(np.sqrt(np.diag(gram).max())) < LEAST_NORM:
-            return Score(name, 0.0, 0.0, 0.0, 0.0, values, False)
+            return EffectScore(name, 0.0, 0.0, 0.0, 0.0, values, False)
         size = bounded_size(gram, right, [d.bounds() for d in directions])
         gain = float(2.0 * size @ right - size @ gram @ size)
         penalty = self._penalty(name, signature)
@@ -486,7 +484,7 @@ class OpticalSearch:
         weight = np.linalg.solve(np.eye(len(gram)) + gram * variance, gram)
         square = float(size @ weight @ size)
         explained = gain / max(beyond, gain, _TINY)
-        return Score(
+        return EffectScore(
             name,
             max(gain - penalty, 0.0),
             max(square - penalty, 0.0),
@@ -498,11 +496,11 @@ class OpticalSearch:
 
 
 def freed(
-    residual: Sequence[Array],
+    residual: Sequence[FloatArray],
     noise: TileNoise,
-    nuisances: Sequence[Nuisance],
-    changes: Sequence[Array],
-) -> Array:
+    nuisances: Sequence[CameraNuisance],
+    changes: Sequence[FloatArray],
+) -> FloatArray:
     """Return (N,) a residual, (F, T, 6) of each trajectory, whitened and free of nuisances."""
     rows = [
         noise.whiten(
@@ -517,13 +515,13 @@ def freed(
 
 
 def score_optical(
-    residual: Sequence[Array],
+    residual: Sequence[FloatArray],
     signatures: Mapping[str, Sequence[Signature]],
     noise: TileNoise,
-    nuisances: Sequence[Nuisance],
-    changes: Sequence[Array],
+    nuisances: Sequence[CameraNuisance],
+    changes: Sequence[FloatArray],
     spurious: Spurious | None = None,
-) -> list[Score]:
+) -> list[EffectScore]:
     """Return the scores of optical effects, best first.
 
     Args:
@@ -537,7 +535,7 @@ def score_optical(
     return OpticalSearch(signatures, noise, nuisances, changes, spurious).score(residual)
 
 
-def alike(scores: Sequence[Score], likeness: Iterable[Likeness]) -> list[str]:
+def alike(scores: Sequence[EffectScore], likeness: Iterable[Likeness]) -> list[str]:
     """Return the effects that the data cannot tell from the best one, the best first.
 
     Args:
@@ -554,7 +552,7 @@ def alike(scores: Sequence[Score], likeness: Iterable[Likeness]) -> list[str]:
     return [best.name, *(score.name for score in scores[1:] if score.name in near)]
 
 
-def _variance_beyond(right: Array, square: Array) -> Array:
+def _variance_beyond(right: FloatArray, square: FloatArray) -> FloatArray:
     """Return (P,) the variance v of sizes beyond their sampling error.
 
     Sizes x_j = right_j / square_j have the sampling variance 1 / square_j; v solves
@@ -574,7 +572,7 @@ def _variance_beyond(right: Array, square: Array) -> Array:
     return np.asarray(low)
 
 
-def _without(columns: Array, deviation: Array) -> Callable[[Array], Array]:
+def _without(columns: FloatArray, deviation: FloatArray) -> Callable[[FloatArray], FloatArray]:
     """Return what turns vectors of unit covariance, beside nuisances (N, Q) of these deviations,
     into vectors of unit covariance in all; nothing is left along those of infinite deviation."""
     free = _directions(columns[:, np.isinf(deviation)])
@@ -583,20 +581,22 @@ def _without(columns: Array, deviation: Array) -> Callable[[Array], Array]:
     left, value, _ = np.linalg.svd(known, full_matrices=False)
     shrink = 1.0 - 1.0 / np.sqrt(1.0 + value**2)
 
-    def apply(vectors: Array) -> Array:
+    def apply(vectors: FloatArray) -> FloatArray:
         rest = vectors - free @ (free.T @ vectors)
         return np.asarray(rest - left @ (shrink * (left.T @ rest).T).T)
 
     return apply
 
 
-def _directions(columns: Array) -> Array:
+def _directions(columns: FloatArray) -> FloatArray:
     """Return orthonormal columns of the same span."""
     left, value, _ = np.linalg.svd(columns, full_matrices=False)
     return np.asarray(left[:, value > 1e-9 * max(value.max(initial=0.0), 1e-300)])
 
 
-def bounded_size(gram: Array, right: Array, bounds: Sequence[tuple[float, float]]) -> Array:
+def bounded_size(
+    gram: FloatArray, right: FloatArray, bounds: Sequence[tuple[float, float]]
+) -> FloatArray:
     """Return x of the least x' gram x - 2 x' right within bounds."""
     low, high = np.array(bounds).T
     if len(right) == 1:

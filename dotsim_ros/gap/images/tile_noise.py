@@ -15,12 +15,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHIFTS
-
-Array = NDArray[np.float64]
 
 TILE_PRIOR_FRAMES = 20.0
 """Weight, in frames, of all tiles' deviation in that of one."""
@@ -43,7 +41,9 @@ class Correlation:
     frames: float
     length_px: float
 
-    def modes(self, frame_count: int, distance_px: Array) -> tuple[Array, Array, Array]:
+    def modes(
+        self, frame_count: int, distance_px: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return what whitens F frames of T tiles: (F, F) and (T, T) orthogonal columns, and (F, T)
         the variances along them."""
         lag = np.abs(np.subtract.outer(np.arange(frame_count), np.arange(frame_count)))
@@ -67,15 +67,15 @@ class TileNoise:
         trajectory_count: how many trajectories it was told from.
     """
 
-    centre_px: Array
-    camera: Array
-    model: Array
-    growth: Array
-    mixing: Array
+    centre_px: FloatArray
+    camera: FloatArray
+    model: FloatArray
+    growth: FloatArray
+    mixing: FloatArray
     correlations: tuple[Correlation, ...]
     trajectory_count: int
 
-    def deviation(self, change: Array) -> Array:
+    def deviation(self, change: FloatArray) -> FloatArray:
         """Return (F, T, 6) the deviation of each observable.
 
         Args:
@@ -84,7 +84,7 @@ class TileNoise:
         growing = (change * self.growth) ** 2
         return np.sqrt(self.camera**2 + self.model**2 + growing)
 
-    def whiten(self, values: Array, change: Array) -> Array:
+    def whiten(self, values: FloatArray, change: FloatArray) -> FloatArray:
         """Return (F * T * 6, P) with unit covariance where values have this one.
 
         Args:
@@ -101,7 +101,7 @@ class TileNoise:
         return np.asarray(mixed.reshape(-1, values.shape[-1]))
 
 
-def contact_change(change: Array) -> Array:
+def contact_change(change: FloatArray) -> FloatArray:
     """Return (F, T, 6) how much a contact changes what there is to predict for each observable.
 
     For colours and sharpness, the root mean square of the change of the three colours; for the
@@ -116,12 +116,15 @@ def contact_change(change: Array) -> Array:
     return result
 
 
-def _rms(values: Array) -> Array:
+def _rms(values: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(values**2, axis=-1, keepdims=True)))
 
 
 def estimate_noise(
-    residuals: Sequence[Array], changes: Sequence[Array], camera: Array, centre_px: Array
+    residuals: Sequence[FloatArray],
+    changes: Sequence[FloatArray],
+    camera: FloatArray,
+    centre_px: FloatArray,
 ) -> TileNoise:
     """Return the noise of tiles, from trajectories in which no effect is missing.
 
@@ -159,11 +162,11 @@ def estimate_noise(
     return TileNoise(centre_px, camera, model, growth, mixing, correlations, len(residuals))
 
 
-def _distance_px(centre_px: Array) -> Array:
+def _distance_px(centre_px: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.norm(centre_px[:, None] - centre_px[None], axis=2))
 
 
-def _variances(residual: Array, change: Array) -> tuple[Array, Array]:
+def _variances(residual: FloatArray, change: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return (T, 6) variance at rest, and (6,) the growth of the deviation with the change.
 
     Fitted as residual^2 = variance + (growth change)^2 by least squares, weighted by what is
@@ -188,16 +191,16 @@ def _variances(residual: Array, change: Array) -> tuple[Array, Array]:
     return rest, np.sqrt(growth_square)
 
 
-def _correlation(values: Sequence[Array], distance_px: Array) -> Correlation:
+def _correlation(values: Sequence[FloatArray], distance_px: FloatArray) -> Correlation:
     """Return the correlation of greatest likelihood of trajectories (F, T) of one channel."""
     widest = float(distance_px.max())
 
-    def of(x: Array) -> Correlation:
+    def of(x: FloatArray) -> Correlation:
         white = 1.0 / (1.0 + np.exp(-x[0]))
         frames, share = np.exp(np.clip(x[1:], -3.0, 5.0))
         return Correlation(float(white), float(frames), float(share) * widest)
 
-    def unlikeliness(x: Array) -> float:
+    def unlikeliness(x: FloatArray) -> float:
         correlation = of(x)
         total = 0.0
         modes = {len(v): correlation.modes(len(v), distance_px) for v in values}

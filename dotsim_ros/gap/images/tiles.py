@@ -18,9 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from dotsim_ros.arrays import BoolArray, FloatArray, IntArray
 
 NAMES = ("red", "green", "blue", "sharpness", "shift_x", "shift_y")
 UNITS = ("level", "level", "level", "", "px", "px")
@@ -51,7 +49,7 @@ class TileGrid:
         count: (T,) pixels of each.
     """
 
-    centre_px: Array
+    centre_px: FloatArray
     tile: IntArray
     count: IntArray
 
@@ -59,7 +57,7 @@ class TileGrid:
         """Return T."""
         return len(self.count)
 
-    def mean(self, picture: NDArray[np.generic]) -> Array:
+    def mean(self, picture: NDArray[np.generic]) -> FloatArray:
         """Return (T, ...) the mean over each tile of a picture (H, W, ...)."""
         values = picture.reshape(self.tile.size, -1)[self._order].astype(np.float64)
         first = np.concatenate([[0], np.cumsum(self.count[:-1])])
@@ -118,11 +116,11 @@ class _Reference:
         solve: (T, 2, 4) from the terms' products with the difference to the motion.
     """
 
-    colour: Array
-    grey: Array
-    detail: Array
-    terms: Array
-    solve: Array
+    colour: FloatArray
+    grey: FloatArray
+    detail: FloatArray
+    terms: FloatArray
+    solve: FloatArray
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ class TileMeter:
     """
 
     grid: TileGrid
-    idle: Array
+    idle: FloatArray
 
     def __post_init__(self) -> None:
         if self.idle.shape != (*self.grid.tile.shape, 3):
@@ -147,17 +145,19 @@ class TileMeter:
                 "the tiles"
             )
 
-    def colour(self, pictures: NDArray[np.generic]) -> Array:
+    def colour(self, pictures: NDArray[np.generic]) -> FloatArray:
         """Return (F, T, 3) mean colours, levels, of pictures (F, H, W, 3)."""
         return np.stack([self.grid.mean(picture) for picture in pictures])
 
-    def sharpness(self, pictures: NDArray[np.generic]) -> Array:
+    def sharpness(self, pictures: NDArray[np.generic]) -> FloatArray:
         """Return (F, T) the deviation of the Laplacian of pictures (F, H, W, 3), over the idle
         frame's."""
         rest = self._detail(_smooth_grey(self.idle))
         return np.stack([self._detail(_smooth_grey(picture)) / rest for picture in pictures])
 
-    def difference(self, pictures: NDArray[np.generic], references: NDArray[np.generic]) -> Array:
+    def difference(
+        self, pictures: NDArray[np.generic], references: NDArray[np.generic]
+    ) -> FloatArray:
         """Return (F, T, 6) the observables `NAMES` of pictures against references.
 
         Args:
@@ -170,7 +170,7 @@ class TileMeter:
 
     def differences(
         self, several: Sequence[NDArray[np.generic]], references: NDArray[np.generic]
-    ) -> list[Array]:
+    ) -> list[FloatArray]:
         """Return `difference` of several films against one, in less time than one by one.
 
         Args:
@@ -209,14 +209,14 @@ class TileMeter:
         inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-9), dtype=np.float64)
         return _Reference(self.grid.mean(picture), grey, self._detail(grey), terms, inverse[:, :2])
 
-    def _detail(self, smooth_grey: Array) -> Array:
+    def _detail(self, smooth_grey: FloatArray) -> FloatArray:
         """Return (T,) the deviation of the Laplacian of a smoothed grey picture (H, W)."""
         laplacian = cv2.Laplacian(smooth_grey, cv2.CV_64F)
         mean, square = self.grid.mean(np.stack([laplacian, laplacian**2], axis=-1)).T
         # A tile without any texture keeps a finite ratio.
         return np.sqrt(np.maximum(square - mean**2, 1e-6))
 
-    def noise(self, repeats: NDArray[np.generic]) -> Array:
+    def noise(self, repeats: NDArray[np.generic]) -> FloatArray:
         """Return (T, 6) the deviation of the observables of one picture by the camera's noise.
 
         Each tile's is estimated together with that of all tiles, which weigh as much as
@@ -243,7 +243,7 @@ class TileMeter:
         return np.sqrt((spread + prior * pooled) / (freedom + prior))
 
 
-def _smooth_grey(picture: NDArray[np.generic]) -> Array:
+def _smooth_grey(picture: NDArray[np.generic]) -> FloatArray:
     """Return the mean of a picture's colours (H, W), smoothed."""
     grey = picture.astype(np.float64) @ np.full(3, 1.0 / 3.0)
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), SMOOTHING_PX), dtype=np.float64)

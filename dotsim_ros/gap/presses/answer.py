@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.certainty import rows_of
@@ -23,9 +23,6 @@ from dotsim_ros.gap.presses.inference import (
 from dotsim_ros.gap.presses.screening import Screen, best_trial
 from dotsim_ros.gap.presses.search_state import Ranked, Search
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 ROUNDS = 2
 """How often the sizes of the best effects are refined by a solve at the size found."""
 PAIR_ROUNDS = 2
@@ -34,7 +31,7 @@ SMALL_SHARE = 0.08
 
 
 @dataclass(frozen=True)
-class Answer:
+class SearchAnswer:
     """What the rule makes of a case.
 
     Attributes:
@@ -54,7 +51,7 @@ class Answer:
     p_value: float
 
 
-def set_limits(search: Search, ranked: Sequence[Ranked], gains: Array) -> float:
+def set_limits(search: Search, ranked: Sequence[Ranked], gains: FloatArray) -> float:
     """Set what each effect must gain to be past its limit; return the threshold of simulated nulls.
 
     Args:
@@ -69,7 +66,9 @@ def set_limits(search: Search, ranked: Sequence[Ranked], gains: Array) -> float:
     return threshold
 
 
-def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains: Array) -> Answer:
+def answer_of(
+    search: Search, ranked: list[Ranked], gains: FloatArray, pattern_gains: FloatArray
+) -> SearchAnswer:
     """Apply the rule to a case.
 
     Args:
@@ -93,7 +92,9 @@ def answer_of(search: Search, ranked: list[Ranked], gains: Array, pattern_gains:
     first = max(named or ranked, key=lambda entry: entry.trial.gain / entry.limit)
     scale = first.limit / threshold
     p_value = float(np.mean(scale * gains >= first.trial.gain))
-    return Answer(verdict, named, alternatives, ranked, first.trial.gain, first.limit, p_value)
+    return SearchAnswer(
+        verdict, named, alternatives, ranked, first.trial.gain, first.limit, p_value
+    )
 
 
 def screen(search: Search, variants: Sequence[Variant]) -> list[Ranked]:
@@ -108,7 +109,9 @@ def screen(search: Search, variants: Sequence[Variant]) -> list[Ranked]:
     return sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
 
 
-def null_gains(search: Search, ranked: Sequence[Ranked], count: int) -> tuple[Array, Array]:
+def null_gains(
+    search: Search, ranked: Sequence[Ranked], count: int
+) -> tuple[FloatArray, FloatArray]:
     """Return, of `count` data without an effect, the largest gain of any, and that of patterns."""
     evidence = search.evidence
     segments = [s for entry in ranked for s in search.segments(entry.variants)]
@@ -247,7 +250,7 @@ def _fit_of(evidence: Evidence, entries: Sequence[Ranked]) -> Fit:
     return fit(evidence, columns, np.zeros(len(entries)), np.full(len(entries), 1.3))
 
 
-def _by_channel(search: Search, entries: Sequence[Ranked]) -> Array:
+def _by_channel(search: Search, entries: Sequence[Ranked]) -> FloatArray:
     """Return (n, 2 k) what k effects of the size found do to the skin alone and to the force alone,
     in turn."""
     columns = [
@@ -257,7 +260,7 @@ def _by_channel(search: Search, entries: Sequence[Ranked]) -> Array:
     return np.concatenate(columns, axis=1)
 
 
-def _fit_by_channel(evidence: Evidence, columns: Array) -> Fit:
+def _fit_by_channel(evidence: Evidence, columns: FloatArray) -> Fit:
     """Return the fit of effects whose sizes in the skin need not be those in the force."""
     high = np.full(columns.shape[1], decision.LARGEST_IN_CHANNEL)
     return fit(evidence, columns, np.zeros(len(high)), high)

@@ -7,16 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.parameters import PARAMETERS, with_coordinates
 from dotsim_ros.effects.effect import Active, Effect
 from dotsim_ros.effects.simulate import EffectRequest, request_of
 from dotsim_ros.gap.presses.observables import PATCH_COUNT
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.recording import Recording
-
-Array = NDArray[np.float64]
 
 SHIFT_STEP_M = 0.1e-3
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
@@ -35,7 +33,7 @@ SHARED, OWN, SINCE = "shared", "own", "since"
 
 
 @dataclass(frozen=True)
-class Nuisance:
+class PressNuisance:
     """One thing that a twin may be wrong about.
 
     Attributes:
@@ -60,21 +58,21 @@ class Nuisance:
 
 
 _OWN_ERRORS = (
-    Nuisance("shift_x", "m", 0.03e-3, OWN),
-    Nuisance("shift_y", "m", 0.03e-3, OWN),
-    Nuisance("shift_z", "m", 0.03e-3, OWN),
-    Nuisance("clock", "s", 0.003, OWN),
+    PressNuisance("shift_x", "m", 0.03e-3, OWN),
+    PressNuisance("shift_y", "m", 0.03e-3, OWN),
+    PressNuisance("shift_z", "m", 0.03e-3, OWN),
+    PressNuisance("clock", "s", 0.003, OWN),
 )
 
 ABSOLUTE = (
-    Nuisance("E", "log", 0.08, SHARED),
-    Nuisance("nu", "log(1/2 - nu)", 0.2, SHARED),
-    Nuisance("friction", "log", 0.2, SHARED),
-    Nuisance("c20", "of C10", 0.05, SHARED),
-    Nuisance("thickness", "share", 0.01, SHARED),
-    Nuisance("delay", "s", 0.005, SHARED),
-    Nuisance("arm", "m/N", 8.0e-6, SHARED),
-    Nuisance("relaxation", "share", 0.03, SHARED),
+    PressNuisance("E", "log", 0.08, SHARED),
+    PressNuisance("nu", "log(1/2 - nu)", 0.2, SHARED),
+    PressNuisance("friction", "log", 0.2, SHARED),
+    PressNuisance("c20", "of C10", 0.05, SHARED),
+    PressNuisance("thickness", "share", 0.01, SHARED),
+    PressNuisance("delay", "s", 0.005, SHARED),
+    PressNuisance("arm", "m/N", 8.0e-6, SHARED),
+    PressNuisance("relaxation", "share", 0.03, SHARED),
     *_OWN_ERRORS,
 )
 """Against a calibrated sensor's file: units differ by some percent, the arm by some hundredths of a
@@ -82,16 +80,16 @@ millimetre. The means of `BIASED` come with the discrepancy; the deviations of `
 halves of the stand-in sensor's presses, and a second unit's, differ by."""
 
 DIFFERENTIAL = (
-    Nuisance("E", "log", 0.3, SHARED),
-    Nuisance("nu", "log(1/2 - nu)", 0.8, SHARED),
-    Nuisance("friction", "log", 0.5, SHARED),
-    Nuisance("c20", "of C10", 0.2, SHARED),
-    Nuisance("thickness", "share", 0.03, SHARED),
-    Nuisance("delay", "s", 0.015, SHARED),
-    Nuisance("arm", "m/N", 2.0e-5, SHARED),
-    Nuisance("relaxation", "share", 0.1, SHARED),
+    PressNuisance("E", "log", 0.3, SHARED),
+    PressNuisance("nu", "log(1/2 - nu)", 0.8, SHARED),
+    PressNuisance("friction", "log", 0.5, SHARED),
+    PressNuisance("c20", "of C10", 0.2, SHARED),
+    PressNuisance("thickness", "share", 0.03, SHARED),
+    PressNuisance("delay", "s", 0.015, SHARED),
+    PressNuisance("arm", "m/N", 2.0e-5, SHARED),
+    PressNuisance("relaxation", "share", 0.1, SHARED),
     *_OWN_ERRORS,
-    Nuisance("E_since", "log", 0.02, SINCE),
+    PressNuisance("E_since", "log", 0.02, SINCE),
 )
 """Against the unit's own commissioning, which tells its constants; since then, its stiffness may
 have changed by what a laboratory's temperature does."""
@@ -118,8 +116,8 @@ def nuisance_requests(
 
 
 def nuisance_columns(
-    nuisances: Sequence[Nuisance], observed: Sequence[Array], *, is_reference: bool
-) -> list[Array]:
+    nuisances: Sequence[PressNuisance], observed: Sequence[FloatArray], *, is_reference: bool
+) -> list[FloatArray]:
     """Return what each nuisance does to the observables (F, SIZE) when it moves by one deviation.
 
     Args:
@@ -154,12 +152,16 @@ def nuisance_columns(
     return result
 
 
-def centred(nuisances: Sequence[Nuisance], bias: Mapping[str, float]) -> tuple[Nuisance, ...]:
+def centred(
+    nuisances: Sequence[PressNuisance], bias: Mapping[str, float]
+) -> tuple[PressNuisance, ...]:
     """Return nuisances about the means of a bias, by name."""
     return tuple(replace(n, mean=bias.get(n.name, n.mean)) for n in nuisances)
 
 
-def values_after(values: GelValues, nuisances: Sequence[Nuisance], moved: Array) -> GelValues:
+def values_after(
+    values: GelValues, nuisances: Sequence[PressNuisance], moved: FloatArray
+) -> GelValues:
     """Return the gel with its nuisances moved by (q,) deviations from their means."""
     for nuisance, deviations in zip(nuisances, moved.tolist(), strict=True):
         if nuisance.name not in PARAMETERS:

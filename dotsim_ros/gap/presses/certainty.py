@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import IntArray
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Pair
@@ -16,9 +16,6 @@ from dotsim_ros.gap.presses.inference import Evidence, fit_nuisances
 from dotsim_ros.gap.presses.isolability import pairs_of
 from dotsim_ros.gap.presses.screening import best_trial
 from dotsim_ros.gap.presses.search_state import Ranked, Search
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 BOOTSTRAPS = 20
 INTERVAL_DRAWS = 100

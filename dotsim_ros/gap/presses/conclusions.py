@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
 from dotsim_ros.effects.simulate import request_of
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict
-from dotsim_ros.gap.presses.answer import Answer, sizes_by_channel
+from dotsim_ros.gap.presses.answer import SearchAnswer, sizes_by_channel
 from dotsim_ros.gap.presses.assumptions import values_after
 from dotsim_ros.gap.presses.certainty import BOOTSTRAPS, close_pairs
 from dotsim_ros.gap.presses.evidence import Case
@@ -32,16 +32,13 @@ from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.measurement import Measurement
 from dotsim_ros.twin.follow import SolveError
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-
 
 def findings_of(
     search: Search,
     measurement: Measurement,
     reference: Measurement | None,
     *,
-    answer: Answer,
+    answer: SearchAnswer,
     silent: Sequence[str],
     stability: float | None,
 ) -> tuple[Findings, Overlay | None]:
@@ -130,7 +127,7 @@ def findings_of(
     return findings, overlay
 
 
-def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[Array]:
+def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[FloatArray]:
     """Return (F, SIZE) of each trajectory by effects at the sizes found."""
     total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
     for entry in entries:
@@ -175,7 +172,9 @@ def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate,
     return tuple(result)
 
 
-def _skins(search: Search, number: int, named: Sequence[Ranked]) -> tuple[Array, Array] | None:
+def _skins(
+    search: Search, number: int, named: Sequence[Ranked]
+) -> tuple[FloatArray, FloatArray] | None:
     """Return the skins (F, V, 3) of a trajectory without and with the effects, None where the gel
     could not be solved."""
     recording = search.case.trajectories[number].recording

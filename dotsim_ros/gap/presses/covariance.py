@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.files import parameter_path, whole_file
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SECTORS, SIZE, Places, ring_of_patch
 from dotsim_ros.measured.recording import Recording
-
-Array = NDArray[np.float64]
 
 SMALLEST_DEPTH_M = 0.3e-3
 """The discrepancy of a shallower press is that of this depth: the skin's own roughness."""
@@ -48,7 +47,7 @@ FILE = "gap/discrepancy.npz"
 
 
 @dataclass(frozen=True)
-class Noise:
+class ChannelNoise:
     """White noise of the measurement, one standard deviation.
 
     Attributes:
@@ -78,8 +77,8 @@ class Discrepancy:
             recalibrated, leaves of true data without any effect; 0 is that of the covariance.
     """
 
-    between: Array
-    within: Array
+    between: FloatArray
+    within: FloatArray
     source: str
     bias: Mapping[str, float] = field(default_factory=dict)
     limit_factors: Mapping[str, float] = field(default_factory=dict)
@@ -87,7 +86,7 @@ class Discrepancy:
     misfit_limit: float = 0.0
 
 
-def amplitude(recording: Recording, force_n: Array | None) -> Array:
+def amplitude(recording: Recording, force_n: FloatArray | None) -> FloatArray:
     """Return (F, SIZE) a_f: metres for the skin, newtons for the force.
 
     Args:
@@ -103,7 +102,9 @@ def amplitude(recording: Recording, force_n: Array | None) -> Array:
     return result
 
 
-def noise_from_idle(recordings: Sequence[Recording], rest_m: Array, declared: Noise) -> Noise:
+def noise_from_idle(
+    recordings: Sequence[Recording], rest_m: FloatArray, declared: ChannelNoise
+) -> ChannelNoise:
     """Return the noise that frames without contact show; the declared one where there are none."""
     skin, force = [], []
     for recording in recordings:
@@ -115,7 +116,7 @@ def noise_from_idle(recordings: Sequence[Recording], rest_m: Array, declared: No
                 force.append(press.force_n[frame])
     if len(skin) < 2 and len(force) < 6:
         return declared
-    return Noise(
+    return ChannelNoise(
         float(np.std(np.concatenate(skin))) if len(skin) >= 2 else declared.skin_m,
         float(np.std(np.stack(force))) if len(force) >= 6 else declared.force_n,
         f"{max(len(skin), len(force))} frames without contact",
@@ -123,7 +124,7 @@ def noise_from_idle(recordings: Sequence[Recording], rest_m: Array, declared: No
 
 
 def fit_discrepancy(
-    recordings: Sequence[Recording], residuals: Sequence[Array], source: str
+    recordings: Sequence[Recording], residuals: Sequence[FloatArray], source: str
 ) -> Discrepancy:
     """Return the covariances that residuals of presses without any effect have.
 
@@ -147,7 +148,7 @@ def fit_discrepancy(
     return Discrepancy(_shrunk(between / count), _shrunk(within / (2 * frames)), source)
 
 
-def _symmetric(scaled: Array) -> list[Array]:
+def _symmetric(scaled: FloatArray) -> list[FloatArray]:
     """Return residuals (F, SIZE) as they are, and mirrored along the slide."""
     mirrored = scaled.copy()
     start = 0
@@ -160,7 +161,7 @@ def _symmetric(scaled: Array) -> list[Array]:
     return [scaled, mirrored]
 
 
-def _shrunk(covariance: Array) -> Array:
+def _shrunk(covariance: FloatArray) -> FloatArray:
     """Return a covariance drawn to its diagonal, the latter averaged over rings and components."""
     diagonal = np.diag(covariance).copy()
     rings = ring_of_patch()
@@ -215,7 +216,7 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
     return found
 
 
-def white_variance(noise: Noise, places: Places) -> Array:
+def white_variance(noise: ChannelNoise, places: Places) -> FloatArray:
     """Return (SIZE,) the variance of each observable of a frame by white noise alone."""
     variance = np.full(SIZE, noise.force_n**2)
     points = np.maximum(np.repeat(places.count, 3), 1)
@@ -233,21 +234,23 @@ class Whitening:
     """
 
     is_used: NDArray[np.bool_]
-    root: Array
+    root: FloatArray
 
     @property
     def size(self) -> int:
         """Number of observables."""
         return len(self.root)
 
-    def whiten(self, observables: Array) -> Array:
+    def whiten(self, observables: FloatArray) -> FloatArray:
         """Return (size,) of observables (F, SIZE)."""
         chosen = observables[self.is_used]
-        result: Array = linalg.solve_triangular(self.root, chosen, lower=True, check_finite=False)
+        result: FloatArray = linalg.solve_triangular(
+            self.root, chosen, lower=True, check_finite=False
+        )
         return result
 
 
-def usable(recording: Recording, observed: Array) -> Array:
+def usable(recording: Recording, observed: FloatArray) -> FloatArray:
     """Return observables (F, SIZE), NaN where the skin is hardly touched."""
     shallow = (recording.depth_m > 0.0) & (recording.depth_m < SKIN_FROM_M)
     result = observed.copy()
@@ -258,11 +261,11 @@ def usable(recording: Recording, observed: Array) -> Array:
 def whitening_of(
     recording: Recording,
     places: Places,
-    observed: Array,
+    observed: FloatArray,
     *,
-    noise: Noise,
+    noise: ChannelNoise,
     discrepancy: Discrepancy,
-    own: Array,
+    own: FloatArray,
 ) -> Whitening:
     """Return the whitening of a trajectory.
 

@@ -7,12 +7,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
 from dotsim_ros.effects.simulate import EffectSolver, request_of
-from dotsim_ros.gap.presses.assumptions import OWN, Nuisance, nuisance_columns, nuisance_requests
-from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, Whitening, usable, whitening_of
+from dotsim_ros.gap.presses.assumptions import (
+    OWN,
+    PressNuisance,
+    nuisance_columns,
+    nuisance_requests,
+)
+from dotsim_ros.gap.presses.covariance import (
+    ChannelNoise,
+    Discrepancy,
+    Whitening,
+    usable,
+    whitening_of,
+)
 from dotsim_ros.gap.presses.inference import Evidence
 from dotsim_ros.gap.presses.observables import CHANNELS, Places, observe, places_of
 from dotsim_ros.gap.presses.patterns import patterns
@@ -22,14 +33,12 @@ from dotsim_ros.measured.recording import Recording
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.solver import Progress
 
-Array = NDArray[np.float64]
-
 SMALLEST_SEGMENT = 1.0e-3
 """Share of an effect's range below which two of its nodes are one."""
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class EvidenceTrajectory:
     """A recording with what was observed and predicted.
 
     Attributes:
@@ -45,11 +54,11 @@ class Trajectory:
     recording: Recording
     is_reference: bool
     places: Places
-    observed: Array
-    predicted: Array
+    observed: FloatArray
+    predicted: FloatArray
     whitening: Whitening
-    nuisance: Array
-    pattern: Array
+    nuisance: FloatArray
+    pattern: FloatArray
 
 
 @dataclass
@@ -66,7 +75,7 @@ class Variant:
     effect: Effect
     shape: dict[str, float]
     node: list[float] = field(default_factory=list)
-    change: list[list[Array]] = field(default_factory=list)
+    change: list[list[FloatArray]] = field(default_factory=list)
 
     @property
     def absent(self) -> float:
@@ -79,7 +88,7 @@ class Variant:
         """Return the values of all parameters at a size."""
         return {self.effect.parameters[0].name: size, **self.shape}
 
-    def put(self, size: float, change: list[Array]) -> None:
+    def put(self, size: float, change: list[FloatArray]) -> None:
         """Add a node, in order."""
         place = int(np.searchsorted(self.node, size))
         self.node.insert(place, size)
@@ -100,8 +109,8 @@ class Segment:
 
     variant: Variant
     begin: float
-    offset: Array
-    column: Array
+    offset: FloatArray
+    column: FloatArray
     low: float
     high: float
 
@@ -120,18 +129,18 @@ class Case:
 
     def __init__(
         self,
-        trajectories: Sequence[Trajectory],
-        nuisances: Sequence[Nuisance],
+        trajectories: Sequence[EvidenceTrajectory],
+        nuisances: Sequence[PressNuisance],
         library: Mapping[str, Effect],
         solver: EffectSolver,
         values: GelValues,
-        rest_m: Array,
+        rest_m: FloatArray,
     ) -> None:
         self.trajectories, self.nuisances = tuple(trajectories), tuple(nuisances)
         self.library, self.solver, self.values = library, solver, values
         self._rest_m = rest_m
 
-    def with_trajectories(self, trajectories: Sequence[Trajectory]) -> Case:
+    def with_trajectories(self, trajectories: Sequence[EvidenceTrajectory]) -> Case:
         """Return the same case with other trajectories, as many."""
         return Case(
             trajectories, self.nuisances, self.library, self.solver, self.values, self._rest_m
@@ -149,7 +158,7 @@ class Case:
         number = np.repeat(np.arange(len(parts)), [len(r) for r in residual])
         return Evidence(np.concatenate(residual), np.concatenate(columns), number)
 
-    def columns(self) -> list[tuple[Nuisance, bool | None]]:
+    def columns(self) -> list[tuple[PressNuisance, bool | None]]:
         """Return the evidence's nuisances, in order, with the data that each belongs to: those of
         the reference, those of the others, None for both."""
         own = [n for n in self.nuisances if n.belongs == OWN]
@@ -163,11 +172,11 @@ class Case:
         """Return the names of the evidence's nuisances."""
         return [n.name + (" (reference)" if whose else "") for n, whose in self.columns()]
 
-    def shared_nuisances(self) -> list[Nuisance]:
+    def shared_nuisances(self) -> list[PressNuisance]:
         """Return those that come first in the evidence: of the unit, not of a data set."""
         return [n for n, whose in self.columns() if whose is None]
 
-    def _column_numbers(self, t: Trajectory) -> list[int | None]:
+    def _column_numbers(self, t: EvidenceTrajectory) -> list[int | None]:
         """Return which of a trajectory's nuisances each column of the evidence is, None for those
         of other data."""
         place = {n.name: k for k, n in enumerate(self.nuisances)}
@@ -176,14 +185,14 @@ class Case:
             for n, whose in self.columns()
         ]
 
-    def _nuisance_columns(self, t: Trajectory) -> Array:
+    def _nuisance_columns(self, t: EvidenceTrajectory) -> FloatArray:
         """Return (n_t, columns) whitened."""
         white = [t.whitening.whiten(column) for column in t.nuisance]
         nothing = np.zeros(t.whitening.size)
         numbers = self._column_numbers(t)
         return np.stack([nothing if k is None else white[k] for k in numbers], axis=1)
 
-    def moved(self, number: int, nuisance: Array) -> Array:
+    def moved(self, number: int, nuisance: FloatArray) -> FloatArray:
         """Return (F, SIZE) what the evidence's nuisances, (columns,) from their means, do to a
         trajectory."""
         t = self.trajectories[number]
@@ -191,26 +200,26 @@ class Case:
         for k, moved in zip(self._column_numbers(t), nuisance.tolist(), strict=True):
             if k is not None:
                 share[k] = self.nuisances[k].centre + moved
-        result: Array = np.tensordot(share, t.nuisance, axes=1)
+        result: FloatArray = np.tensordot(share, t.nuisance, axes=1)
         return result
 
-    def whitened(self, change: Sequence[Array], chosen: Sequence[int]) -> Array:
+    def whitened(self, change: Sequence[FloatArray], chosen: Sequence[int]) -> FloatArray:
         """Return (n,) of a change by trajectory."""
         return np.concatenate([self.trajectories[t].whitening.whiten(change[t]) for t in chosen])
 
-    def pattern_columns(self, chosen: Sequence[int]) -> Array:
+    def pattern_columns(self, chosen: Sequence[int]) -> FloatArray:
         """Return (n, K) whitened patterns of the measured data, those that are there."""
         each = np.eye(len(self.trajectories[0].pattern))
         return np.stack([self.whitened(self.pattern_change(s), chosen) for s in each], axis=1)
 
-    def pattern_change(self, share: Array) -> list[Array]:
+    def pattern_change(self, share: FloatArray) -> list[FloatArray]:
         """Return (F, SIZE) of each trajectory: what patterns do at sizes (K,)."""
         return [
             np.zeros_like(t.predicted) if t.is_reference else np.tensordot(share, t.pattern, axes=1)
             for t in self.trajectories
         ]
 
-    def change_at(self, variant: Variant, size: float) -> list[Array]:
+    def change_at(self, variant: Variant, size: float) -> list[FloatArray]:
         """Return (F, SIZE) of each trajectory: what a variant does at a size, linear between the
         nodes beside it and beyond the outermost."""
         node = variant.node
@@ -221,7 +230,7 @@ class Case:
             for before, after in zip(variant.change[right - 1], variant.change[right], strict=True)
         ]
 
-    def channel_columns(self, variant: Variant, size: float, chosen: Sequence[int]) -> Array:
+    def channel_columns(self, variant: Variant, size: float, chosen: Sequence[int]) -> FloatArray:
         """Return (n, 2) whitened: what a variant at a size does to the skin alone, and to the force
         alone."""
         change = self.change_at(variant, size)
@@ -275,7 +284,7 @@ class Case:
                     requests.append(request_of(t.recording, self.values, effects=[active]))
                     owners.append((id(variant), size, number))
         results, failures = self.solver.run_each(requests, progress)
-        found: dict[tuple[int, float, int], Array] = {}
+        found: dict[tuple[int, float, int], FloatArray] = {}
         for owner, result in zip(owners, results, strict=True):
             if result is not None:
                 t = self.trajectories[owner[2]]
@@ -314,8 +323,8 @@ class Case:
 
 
 def observed_of(
-    recording: Recording, places: Places, simulated: SimulatedPress, rest_m: Array
-) -> Array:
+    recording: Recording, places: Places, simulated: SimulatedPress, rest_m: FloatArray
+) -> FloatArray:
     """Return the observables (F, SIZE) of a simulation, in the channels that were measured."""
     press = recording.press
     skin = None if press.skin_position_m is None else simulated.skin_position_m
@@ -328,15 +337,15 @@ def make_trajectories(
     reference: Sequence[Recording],
     *,
     values: GelValues,
-    nuisances: Sequence[Nuisance],
+    nuisances: Sequence[PressNuisance],
     library: Mapping[str, Effect],
     solver: EffectSolver,
     skin: SkinMesh,
-    noise: Noise,
+    noise: ChannelNoise,
     discrepancy: Discrepancy,
     channels: Sequence[str],
     progress: Progress | None = None,
-) -> tuple[list[Trajectory], list[str]]:
+) -> tuple[list[EvidenceTrajectory], list[str]]:
     """Simulate the twin and its nuisances along recordings.
 
     Args:
@@ -388,7 +397,7 @@ def make_trajectories(
             own=columns[[n.belongs == OWN for n in nuisances]],
         )
         trajectories.append(
-            Trajectory(
+            EvidenceTrajectory(
                 recording,
                 is_reference,
                 places,

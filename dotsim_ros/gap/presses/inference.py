@@ -12,10 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from dotsim_ros.arrays import FloatArray, IntArray
 
 DOUBT = 0.3
 """Degrees of freedom of a trajectory's scale, as a share of its observables: small trusts no
@@ -34,8 +32,8 @@ class Evidence:
         trajectory: (n,) number of the trajectory of each.
     """
 
-    residual: Array
-    nuisance: Array
+    residual: FloatArray
+    nuisance: FloatArray
     trajectory: IntArray
 
     def of(self, trajectories: Sequence[int]) -> Evidence:
@@ -49,15 +47,15 @@ class Evidence:
         """Return the rows that `of` takes."""
         return np.concatenate([np.flatnonzero(self.trajectory == t) for t in trajectories])
 
-    def without(self, change: Array) -> Evidence:
+    def without(self, change: FloatArray) -> Evidence:
         """Return what is left once a change (n,) is explained."""
         return self.with_residual(self.residual - change)
 
-    def with_nuisances(self, columns: Array) -> Evidence:
+    def with_nuisances(self, columns: FloatArray) -> Evidence:
         """Return the same with further nuisances (n, K), each of one deviation."""
         return replace(self, nuisance=np.concatenate([self.nuisance, columns], axis=1))
 
-    def with_residual(self, residual: Array) -> Evidence:
+    def with_residual(self, residual: FloatArray) -> Evidence:
         """Return the same with another residual."""
         return replace(self, residual=residual)
 
@@ -73,17 +71,17 @@ class Fit:
         weight: (T,) of the trajectories, 1 for one whose error is as expected.
     """
 
-    nuisance: Array
-    size: Array
+    nuisance: FloatArray
+    size: FloatArray
     objective: float
-    weight: Array
+    weight: FloatArray
 
 
 def fit(
     evidence: Evidence,
-    columns: Array,
-    low: Array | None = None,
-    high: Array | None = None,
+    columns: FloatArray,
+    low: FloatArray | None = None,
+    high: FloatArray | None = None,
 ) -> Fit:
     """Return the fit of columns (n, k), each size within its bounds (k,).
 
@@ -107,13 +105,13 @@ class Products:
         count: (T,) rows.
     """
 
-    gram: Array
-    right: Array
-    square: Array
-    count: Array
+    gram: FloatArray
+    right: FloatArray
+    square: FloatArray
+    count: FloatArray
 
 
-def products(design: Array, residual: Array, trajectory: IntArray) -> Products:
+def products(design: FloatArray, residual: FloatArray, trajectory: IntArray) -> Products:
     """Return the products of a design (n, m) and a residual (n,) of trajectories (n,)."""
     parts = parts_of(trajectory)
     return Products(
@@ -129,7 +127,7 @@ def parts_of(trajectory: IntArray) -> list[IntArray]:
     return [np.flatnonzero(trajectory == t) for t in range(int(trajectory.max()) + 1)]
 
 
-def settle(known: Products, low: Array, high: Array) -> Fit:
+def settle(known: Products, low: FloatArray, high: FloatArray) -> Fit:
     """Return the fit of a design whose last columns, as many as there are bounds, are sizes, and
     whose others are nuisances."""
     trajectories, m = known.right.shape
@@ -156,18 +154,22 @@ def fit_nuisances(evidence: Evidence) -> Fit:
     return fit(evidence, np.zeros((len(evidence.residual), 0)))
 
 
-def _squares(known: Products, unknown: Array) -> Array:
+def _squares(known: Products, unknown: FloatArray) -> FloatArray:
     """Return (T,) the squares that are left."""
     left = known.square - 2.0 * known.right @ unknown + (known.gram @ unknown) @ unknown
     return np.asarray(np.maximum(left, 0.0))
 
 
-def _objective(square: Array, count: Array, doubt: Array, nuisance: Array) -> float:
+def _objective(
+    square: FloatArray, count: FloatArray, doubt: FloatArray, nuisance: FloatArray
+) -> float:
     scale = (doubt + count) * np.log((doubt + square) / (doubt + count))
     return float(scale.sum() + nuisance @ nuisance)
 
 
-def _bounded(gram: Array, right: Array, q: int, low: Array, high: Array) -> Array:
+def _bounded(
+    gram: FloatArray, right: FloatArray, q: int, low: FloatArray, high: FloatArray
+) -> FloatArray:
     """Return the solution of gram x = right with the sizes, x[q:], held within bounds."""
     m = len(right)
     ridged = gram.copy()
@@ -191,7 +193,9 @@ def _bounded(gram: Array, right: Array, q: int, low: Array, high: Array) -> Arra
     return unknown
 
 
-def log_evidence(evidence: Evidence, found: Fit, columns: Array, precision: Array) -> float:
+def log_evidence(
+    evidence: Evidence, found: Fit, columns: FloatArray, precision: FloatArray
+) -> float:
     """Return the log of the probability of the data, up to a constant of the data alone, by
     Laplace's approximation about a fit (Kass and Raftery 1995, section 4.1).
 
@@ -209,7 +213,7 @@ def log_evidence(evidence: Evidence, found: Fit, columns: Array, precision: Arra
     return -0.5 * (found.objective + float(np.linalg.slogdet(hessian)[1]) - log_prior)
 
 
-def cosines(evidence: Evidence, columns: Array) -> Array:
+def cosines(evidence: Evidence, columns: FloatArray) -> FloatArray:
     """Return (k, k) the isolability matrix: cosines of columns (n, k) with the nuisances, as far as
     their priors let them move, projected out."""
     nuisance = evidence.nuisance
@@ -220,7 +224,7 @@ def cosines(evidence: Evidence, columns: Array) -> Array:
     return np.asarray(inner / np.outer(length, length))
 
 
-def lengths(evidence: Evidence, columns: Array) -> Array:
+def lengths(evidence: Evidence, columns: FloatArray) -> FloatArray:
     """Return (k,) the whitened size of columns (n, k), nuisances projected out as in `cosines`."""
     nuisance = evidence.nuisance
     middle = np.eye(nuisance.shape[1]) + nuisance.T @ nuisance
@@ -229,7 +233,7 @@ def lengths(evidence: Evidence, columns: Array) -> Array:
     return np.asarray(np.sqrt(np.maximum(inner, 0.0)))
 
 
-def draw_null(evidence: Evidence, random: np.random.Generator) -> Array:
+def draw_null(evidence: Evidence, random: np.random.Generator) -> FloatArray:
     """Return a residual (n,) of data without any effect."""
     noise = random.standard_normal(len(evidence.residual))
     moved = random.standard_normal(evidence.nuisance.shape[1])

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap.findings import Pair
 from dotsim_ros.gap.presses.inference import Evidence, cosines, lengths
 from dotsim_ros.measured.recording import Recording
 
-Array = NDArray[np.float64]
-
 
 def pairs_of(
     evidence: Evidence,
     effects: Sequence[Effect],
-    columns: Array,
+    columns: FloatArray,
     recordings: Sequence[Recording],
 ) -> tuple[Pair, ...]:
     """Return every pair of effects.
@@ -57,7 +55,7 @@ def pairs_of(
     return tuple(pairs)
 
 
-def _separations(evidence: Evidence, columns: Array) -> Array:
+def _separations(evidence: Evidence, columns: FloatArray) -> FloatArray:
     """Return (k, k) d = delta sqrt((1 - |rho|) / 2), delta being the larger of the two sizes."""
     size, rho = lengths(evidence, columns), cosines(evidence, columns)
     delta = np.maximum(size[:, None], size[None, :])

@@ -7,15 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dotsim_ros.gap.findings import ChannelGap, Place, WorstFrame
-from dotsim_ros.gap.presses.covariance import Discrepancy, Noise, amplitude, white_variance
-from dotsim_ros.gap.presses.evidence import Case, Trajectory
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, WorstFrame
+from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, amplitude, white_variance
+from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory
 from dotsim_ros.gap.presses.observables import CHANNELS, regions_of_observables
-
-Array = NDArray[np.float64]
-BoolArray = NDArray[np.bool_]
 
 UNITS = {"skin": "m", "force": "N"}
 RESAMPLED = 200
@@ -34,13 +31,15 @@ class Residuals:
         deviation: what noise and discrepancy are expected to leave.
     """
 
-    before: list[Array]
-    recalibrated: list[Array]
-    after: list[Array]
-    deviation: list[Array]
+    before: list[FloatArray]
+    recalibrated: list[FloatArray]
+    after: list[FloatArray]
+    deviation: list[FloatArray]
 
 
-def expected_deviation(t: Trajectory, noise: Noise, discrepancy: Discrepancy) -> Array:
+def expected_deviation(
+    t: EvidenceTrajectory, noise: ChannelNoise, discrepancy: Discrepancy
+) -> FloatArray:
     """Return (F, SIZE) one standard deviation of each observable where no effect is missing."""
     relative = np.diag(discrepancy.between) + np.diag(discrepancy.within)
     scale = amplitude(t.recording, t.recording.press.force_n)
@@ -50,10 +49,10 @@ def expected_deviation(t: Trajectory, noise: Noise, discrepancy: Discrepancy) ->
 def residuals_of(
     case: Case,
     *,
-    recalibrated: Array,
-    refitted: Array,
-    change: Sequence[Array],
-    noise: Noise,
+    recalibrated: FloatArray,
+    refitted: FloatArray,
+    change: Sequence[FloatArray],
+    noise: ChannelNoise,
     discrepancy: Discrepancy,
 ) -> Residuals:
     """Return the residuals of every trajectory of a case.
@@ -95,7 +94,7 @@ def channel_gaps(residuals: Residuals, chosen: Sequence[int]) -> tuple[ChannelGa
     return tuple(gaps)
 
 
-def _rms(parts: Sequence[Array]) -> float:
+def _rms(parts: Sequence[FloatArray]) -> float:
     values = np.concatenate([part[np.isfinite(part)] for part in parts])
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
@@ -133,7 +132,7 @@ def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:
     return float(result[0]), float(result[1]), float(result[2])
 
 
-def _share(sums: Array) -> float:
+def _share(sums: FloatArray) -> float:
     before, after, floor = sums
     # The floor is what is expected: less than that is no more than all of the gap.
     return min(1.0, (before - after) / (before - floor)) if before > floor else float("nan")
@@ -141,10 +140,10 @@ def _share(sums: Array) -> float:
 
 def places_of_gap(
     case: Case, residuals: Residuals, chosen: Sequence[int], random: np.random.Generator
-) -> tuple[Place, ...]:
+) -> tuple[ResidualPlace, ...]:
     """Return the RMS in units of the expected deviation, by trajectory and over all of them."""
     region = np.array(regions_of_observables())
-    sums: dict[tuple[str, str, str], dict[str, Array]] = {}
+    sums: dict[tuple[str, str, str], dict[str, FloatArray]] = {}
     for t in chosen:
         trajectory = case.trajectories[t]
         phase = np.array([p.value for p in trajectory.recording.phase])
@@ -172,10 +171,16 @@ def places_of_gap(
 
 
 def _place(
-    channel: str, trajectory: str, phase: str, region: str, square: Array, low: float, high: float
-) -> Place:
+    channel: str,
+    trajectory: str,
+    phase: str,
+    region: str,
+    square: FloatArray,
+    low: float,
+    high: float,
+) -> ResidualPlace:
     before, after, count = square.tolist()
-    return Place(
+    return ResidualPlace(
         channel,
         trajectory,
         phase,
@@ -188,7 +193,7 @@ def _place(
     )
 
 
-def _interval(squares: Array, random: np.random.Generator) -> tuple[float, float]:
+def _interval(squares: FloatArray, random: np.random.Generator) -> tuple[float, float]:
     if len(squares) < 2:
         return 0.0, 0.0
     drawn = squares[random.integers(len(squares), size=(RESAMPLED, len(squares)))].sum(axis=1)
@@ -200,8 +205,8 @@ def worst_frame(
     case: Case,
     residuals: Residuals,
     chosen: Sequence[int],
-    skins_of: Callable[[int], tuple[Array, Array] | None],
-    rest_m: Array,
+    skins_of: Callable[[int], tuple[FloatArray, FloatArray] | None],
+    rest_m: FloatArray,
 ) -> WorstFrame | None:
     """Return the frame with the largest residual before.
 
@@ -247,6 +252,6 @@ def worst_frame(
     )
 
 
-def _rounded(points_m: Array) -> list[list[float]]:
+def _rounded(points_m: FloatArray) -> list[list[float]]:
     rounded: list[list[float]] = np.round(points_m, 6).tolist()
     return rounded

@@ -11,13 +11,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.recording import Phase, Recording
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 RING_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3, 4.5e-3, 6.5e-3, 10.0e-3, np.inf)
 """Edges of the rings, by the distance at rest from the contact's middle."""
@@ -41,7 +38,7 @@ class Places:
         count: (PATCH_COUNT,) vertices of each; 0 where a patch lies beyond the skin.
     """
 
-    axes: Array
+    axes: FloatArray
     patch: IntArray
     count: IntArray
 
@@ -93,8 +90,12 @@ def places_of(recording: Recording, skin: SkinMesh) -> Places:
 
 
 def observe(
-    places: Places, rest_m: Array, skin_m: Array | None, force_n: Array | None, frame_count: int
-) -> Array:
+    places: Places,
+    rest_m: FloatArray,
+    skin_m: FloatArray | None,
+    force_n: FloatArray | None,
+    frame_count: int,
+) -> FloatArray:
     """Return (F, SIZE) observables; NaN where there is no patch or a channel is missing.
 
     Args:

@@ -7,13 +7,11 @@ effect of the library explains it.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.presses.covariance import amplitude
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE, regions_of_observables
 from dotsim_ros.measured.recording import Phase, Recording
-
-Array = NDArray[np.float64]
 
 PLACES = (("load",), ("apex", "contact"), ("rim",), ("far",))
 """Regions that one pattern covers."""
@@ -23,7 +21,7 @@ LEANING = (("apex", "contact"), ("rim",), ("far",), ("base",))
 """Regions that may go with the sideways force, as far as the dome's base."""
 
 
-def patterns(recording: Recording, predicted: Array, axes: Array) -> Array:
+def patterns(recording: Recording, predicted: FloatArray, axes: FloatArray) -> FloatArray:
     """Return (K, F, SIZE) patterns of a trajectory, each of about one percent of the press.
 
     Args:
@@ -53,7 +51,7 @@ def patterns(recording: Recording, predicted: Array, axes: Array) -> Array:
     return np.stack(result)
 
 
-def _sideways(force_n: Array, axes: Array) -> Array:
+def _sideways(force_n: FloatArray, axes: FloatArray) -> FloatArray:
     """Return (F, 3) the share of the force that is parallel to the base, with its direction, in the
     axes of the observables."""
     lateral = np.nan_to_num(force_n) @ axes * [1.0, 1.0, 0.0]
@@ -61,7 +59,7 @@ def _sideways(force_n: Array, axes: Array) -> Array:
     return np.asarray(np.divide(lateral, size, out=np.zeros_like(lateral), where=size > 0) @ axes.T)
 
 
-def _time_of_hold(recording: Recording) -> Array:
+def _time_of_hold(recording: Recording) -> FloatArray:
     """Return (F,) from -1/2 to 1/2 over a hold, 0 elsewhere."""
     held = [k for k, phase in enumerate(recording.phase) if phase is Phase.HOLD]
     result = np.zeros(len(recording.phase))

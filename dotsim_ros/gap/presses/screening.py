@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import FORCE, SKIN
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, Products, fit, parts_of, settle
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -31,7 +29,7 @@ class Trial:
     size: float
     gain: float
     fit: Fit
-    change: Array
+    change: FloatArray
 
     @property
     def variant(self) -> Variant:
@@ -88,10 +86,10 @@ class Screen:
         self._mixed = np.stack([np.sum(m[:, :count] * m[:, count:], axis=0) for m in moved])
         self._count = np.array([float(len(rows)) for rows in self._parts])
 
-    def _by_trajectory(self, rows_of_all: Array) -> list[Array]:
+    def _by_trajectory(self, rows_of_all: FloatArray) -> list[FloatArray]:
         return [rows_of_all[rows] for rows in self._parts]
 
-    def gains(self, residual: Array) -> tuple[float, Array]:
+    def gains(self, residual: FloatArray) -> tuple[float, FloatArray]:
         """Return the objective of the nuisances alone, and by how much each segment lowers it.
 
         Args:

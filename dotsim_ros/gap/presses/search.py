@@ -6,7 +6,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay
@@ -17,20 +16,17 @@ from dotsim_ros.gap.presses.answer import answer_of, null_gains, screen
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, centred
 from dotsim_ros.gap.presses.certainty import estimates_of, stability_of
 from dotsim_ros.gap.presses.conclusions import findings_of
-from dotsim_ros.gap.presses.covariance import Noise, load_discrepancy, noise_from_idle
+from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.presses.screening import excited_variants
-from dotsim_ros.gap.presses.search_state import Progress, Request, Search
+from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
-
-def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | None]:
+def find_gap(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:
     """Search a data set; return what was found, and the overlay if an effect was named.
 
     Raises:
@@ -45,7 +41,9 @@ def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | 
     unknown = sorted(set(request.candidates) - set(library))
     if unknown:
         raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
-    noise = noise_from_idle(measurement.recordings, measurement.skin.rest_position_m, Noise())
+    noise = noise_from_idle(
+        measurement.recordings, measurement.skin.rest_position_m, ChannelNoise()
+    )
     discrepancy = load_discrepancy(request.discrepancy)
     values = values_of(request.sensor)
     warnings = [
@@ -94,7 +92,7 @@ def find_gap(request: Request, progress: Progress) -> tuple[Findings, Overlay | 
     return replace(findings, solve_count=solver.solve_count, seconds=seconds), overlay
 
 
-def _read(request: Request) -> tuple[Measurement, Measurement | None]:
+def _read(request: GapRequest) -> tuple[Measurement, Measurement | None]:
     own = skin_of(request.sensor.gel)
     measurement = read_measurement(request.measured, own_skin=own, indenters=request.indenters)
     if request.reference is None:

@@ -8,19 +8,16 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.presses.covariance import Discrepancy, Noise
+from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
 from dotsim_ros.specification import SensorSpecification
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 Progress = Callable[[str, int, int], None]
 """Told a step's name, and how much of it is done, of how much."""
@@ -29,7 +26,7 @@ PATTERN_DEVIATION = 20.0
 
 
 @dataclass(frozen=True)
-class Request:
+class GapRequest:
     """What to search, and how.
 
     Attributes:
@@ -87,11 +84,11 @@ class Ranked:
 class Search:
     """What the steps share."""
 
-    request: Request
+    request: GapRequest
     case: Case
     chosen: list[int]
     locked: list[int]
-    noise: Noise
+    noise: ChannelNoise
     discrepancy: Discrepancy
     random: np.random.Generator
     progress: Progress
@@ -110,7 +107,7 @@ class Search:
         return fit_nuisances(self.evidence)
 
     @cached_property
-    def pattern_columns(self) -> Array:
+    def pattern_columns(self) -> FloatArray:
         """(n, K) what a pattern does when it moves by one deviation of its prior."""
         return PATTERN_DEVIATION * self.case.pattern_columns(self.chosen)
 

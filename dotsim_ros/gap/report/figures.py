@@ -5,16 +5,15 @@ from __future__ import annotations
 import matplotlib
 import numpy as np
 from matplotlib.colors import LogNorm
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.findings import ChannelGap, Findings, WorstFrame
 from dotsim_ros.gap.report.places import PlaceTable, strongest
 from dotsim_ros.gap.report.text import shown, shown_unit
 from dotsim_ros.page import LARGEST_WIDTH_INCHES, Picture, page_figure, picture_of
 from dotsim_ros.view.pictures import SKIN_COLOURS
 from dotsim_ros.view.skin_map import SkinMap
-
-Array = NDArray[np.float64]
 
 STAGE_COLOURS = {
     "before": "#8b96a3",
@@ -145,7 +144,7 @@ def worst_frame(worst: WorstFrame, *, with_after: bool) -> tuple[Picture, ...]:
 
 
 def _skin(
-    skin_map: SkinMap, values_mm: Array, largest_mm: float, colours: str, name: str, title: str
+    skin_map: SkinMap, values_mm: FloatArray, largest_mm: float, colours: str, name: str, title: str
 ) -> Picture:
     with page_figure(*_MAP_INCHES) as figure:
         axes = figure.add_subplot()
@@ -165,16 +164,16 @@ def _skin(
         return picture_of(figure, name=f"worst_{name}", alt=alt)
 
 
-def _distance_mm(one_m: ArrayLike, other_m: ArrayLike) -> Array:
+def _distance_mm(one_m: ArrayLike, other_m: ArrayLike) -> FloatArray:
     between = np.asarray(one_m, dtype=np.float64) - np.asarray(other_m, dtype=np.float64)
     return np.asarray(1e3 * np.linalg.norm(between, axis=1))
 
 
-def _largest(values: dict[str, Array]) -> float:
+def _largest(values: dict[str, FloatArray]) -> float:
     return max(1e-6, *(float(np.nanmax(one)) for one in values.values()))
 
 
-def _strongest(table: PlaceTable, values: Array) -> str:
+def _strongest(table: PlaceTable, values: FloatArray) -> str:
     if not np.isfinite(values).any():
         return "nothing measured"
     i, j = np.unravel_index(int(np.nanargmax(values)), values.shape)

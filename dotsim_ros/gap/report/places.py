@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dotsim_ros.gap.findings import Place
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.gap.findings import ResidualPlace
 from dotsim_ros.measured.recording import Phase
-
-Array = NDArray[np.float64]
 
 ALL = "all"
 MOST_COLUMNS = 8
@@ -29,11 +27,11 @@ class PlaceTable:
 
     rows: tuple[str, ...]
     columns: tuple[str, ...]
-    before: Array
-    after: Array
+    before: FloatArray
+    after: FloatArray
 
 
-def by_phase(places: Sequence[Place]) -> PlaceTable:
+def by_phase(places: Sequence[ResidualPlace]) -> PlaceTable:
     """Return residuals of each region of each channel, by what the indenter does."""
     where = _wheres(places)
     order = [phase.value for phase in Phase]
@@ -45,7 +43,7 @@ def by_phase(places: Sequence[Place]) -> PlaceTable:
     )
 
 
-def by_trajectory(places: Sequence[Place]) -> PlaceTable:
+def by_trajectory(places: Sequence[ResidualPlace]) -> PlaceTable:
     """Return residuals of each trajectory, by channel and region; by channel alone where there are
     more regions than a narrow picture can show."""
     where = _wheres(places)
@@ -70,13 +68,13 @@ def strongest(table: PlaceTable, count: int) -> PlaceTable:
     )
 
 
-def _named(places: Sequence[Place], field: str) -> list[str]:
+def _named(places: Sequence[ResidualPlace], field: str) -> list[str]:
     return [
         name for name in dict.fromkeys(getattr(place, field) for place in places) if name != ALL
     ]
 
 
-def _wheres(places: Sequence[Place]) -> list[tuple[str, str]]:
+def _wheres(places: Sequence[ResidualPlace]) -> list[tuple[str, str]]:
     """Return each channel's regions; a channel without any stands for itself."""
     found = []
     for channel in dict.fromkeys(place.channel for place in places if place.channel != ALL):
@@ -94,7 +92,7 @@ def _where_label(channel: str, region: str) -> str:
 
 
 def _table(
-    places: Sequence[Place],
+    places: Sequence[ResidualPlace],
     rows: dict[str, dict[str, str]],
     columns: dict[str, dict[str, str]],
 ) -> PlaceTable:
@@ -106,7 +104,7 @@ def _table(
     return PlaceTable(tuple(rows), tuple(columns), before, after)
 
 
-def _level(places: Sequence[Place], wanted: dict[str, str]) -> tuple[float, float]:
+def _level(places: Sequence[ResidualPlace], wanted: dict[str, str]) -> tuple[float, float]:
     """Return RMS before and after of all that is wanted: as stated, else summed from parts."""
     whole = dict.fromkeys(_FIELDS, ALL) | wanted
     matching = [p for p in places if all(getattr(p, k) == v for k, v in wanted.items())]
@@ -122,7 +120,7 @@ def _level(places: Sequence[Place], wanted: dict[str, str]) -> tuple[float, floa
     return float(np.sqrt(before)), float(np.sqrt(after))
 
 
-def _finest(places: Sequence[Place], free: Sequence[str]) -> list[Place]:
+def _finest(places: Sequence[ResidualPlace], free: Sequence[str]) -> list[ResidualPlace]:
     """Return the places that are split by as much as any is."""
     split = [sum(getattr(place, name) != ALL for name in free) for place in places]
     return [place for place, count in zip(places, split, strict=True) if count == max(split)]

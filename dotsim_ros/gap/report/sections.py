@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import Candidate, Findings, Place, Verdict
+from dotsim_ros.gap.findings import Candidate, Findings, ResidualPlace, Verdict
 from dotsim_ros.gap.report.figures import gap_bars, heatmap, ranking, worst_frame
 from dotsim_ros.gap.report.images import picture_sections
 from dotsim_ros.gap.report.places import ALL, by_phase, by_trajectory
@@ -62,7 +62,7 @@ def page_of(
         _not_apart(gel, effects),
         _remains(gel),
         None if warns_first else _warnings(findings),
-        _not_excited(findings, effects),
+        _not_tried(findings, effects),
         _calibrated(findings),
         _cost(findings, provenance),
     ]
@@ -329,7 +329,7 @@ def _remains(f: Findings) -> Section | None:
     return Section("What remains", tuple(blocks)) if blocks else None
 
 
-def _place_row(p: Place, with_after: bool) -> tuple[str, ...]:
+def _place_row(p: ResidualPlace, with_after: bool) -> tuple[str, ...]:
     interval = f" ({p.low:.2g} to {p.high:.2g})" if p.high > 0.0 else ""
     return (
         f"{p.channel}, {p.region}, {p.phase}",
@@ -340,17 +340,24 @@ def _place_row(p: Place, with_after: bool) -> tuple[str, ...]:
     )
 
 
-def _not_excited(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
+def _not_tried(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
+    blocks: list[Block] = []
     rows = tuple(
         (c.title, effects[c.name].protocol if c.name in effects else "see the effect's file")
         for c in (*f.candidates, *(() if f.optical is None else f.optical.candidates))
         if not c.is_excited
     )
-    if not rows:
-        return None
-    text = "No trajectory excites these effects: they are neither found nor excluded."
-    blocks = (Paragraph(text), Table(("effect", "what to record"), rows))
-    return Section("Not tried", blocks)
+    if rows:
+        text = "No trajectory excites these effects: they are neither found nor excluded."
+        blocks += [Paragraph(text), Table(("effect", "what to record"), rows)]
+    if f.optical is not None and f.optical.not_tried:
+        titles = [effects[n].title if n in effects else n for n in f.optical.not_tried]
+        text = "How large these effects seem in images in which nothing is wrong is not known: "
+        text += "they are neither found nor excluded. dotsim_ros find-gap --fit-optical-noise FILE "
+        text += "learns it, --optical-noise FILE takes it."
+        rows = tuple((title, name) for title, name in zip(titles, f.optical.not_tried, strict=True))
+        blocks += [Paragraph(text), Table(("effect", "its file"), rows)]
+    return Section("Not tried", tuple(blocks)) if blocks else None
 
 
 def _calibrated(f: Findings) -> Section | None:

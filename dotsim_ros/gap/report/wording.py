@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import Estimate
-from dotsim_ros.gap.findings import ChannelGap, Place, Verdict
+from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, Verdict
 from dotsim_ros.measured.measurement import Measurement, protocol_of
 from dotsim_ros.measured.recording import Phase
 
@@ -58,7 +58,7 @@ def shown(estimate: Estimate) -> str:
     return f"{estimate.name} = {estimate.value:.3g}{unit} [{estimate.low:.3g}, {estimate.high:.3g}]"
 
 
-def largest_place(places: Sequence[Place]) -> str:
+def largest_place(places: Sequence[ResidualPlace]) -> str:
     """Return where the residual is largest over all trajectories, in words."""
     every = [p for p in places if p.trajectory == "all"]
     if not every:
@@ -180,6 +180,40 @@ def picture_warnings(noise_sensor: str, noise_source: str, sensor: str, count: i
     if count < FEW:
         texts.append(f"{count} trajectories with images are few: record {FEW} at least")
     return texts
+
+
+def not_tried_sentence(effects: Sequence[Effect]) -> str:
+    """Return which effects no image was searched for."""
+    return f"Not tried: {', '.join(_amid(effect.title) for effect in effects)}."
+
+
+def not_tried_warning(effects: Sequence[Effect], least: int, reason: str) -> str:
+    """Return why images were not searched for some effects, and what to do.
+
+    Args:
+        effects: whose sizes in images with nothing wrong are not known.
+        least: trajectories that can tell them.
+        reason: why the reference does not; empty without one.
+    """
+    text = (
+        f"not tried in the images: {', '.join(effect.name for effect in effects)}. How large they "
+        "seem where nothing is missing is not known"
+    )
+    if reason:
+        text += f", and the reference does not tell it ({reason})"
+    return (
+        f"{text}. Learn it from {least} trajectories or more with images in which nothing is "
+        "wrong: dotsim_ros find-gap --measured DIR --effects DIR --fit-optical-noise FILE, then "
+        "search with --optical-noise FILE; or give those trajectories as --reference"
+    )
+
+
+def told_by_reference(effects: Sequence[Effect], source: str) -> str:
+    """Return that the reference told what images show of some effects where nothing is missing."""
+    return (
+        f"the images' noise knows nothing of {', '.join(effect.name for effect in effects)}: their "
+        f"limits come from {source}, the reference, in which nothing is taken to be wrong"
+    )
 
 
 def _amid(title: str) -> str:

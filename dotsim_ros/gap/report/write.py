@@ -8,16 +8,14 @@ from pathlib import Path
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FILE_NAME, Overlay, write_overlay
-from dotsim_ros.files import whole_file, write_json
+from dotsim_ros.files import write_json
 from dotsim_ros.gap.findings import Findings, as_record
 from dotsim_ros.gap.report.sections import page_of
-from dotsim_ros.page import as_html, as_markdown, pictures_of
+from dotsim_ros.page import write_page
 from dotsim_ros.provenance import provenance
 
 FINDINGS = "findings.json"
 PROVENANCE = "provenance.json"
-HTML = "report.html"
-MARKDOWN = "report.md"
 
 
 def write_findings(
@@ -27,7 +25,7 @@ def write_findings(
     *,
     effects: Sequence[Path] = (),
 ) -> None:
-    """Write a report, and the overlay where there is one.
+    """Write a report, and the overlay where there is one, in place of those of an earlier search.
 
     Args:
         directory: made where it is absent.
@@ -36,7 +34,9 @@ def write_findings(
         effects: folders of the user's own.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    if overlay is not None:
+    if overlay is None:
+        (directory / FILE_NAME).unlink(missing_ok=True)
+    else:
         write_overlay(directory / FILE_NAME, overlay)
     write_report(directory, findings, effects=load_effects(effects))
 
@@ -47,7 +47,8 @@ def write_report(
     """Write findings into a folder, each file whole or not at all.
 
     The folder gets `findings.json` (as `findings_of` reads it), `provenance.json`, `report.html`,
-    which needs none of the others, `report.md`, and the pictures of the latter.
+    which needs none of the others, `report.md`, and the pictures of the latter; those of the report
+    before go.
 
     Args:
         directory: made where it is absent.
@@ -61,11 +62,4 @@ def write_report(
     origin = provenance()
     write_json(directory / FINDINGS, as_record(findings))
     write_json(directory / PROVENANCE, origin)
-    page = page_of(findings, origin, effects)
-    for picture in pictures_of(page):
-        with whole_file(directory / f"{picture.name}.png") as part:
-            part.write_bytes(picture.png)
-    for name, text in ((MARKDOWN, as_markdown(page)), (HTML, as_html(page))):
-        with whole_file(directory / name) as part:
-            part.write_text(text, encoding="utf-8")
-    return directory / HTML
+    return write_page(directory, page_of(findings, origin, effects))

@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.adjoint.differentiable_contact import ContactAdjoint
 from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
 from dotsim_ros.gel.adjoint.kernels import adjoint_kernels
 from dotsim_ros.gel.adjoint.loaded_contact import LoadedContact
-from dotsim_ros.gel.adjoint.recorder import ContactRecord, Substep, Trajectory, elastic_stiffness
+from dotsim_ros.gel.adjoint.recorder import ContactRecord, GelTrajectory, Substep, elastic_stiffness
 from dotsim_ros.gel.adjoint.rest_points import RestPoints, pulled
 from dotsim_ros.gel.elasticity import BOND_STIFFNESS, GHOST_PENALTY
 from dotsim_ros.gel.implicit.contact import REFERENCE_SPACING_M
@@ -38,12 +38,10 @@ from dotsim_ros.gel.implicit.relaxation import StressMemory
 from dotsim_ros.gel.reshape import shape_rates
 from dotsim_ros.geometry.pose import Pose
 
-Array = NDArray[np.float64]
-
 
 def trajectory_gradient(
     gel: ImplicitGel,
-    trajectory: Trajectory,
+    trajectory: GelTrajectory,
     loss_gradient: Sequence[LossGradient | None],
     *,
     environment: int = 0,
@@ -88,10 +86,10 @@ def trajectory_gradient(
 class _Carried:
     """Derivatives by what a substep hands on to the next one."""
 
-    memory: Array
-    skin: Array
-    displacement: Array
-    velocity: Array
+    memory: FloatArray
+    skin: FloatArray
+    displacement: FloatArray
+    velocity: FloatArray
     relaxation: StressMemory
 
 
@@ -102,18 +100,18 @@ class _Sums:
     `shear_modulus`, `poisson_ratio`), by the rest positions, volumes and areas of particles,
     markers and bonded points, and by the rest."""
 
-    coefficients: Array
-    shares: Array
-    times_s: Array
-    shape: Array
-    particle: Array
-    volume: Array
-    marker: Array
-    marker_area: Array
-    bonded: Array
-    bonded_area: Array
-    offset: Array = field(default_factory=lambda: np.zeros(6))
-    twists: list[Array] = field(default_factory=list)
+    coefficients: FloatArray
+    shares: FloatArray
+    times_s: FloatArray
+    shape: FloatArray
+    particle: FloatArray
+    volume: FloatArray
+    marker: FloatArray
+    marker_area: FloatArray
+    bonded: FloatArray
+    bonded_area: FloatArray
+    offset: FloatArray = field(default_factory=lambda: np.zeros(6))
+    twists: list[FloatArray] = field(default_factory=list)
     youngs_modulus: float = 0.0
     shear_modulus: float = 0.0
     poisson_ratio: float = 0.0
@@ -195,13 +193,13 @@ class _Backward:
         if record is not None:
             self.sums.offset += _in_frame(self.twist, record.pose)
 
-    def _remembered_position(self, substep: Substep, pose: Pose) -> Array:
+    def _remembered_position(self, substep: Substep, pose: Pose) -> FloatArray:
         """Return the derivatives (V, 3) by the skin through the position that contact remembers."""
         by_position = -self.carried.memory @ pose.rotation().T
         self._turn_indenter(substep.skin_position_m, by_position)
         return by_position
 
-    def _turn_indenter(self, position_m: Array, by_position: Array) -> None:
+    def _turn_indenter(self, position_m: FloatArray, by_position: FloatArray) -> None:
         """Add the twist of a pose that sees positions (V, 3) in its frame."""
         self.twist[:3] -= by_position.sum(axis=0)
         self.twist[3:] -= np.cross(position_m, by_position).sum(axis=0)
@@ -232,9 +230,9 @@ class _Backward:
         self,
         substep: Substep,
         contact: LoadedContact,
-        virtual: Array,
-        by_force: Array,
-        by_position: Array,
+        virtual: FloatArray,
+        by_force: FloatArray,
+        by_position: FloatArray,
     ) -> None:
         sums, gradient = self.sums, self.points.marker_gradient
         sums.marker += by_position
@@ -255,7 +253,7 @@ class _Backward:
             added = contact.added_displacement(self.by_poisson, force)
             sums.poisson_ratio += float(np.vdot(by_position, added))
 
-    def _history(self, substep: Substep) -> tuple[float, Array]:
+    def _history(self, substep: Substep) -> tuple[float, FloatArray]:
         """Give the body the relaxation of a substep; return its fast share and history."""
         if not self.gel.material.prony.shares:
             return 1.0, substep.relaxation.last_pa
@@ -265,8 +263,8 @@ class _Backward:
         return fast_share, history_pa
 
     def _add_particles(
-        self, substep: Substep, virtual: Array, fast: float, history_pa: Array
-    ) -> tuple[float, Array]:
+        self, substep: Substep, virtual: FloatArray, fast: float, history_pa: FloatArray
+    ) -> tuple[float, FloatArray]:
         """Add what elasticity depends on; return the derivatives by the fast share and by the
         history (P, 3, 3) of relaxation."""
         body, k = self.gel.body, self.kernels
@@ -300,10 +298,10 @@ class _Backward:
         self._move_particles(weight_gradient.grad.numpy())
         return float(fast_share.grad.numpy()[0]), history_stress.grad.numpy()[0].copy()
 
-    def _stress_adjoint(self, substep: Substep) -> Array | None:
+    def _stress_adjoint(self, substep: Substep) -> FloatArray | None:
         """Return the derivatives (N, 3) by the nodes through the stress that relaxation remembers;
         add those by the law and the geometry."""
-        self.stress: Array | None = None
+        self.stress: FloatArray | None = None
         if not self.gel.material.prony.shares:
             return None
         body, k = self.gel.body, self.kernels
@@ -326,10 +324,12 @@ class _Backward:
         self.stress = stress.numpy()[0].copy()
         self.sums.coefficients += coefficients.grad.numpy()[0]
         self._move_particles(weight_gradient.grad.numpy())
-        by_node: Array = displacement.grad.numpy()[0].copy()
+        by_node: FloatArray = displacement.grad.numpy()[0].copy()
         return by_node
 
-    def _go_back_in_relaxation(self, substep: Substep, by_fast: float, by_history: Array) -> None:
+    def _go_back_in_relaxation(
+        self, substep: Substep, by_fast: float, by_history: FloatArray
+    ) -> None:
         if self.stress is None:
             return
         adjoint = self.gel._relaxation[self.environment].step_adjoint(
@@ -344,12 +344,12 @@ class _Backward:
         self.sums.shares += adjoint.shares
         self.sums.times_s += adjoint.times_s
 
-    def _move_particles(self, by_weight_gradient: Array) -> None:
+    def _move_particles(self, by_weight_gradient: FloatArray) -> None:
         self.sums.particle += np.einsum(
             "paj,paij->pi", by_weight_gradient, self.points.particle_curvature
         )
 
-    def _add_bond_and_ghost(self, substep: Substep, virtual: Array) -> None:
+    def _add_bond_and_ghost(self, substep: Substep, virtual: FloatArray) -> None:
         gel, sums, points = self.gel, self.sums, self.points
         d, h, u = gel.discretization, gel.discretization.spacing_m, substep.displacement_m
         scale = BOND_STIFFNESS / h
@@ -362,7 +362,7 @@ class _Backward:
         moved += pulled(points.bonded_gradient.at(virtual), here)
         sums.bonded -= scale * points.bonded_area_m2[:, None] * moved
 
-    def _add_inertia(self, substep: Substep, virtual: Array) -> Array:
+    def _add_inertia(self, substep: Substep, virtual: FloatArray) -> FloatArray:
         """Return the derivatives (N, 3) by where the nodes would go without forces."""
         inertia = substep.inertia
         if inertia is None:
@@ -385,7 +385,7 @@ class _Backward:
         chosen = self.gel.body.coefficients.numpy()[self.environment : self.environment + 1]
         return self._array(chosen, self.kernels.vec5)
 
-    def _array(self, values: Array, dtype: Any) -> Any:
+    def _array(self, values: FloatArray, dtype: Any) -> Any:
         contiguous = np.ascontiguousarray(values)
         return wp.array(contiguous, dtype=dtype, device=self.gel.device, requires_grad=True)
 
@@ -437,7 +437,7 @@ class _Backward:
         return result
 
 
-def _in_frame(twist: Array, pose: Pose) -> Array:
+def _in_frame(twist: FloatArray, pose: Pose) -> FloatArray:
     """Return the derivatives by a motion along a pose's axes and about its origin, from those by a
     motion along the base's axes and about the base's origin."""
     about_origin = twist[3:] - np.cross(pose.position_m, twist[:3])

@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.adjoint.kernels import adjoint_kernels
 from dotsim_ros.gel.implicit.contact import Contact
 from dotsim_ros.geometry.pose import Pose
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -30,13 +27,13 @@ class ContactAdjoint:
         twist: (6,) by a translation of the indenter and a rotation about the base's origin.
     """
 
-    position: Array
-    memory: Array
+    position: FloatArray
+    memory: FloatArray
     stiffness: float
     tangential_stiffness: float
     friction: float
-    shape: Array
-    twist: Array
+    shape: FloatArray
+    twist: FloatArray
 
 
 class MarkerContact:
@@ -58,7 +55,12 @@ class MarkerContact:
     """
 
     def __init__(
-        self, contact: Contact, area_m2: Array, position_m: Array, pose: Pose, memory_m: Array
+        self,
+        contact: Contact,
+        area_m2: FloatArray,
+        position_m: FloatArray,
+        pose: Pose,
+        memory_m: FloatArray,
     ) -> None:
         self._kernels, self._device = adjoint_kernels(), contact.device
         self._field: Any = contact.field
@@ -92,22 +94,22 @@ class MarkerContact:
                 outputs=[self._force, self._slip, pressure],
                 device=self._device,
             )
-        self.force_n: Array = self._force.numpy() @ self._rotation.T
-        self.pressure_pa: Array = pressure.numpy()
-        self.slip_m: Array = self._slip.numpy().copy()
+        self.force_n: FloatArray = self._force.numpy() @ self._rotation.T
+        self.pressure_pa: FloatArray = pressure.numpy()
+        self.slip_m: FloatArray = self._slip.numpy().copy()
 
-    def _array(self, values: Array, dtype: Any) -> Any:
+    def _array(self, values: FloatArray, dtype: Any) -> Any:
         contiguous = np.ascontiguousarray(values)
         return wp.array(contiguous, dtype=dtype, device=self._device, requires_grad=True)
 
-    def _backward(self, local_force: Array, slip: Array) -> None:
+    def _backward(self, local_force: FloatArray, slip: FloatArray) -> None:
         for array in (self._local, self._memory, self._constants, self._field.parameters):
             array.grad.zero_()
         self._force.grad.assign(np.ascontiguousarray(local_force))
         self._slip.grad.assign(np.ascontiguousarray(slip))
         self._tape.backward()
 
-    def stiffness(self) -> Array:
+    def stiffness(self) -> FloatArray:
         """Return (A, 3, 3) derivatives of the forces by the positions, [.., force, position]; with
         friction they are not symmetric."""
         count = len(self.force_n)
@@ -117,10 +119,10 @@ class MarkerContact:
             seed[:, i] = 1.0
             self._backward(seed, np.zeros((count, 3)))
             rows[:, i] = self._local.grad.numpy()
-        turned: Array = self._rotation @ rows @ self._rotation.T
+        turned: FloatArray = self._rotation @ rows @ self._rotation.T
         return turned
 
-    def adjoint(self, force: Array, slip: Array) -> ContactAdjoint:
+    def adjoint(self, force: FloatArray, slip: FloatArray) -> ContactAdjoint:
         """Return the derivatives from those by the forces (A, 3), base frame, and by the slip
         (A, 3), indenter's frame."""
         self._backward(force @ self._rotation, slip)

@@ -20,12 +20,10 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement import Refinement
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 SETTLED_M = 1.0e-12
 """Newton's method ends when an iteration moves neither a marker nor a node farther."""
@@ -50,7 +48,7 @@ class ElasticFactor:
     """
 
     def __init__(
-        self, stiffness: sparse.csr_matrix, node_cell: NDArray[np.int64], node: IntArray
+        self, stiffness: sparse.csr_matrix, node_cell: NDArray[np.int64], node: IndexArray
     ) -> None:
         self.node = node
         self.dof = (3 * node[:, None] + np.arange(3)).ravel()
@@ -62,24 +60,24 @@ class ElasticFactor:
             self.solve = splu(stiffness.tocsc()).solve
         unit = np.zeros((stiffness.shape[0], len(self.dof)))
         unit[self.dof, np.arange(len(self.dof))] = 1.0
-        self.compliance: Array = self.solve(unit)[self.dof]
+        self.compliance: FloatArray = self.solve(unit)[self.dof]
 
 
-class Linearisation:
+class EquilibriumLinearisation:
     """A = K - C on the factor's nodes, with the contact's stiffness C (3 n, 3 n)."""
 
-    def __init__(self, elastic: ElasticFactor, contact: Array) -> None:
+    def __init__(self, elastic: ElasticFactor, contact: FloatArray) -> None:
         self.elastic, self.contact = elastic, contact
 
-    def solve(self, right: Array) -> Array:
+    def solve(self, right: FloatArray) -> FloatArray:
         """Return A^-1 right (3 N,)."""
         return self._solve(right, self.contact)
 
-    def solve_transposed(self, right: Array) -> Array:
+    def solve_transposed(self, right: FloatArray) -> FloatArray:
         """Return A^-T right (3 N,)."""
         return self._solve(right, self.contact.T)
 
-    def _solve(self, right: Array, contact: Array) -> Array:
+    def _solve(self, right: FloatArray, contact: FloatArray) -> FloatArray:
         elastic = self.elastic
         if len(elastic.dof) == 0:
             return np.asarray(elastic.solve(right))
@@ -95,24 +93,24 @@ class FinePart:
     """B between some markers: their weights (C, F) on the refinement's nodes beside them, and the
     compliance (3 F, 3 F) of those, m/N."""
 
-    node: IntArray
+    node: IndexArray
     weight: sparse.csr_matrix
-    compliance: Array
+    compliance: FloatArray
 
-    def displacement(self, force_n: Array) -> Array:
+    def displacement(self, force_n: FloatArray) -> FloatArray:
         """Return B f (C, 3) for forces (C, 3)."""
         nodal = (self.compliance @ (self.weight.T @ force_n).ravel()).reshape(-1, 3)
-        moved: Array = self.weight @ nodal
+        moved: FloatArray = self.weight @ nodal
         return moved
 
-    def dense(self, rows: NDArray[np.int64]) -> Array:
+    def dense(self, rows: NDArray[np.int64]) -> FloatArray:
         """Return B (3 A, 3 A) between the given markers."""
         spread = sparse.kron(self.weight[rows], sparse.eye(3), format="csr")
-        result: Array = spread @ (spread @ self.compliance).T
+        result: FloatArray = spread @ (spread @ self.compliance).T
         return result
 
 
-def fine_part(refinement: Refinement, marker: IntArray) -> FinePart:
+def fine_part(refinement: Refinement, marker: IndexArray) -> FinePart:
     """Return the refinement as the given markers see it."""
     weight = refinement.skin_weight[marker]
     node = np.unique(weight.indices).astype(np.int32)
@@ -120,8 +118,8 @@ def fine_part(refinement: Refinement, marker: IntArray) -> FinePart:
 
 
 def contact_response_matrix(
-    stiffness: Array, fine: FinePart | None, rows: NDArray[np.int64]
-) -> Array:
+    stiffness: FloatArray, fine: FinePart | None, rows: NDArray[np.int64]
+) -> FloatArray:
     """Return (3 A, 3 A) H (1 - B H)^-1 of markers with df/dx (A, 3, 3), `rows` of the fine part:
     how their forces answer a displacement of the grid."""
     count = len(stiffness)
@@ -135,10 +133,12 @@ def contact_response_matrix(
     return np.asarray(linalg.solve(yielding, own))
 
 
-def contact_on_nodes(response: Array, weight: sparse.csr_matrix, node: IntArray) -> Array:
+def contact_on_nodes(
+    response: FloatArray, weight: sparse.csr_matrix, node: IndexArray
+) -> FloatArray:
     """Return S^T R S (3 n, 3 n) on the given nodes, for R (3 A, 3 A) and weights (A, N)."""
     spread = sparse.kron(weight[:, node], sparse.eye(3), format="csr")
-    result: Array = spread.T @ (spread.T @ response.T).T
+    result: FloatArray = spread.T @ (spread.T @ response.T).T
     return result
 
 
@@ -152,9 +152,9 @@ class Equilibrium:
         residual_m: how far the last iteration moved anything.
     """
 
-    displacement_m: Array
-    force_n: Array
-    pressure_pa: Array
+    displacement_m: FloatArray
+    force_n: FloatArray
+    pressure_pa: FloatArray
     residual_m: float
 
 
@@ -170,20 +170,20 @@ class Candidates:
         respond: the contact of some of them (their rows) at positions (A, 3).
     """
 
-    marker: IntArray
-    rest_position_m: Array
-    start_m: Array
+    marker: IndexArray
+    rest_position_m: FloatArray
+    start_m: FloatArray
     weight: sparse.csr_matrix
     fine: FinePart | None
-    respond: Callable[[NDArray[np.int64], Array], MarkerContact]
-    distance: Callable[[Array], Array]
+    respond: Callable[[NDArray[np.int64], FloatArray], MarkerContact]
+    distance: Callable[[FloatArray], FloatArray]
 
 
 def settle(
-    start_m: Array,
+    start_m: FloatArray,
     node_cell: NDArray[np.int64],
-    forces: Callable[[Array], Array],
-    stiffness: Callable[[Array], sparse.csr_matrix],
+    forces: Callable[[FloatArray], FloatArray],
+    stiffness: Callable[[FloatArray], sparse.csr_matrix],
     candidates: Candidates | None,
 ) -> Equilibrium:
     """Solve the equations at equilibrium to rounding, from a state close to it.
@@ -204,10 +204,10 @@ def settle(
 
 
 def _settle_free(
-    start_m: Array,
+    start_m: FloatArray,
     node_cell: NDArray[np.int64],
-    forces: Callable[[Array], Array],
-    stiffness: Callable[[Array], sparse.csr_matrix],
+    forces: Callable[[FloatArray], FloatArray],
+    stiffness: Callable[[FloatArray], sparse.csr_matrix],
 ) -> Equilibrium:
     displacement, moved = start_m, np.inf
     for _ in range(ITERATIONS):
@@ -224,10 +224,10 @@ class _Settling:
 
     def __init__(
         self,
-        start_m: Array,
+        start_m: FloatArray,
         node_cell: NDArray[np.int64],
-        forces: Callable[[Array], Array],
-        stiffness: Callable[[Array], sparse.csr_matrix],
+        forces: Callable[[FloatArray], FloatArray],
+        stiffness: Callable[[FloatArray], sparse.csr_matrix],
         candidates: Candidates,
     ) -> None:
         self.displacement_m, self.node_cell = start_m, node_cell
@@ -274,7 +274,7 @@ class _Settling:
         factor = self._renew_factor(weight)
         right = c.weight.T @ force - self.forces(self.displacement_m)
         right += weight.T @ (response @ lag[active].ravel()).reshape(-1, 3)
-        solver = Linearisation(factor, contact_on_nodes(response, weight, factor.node))
+        solver = EquilibriumLinearisation(factor, contact_on_nodes(response, weight, factor.node))
         step = solver.solve(right.ravel()).reshape(-1, 3)
         move = c.weight @ step + lag
         if c.fine is not None and len(active):

@@ -6,11 +6,9 @@ import dataclasses
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import ElasticLaw
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -22,9 +20,9 @@ class LossGradient:
         force, torque: (3,) by the wrench on the indenter.
     """
 
-    skin: Array | None = None
-    force: Array = field(default_factory=lambda: np.zeros(3))
-    torque: Array = field(default_factory=lambda: np.zeros(3))
+    skin: FloatArray | None = None
+    force: FloatArray = field(default_factory=lambda: np.zeros(3))
+    torque: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True)
@@ -47,17 +45,17 @@ class Gradient:
             its rest positions, by which the loss has further derivatives of its own.
     """
 
-    coefficients: Array
-    prony_shares: Array
-    prony_times_s: Array
+    coefficients: FloatArray
+    prony_shares: FloatArray
+    prony_times_s: FloatArray
     density_kg_m3: float
     friction_coefficient: float
     contact_stiffness: float
     tangential_ratio: float
-    indenter_parameters: Array
-    indenter_twist: Array
-    indenter_offset: Array
-    substep_twist: Array
+    indenter_parameters: FloatArray
+    indenter_twist: FloatArray
+    indenter_offset: FloatArray
+    substep_twist: FloatArray
     geometry: dict[str, float]
 
     def by_law(self, law: ElasticLaw) -> dict[str, float]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.adjoint.equilibrium import (
     ElasticFactor,
-    Linearisation,
+    EquilibriumLinearisation,
     contact_on_nodes,
     contact_response_matrix,
     fine_part,
@@ -18,8 +18,6 @@ from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import ContactRecord, Substep
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement
-
-Array = NDArray[np.float64]
 
 
 class LoadedContact:
@@ -31,7 +29,7 @@ class LoadedContact:
         substep: Substep,
         record: ContactRecord | None,
         loss: LossGradient,
-        by_memory: Array,
+        by_memory: FloatArray,
     ) -> None:
         self.gel, self.loss = gel, loss
         self.marker = np.zeros(0, dtype=np.int32)
@@ -50,7 +48,7 @@ class LoadedContact:
         )
         self.by_slip = by_memory[record.marker]
 
-    def add_to(self, by_skin: Array) -> Array:
+    def add_to(self, by_skin: FloatArray) -> FloatArray:
         """Add the derivatives by the markers' positions through the torque and the slip."""
         if self.marker_contact is None:
             return by_skin
@@ -61,8 +59,8 @@ class LoadedContact:
         return result
 
     def solve(
-        self, stiffness: sparse.csr_matrix, by_node: Array, by_skin: Array
-    ) -> tuple[Array, Array, Array]:
+        self, stiffness: sparse.csr_matrix, by_node: FloatArray, by_skin: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return the virtual displacement (N, 3), and the derivatives by the forces (A, 3) and by
         the positions of the skin (V, 3) once all follows from equilibrium."""
         gel = self.gel
@@ -82,7 +80,7 @@ class LoadedContact:
         # With phi = (1 - B H^T)^-1 (by_force + S lambda): H^T phi = response^T (...)
         pulled = (response.T @ by_force.ravel()).reshape(-1, 3)
         right = right + weight.T @ pulled
-        solver = Linearisation(
+        solver = EquilibriumLinearisation(
             ElasticFactor(stiffness, node_cell, node), contact_on_nodes(response, weight, node)
         )
         virtual = solver.solve_transposed(right.ravel()).reshape(-1, 3)
@@ -94,19 +92,19 @@ class LoadedContact:
         by_position[self.marker] += pulled
         return virtual, total, by_position
 
-    def added_displacement(self, refinement: Refinement, force_n: Array) -> Array:
+    def added_displacement(self, refinement: Refinement, force_n: FloatArray) -> FloatArray:
         """Return B f (V, 3), a refinement's displacement of the skin under forces (A, 3)."""
         nodal = refinement.skin_weight[self.marker].T @ force_n
         loaded = np.flatnonzero(np.any(nodal, axis=1)).astype(np.int32)
-        moved: Array = refinement.skin_weight @ refinement.displacement(loaded, nodal[loaded])
+        moved: FloatArray = refinement.skin_weight @ refinement.displacement(loaded, nodal[loaded])
         return moved
 
-    def added_displacement_adjoint(self, by_skin: Array) -> Array:
+    def added_displacement_adjoint(self, by_skin: FloatArray) -> FloatArray:
         """Return B^T (A, 3) of derivatives (V, 3) by the skin."""
         refinement = self.gel.refinement
         assert refinement is not None
         nodal = refinement.skin_weight.T @ by_skin
         loaded = np.flatnonzero(np.any(nodal, axis=1)).astype(np.int32)
         added = refinement.displacement(loaded, nodal[loaded])
-        result: Array = refinement.skin_weight[self.marker] @ added
+        result: FloatArray = refinement.skin_weight[self.marker] @ added
         return result

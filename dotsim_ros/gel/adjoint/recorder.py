@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.adjoint.equilibrium import Candidates, fine_part, settle
 from dotsim_ros.gel.implicit.contact import Lag
@@ -16,9 +17,6 @@ from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel, Inertia, World
 from dotsim_ros.gel.implicit.newton import Point
 from dotsim_ros.gel.implicit.relaxation import StressMemory
 from dotsim_ros.geometry.pose import Pose
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -35,8 +33,8 @@ class ContactRecord:
     """
 
     pose: Pose
-    marker: IntArray
-    memory_m: Array
+    marker: IndexArray
+    memory_m: FloatArray
     is_fresh: bool
 
 
@@ -55,16 +53,16 @@ class Substep:
     """
 
     dt_s: float
-    displacement_m: Array
-    skin_position_m: Array
-    skin_before_m: Array
+    displacement_m: FloatArray
+    skin_position_m: FloatArray
+    skin_before_m: FloatArray
     contact: ContactRecord | None
     relaxation: StressMemory
     inertia: Inertia | None
 
 
 @dataclass
-class Trajectory:
+class GelTrajectory:
     """The substeps of one environment since the recorder was made.
 
     Attributes:
@@ -93,7 +91,7 @@ class Recorder:
     def __init__(self, gel: ImplicitGel) -> None:
         gel.reset()
         self.gel = gel
-        self.trajectories = [Trajectory() for _ in range(gel.environment_count)]
+        self.trajectories = [GelTrajectory() for _ in range(gel.environment_count)]
 
     def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
         """Step the gel as `ImplicitGel.step` does.
@@ -124,10 +122,10 @@ class Recorder:
     ) -> Point:
         gel = self.gel
 
-        def forces(displacement_m: Array) -> Array:
+        def forces(displacement_m: FloatArray) -> FloatArray:
             return gel.elastic(displacement_m, inertia, environment)[1]
 
-        def stiffness(displacement_m: Array) -> sparse.csr_matrix:
+        def stiffness(displacement_m: FloatArray) -> sparse.csr_matrix:
             return elastic_stiffness(gel, displacement_m, inertia, environment)
 
         candidates = None
@@ -157,13 +155,13 @@ class Recorder:
         return problem.at(displacement, settled.force_n, lag)
 
 
-def _present(pressure_pa: Array) -> Lag:
+def _present(pressure_pa: FloatArray) -> Lag:
     """Return what friction needs to use these pressures (C,) and the present normals."""
     return Lag(pressure_pa, np.zeros((len(pressure_pa), 3)))
 
 
 def elastic_stiffness(
-    gel: ImplicitGel, displacement_m: Array, inertia: Inertia | None, environment: int
+    gel: ImplicitGel, displacement_m: FloatArray, inertia: Inertia | None, environment: int
 ) -> sparse.csr_matrix:
     """Return the derivative (3 N, 3 N) of the forces of elasticity and inertia."""
     result = gel.body.stiffness(displacement_m, environment)
@@ -172,7 +170,7 @@ def elastic_stiffness(
     return result.tocsr()
 
 
-def _memory(world: World) -> Array:
+def _memory(world: World) -> FloatArray:
     """Return slip minus position (V, 3) at the end of the last substep, indenter's frame."""
     assert world.history is not None
     return world.history.slip_m - world.history.local_position_m
@@ -185,10 +183,10 @@ def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: Point) -> Can
     area = gel.skin.rest_area_m2[marker]
     rotation = pose.rotation()
 
-    def respond(rows: NDArray[np.int64], position_m: Array) -> MarkerContact:
+    def respond(rows: NDArray[np.int64], position_m: FloatArray) -> MarkerContact:
         return MarkerContact(gel.contact, area[rows], position_m, pose, memory[rows])
 
-    def distance(position_m: Array) -> Array:
+    def distance(position_m: FloatArray) -> FloatArray:
         return gel.contact.indenter.signed_distance((position_m - pose.position_m) @ rotation)
 
     return Candidates(

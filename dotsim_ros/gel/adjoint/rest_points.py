@@ -5,23 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.discretization import bonded_points, interpolation_at
 from dotsim_ros.gel.implicit.gel import ImplicitGel
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
 class FieldGradient:
     """Evaluates the gradient of a nodal field at fixed points."""
 
-    node_index: IntArray
-    weight_gradient: Array
+    node_index: IndexArray
+    weight_gradient: FloatArray
 
-    def at(self, nodal: Array) -> Array:
+    def at(self, nodal: FloatArray) -> FloatArray:
         """Return (P, 3, 3) of nodal values (N, 3), [point, component, direction]."""
         # Node by node, so that no array of (P, 27, 3, 3) arises.
         result = np.zeros((len(self.node_index), 3, 3))
@@ -32,10 +29,10 @@ class FieldGradient:
         return result
 
 
-def pulled(gradient: Array, by_value: Array) -> Array:
+def pulled(gradient: FloatArray, by_value: FloatArray) -> FloatArray:
     """Return the derivatives (P, 3) by positions, of a field's gradient (P, 3, 3) there and the
     derivatives (P, 3) by its values."""
-    result: Array = np.einsum("pij,pi->pj", gradient, by_value)
+    result: FloatArray = np.einsum("pij,pi->pj", gradient, by_value)
     return result
 
 

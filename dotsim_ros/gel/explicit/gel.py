@@ -27,6 +27,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Dome
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.explicit.kernels import (
@@ -41,7 +42,7 @@ from dotsim_ros.gel.explicit.kernels import (
 from dotsim_ros.gel.explicit.state import GridState, IndenterMotion, ParticleState
 from dotsim_ros.gel.material import NeoHookean, bulk_modulus_pa, shear_modulus_pa
 from dotsim_ros.geometry.indenter import Indenter, sphere
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 
 GRID_MARGIN_CELLS = 5
@@ -54,7 +55,7 @@ class DivergenceError(RuntimeError):
     """The explicit simulation became unstable; reset it, and take more substeps or more mass."""
 
 
-class Region(Protocol):
+class ExplicitRegion(Protocol):
     """What the explicit method asks of a shape: any `Body` is one."""
 
     def bounds_m(self) -> FloatArray:
@@ -157,7 +158,7 @@ def stable_density_scale(
     return max(1.0, (wave_speed * substep_s / (courant_number * spacing_m)) ** 2)
 
 
-def sample_body(body: Region, particle_spacing_m: float) -> FloatArray:
+def sample_body(body: ExplicitRegion, particle_spacing_m: float) -> FloatArray:
     """Return the points (P, 3) of a regular lattice that lie in the body."""
     lower, upper = body.bounds_m()
     first = np.floor(lower / particle_spacing_m).astype(int)
@@ -189,7 +190,7 @@ class ExplicitGel:
 
     def __init__(
         self,
-        body: Region,
+        body: ExplicitRegion,
         skin: SkinMesh,
         *,
         material: NeoHookean,
@@ -411,7 +412,7 @@ class ExplicitGel:
         """Return the particles' deformation gradients (E, P, 3, 3)."""
         return np.array(self._state.deformation.numpy(), dtype=np.float64)
 
-    def _make_grid(self, body: Region) -> None:
+    def _make_grid(self, body: ExplicitRegion) -> None:
         spacing = self.settings.spacing_m
         lower, upper = body.bounds_m()
         # A plane of nodes lies on the base.

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from dotsim_ros.geometry.pose import FloatArray, Pose, interpolate
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pose import Pose, interpolate
 
 
 def rotation_vector(start: Pose, end: Pose) -> FloatArray:

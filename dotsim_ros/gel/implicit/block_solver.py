@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-Array = NDArray[np.floating]
+from dotsim_ros.arrays import AnyFloatArray
 
 PLANES_PER_SLAB = 3
 
@@ -35,8 +35,8 @@ class BlockCholesky:
             (3 * nodes[:, None] + np.arange(3)).ravel()
             for nodes in np.split(order, np.cumsum(np.bincount(slab))[:-1])
         ]
-        self.diagonal: list[Array] = []
-        self.below: list[Array] = []
+        self.diagonal: list[AnyFloatArray] = []
+        self.below: list[AnyFloatArray] = []
         rows = [matrix[dof] for dof in self.dofs]
         for i, dof in enumerate(self.dofs):
             block = rows[i][:, dof].toarray()
@@ -49,9 +49,9 @@ class BlockCholesky:
                 self.below.append(lower)
             self.diagonal.append(linalg.cholesky(block, lower=True, check_finite=False))
 
-    def solve(self, right: Array) -> Array:
+    def solve(self, right: AnyFloatArray) -> AnyFloatArray:
         """Return the solution for right-hand sides (3 N,) or (3 N, m)."""
-        parts: list[Array] = []
+        parts: list[AnyFloatArray] = []
         for i, dof in enumerate(self.dofs):
             part = right[dof]
             if i > 0:

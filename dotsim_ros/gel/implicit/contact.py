@@ -14,16 +14,13 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit.contact_kernels import contact_kernels
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.specification import ContactSpecification
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 REFERENCE_SPACING_M = 1.2e-3
 ONSET_M = 10.0e-6
@@ -47,14 +44,14 @@ class ContactResponse:
         normal: (C, 3) gradient of the distance, base frame.
     """
 
-    distance_m: Array
-    pressure_pa: Array
-    force_n: Array
+    distance_m: FloatArray
+    pressure_pa: FloatArray
+    force_n: FloatArray
     energy_j: float
-    stiffness: Array
-    local_position_m: Array
-    slip_m: Array
-    normal: Array
+    stiffness: FloatArray
+    local_position_m: FloatArray
+    slip_m: FloatArray
+    normal: FloatArray
 
 
 NO_RESPONSE = ContactResponse(
@@ -75,8 +72,8 @@ class Lag:
     """What an iteration's friction takes from the one before: pressure (C,) and normal (C, 3) of
     the candidates, a zero normal for none."""
 
-    pressure_pa: Array
-    normal: Array
+    pressure_pa: FloatArray
+    normal: FloatArray
 
 
 @dataclass
@@ -84,12 +81,12 @@ class ContactHistory:
     """Memory of friction: position and elastic slip (V, 3) of the markers in the indenter's frame
     at the end of the last step, and the pressure then (V,)."""
 
-    local_position_m: Array
-    slip_m: Array
-    pressure_pa: Array
+    local_position_m: FloatArray
+    slip_m: FloatArray
+    pressure_pa: FloatArray
 
 
-def fresh_history(rest_position_m: Array, pose: Pose) -> ContactHistory:
+def fresh_history(rest_position_m: FloatArray, pose: Pose) -> ContactHistory:
     """Return the history of a skin that has touched nothing."""
     local = (rest_position_m - pose.position_m) @ pose.rotation()
     return ContactHistory(local, np.zeros_like(local), np.zeros(len(local)))
@@ -108,7 +105,7 @@ class Contact:
     def __init__(
         self,
         indenter: Indenter,
-        area_m2: Array,
+        area_m2: FloatArray,
         youngs_modulus_pa: float,
         specification: ContactSpecification,
         *,
@@ -132,8 +129,8 @@ class Contact:
 
     def respond(
         self,
-        candidate: IntArray,
-        position_m: Array,
+        candidate: IndexArray,
+        position_m: FloatArray,
         pose: Pose,
         history: ContactHistory,
         lag: Lag,
@@ -146,7 +143,7 @@ class Contact:
         return self._launched(self._lagged, candidate, position_m, pose, history)
 
     def respond_now(
-        self, candidate: IntArray, position_m: Array, pose: Pose, history: ContactHistory
+        self, candidate: IndexArray, position_m: FloatArray, pose: Pose, history: ContactHistory
     ) -> ContactResponse:
         """Return the response of candidate markers (C,) at positions (C, 3) to the indenter, with
         friction limited by the pressure that there is."""
@@ -155,8 +152,8 @@ class Contact:
     def _launched(
         self,
         launch: Any,
-        candidate: IntArray,
-        position_m: Array,
+        candidate: IndexArray,
+        position_m: FloatArray,
         pose: Pose,
         history: ContactHistory,
     ) -> ContactResponse:
@@ -209,7 +206,7 @@ class Contact:
         self._outputs = [wp.empty(count, dtype=dtype, device=device) for dtype in dtypes]
         on_host = [output.numpy() for output in self._outputs]
         # A view that is taken once: to take it costs more than a launch.
-        self._output_arrays: Callable[[], list[Array]] = (
+        self._output_arrays: Callable[[], list[FloatArray]] = (
             (lambda: on_host)
             if self._is_shared
             else (lambda: [output.numpy() for output in self._outputs])
@@ -231,7 +228,7 @@ class Contact:
         self._coulomb = record(k.coulomb_response, [start, slip])
 
 
-def wrench_on_indenter(position_m: Array, force_on_marker_n: Array) -> Wrench:
+def wrench_on_indenter(position_m: FloatArray, force_on_marker_n: FloatArray) -> Wrench:
     """Return the force of the gel on the indenter and its torque about the base frame's origin."""
     return Wrench(
         -force_on_marker_n.sum(axis=0), -np.cross(position_m, force_on_marker_n).sum(axis=0)

@@ -16,14 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from dotsim_ros.arrays import AnyFloatArray, FloatArray
 from dotsim_ros.gel.implicit.contact import ContactResponse, Lag
-
-Array = NDArray[np.float64]
-FloatArray = NDArray[np.floating]
-"""Of the compliance's precision."""
 
 ITERATIONS = 60
 CLOSE = 10.0
@@ -41,8 +37,8 @@ class Answers:
     """How the indenter answers markers at positions (A, 3): with friction limited by a lag, and by
     the pressure that there is."""
 
-    lagged: Callable[[Array, Lag], ContactResponse]
-    present: Callable[[Array], ContactResponse]
+    lagged: Callable[[FloatArray, Lag], ContactResponse]
+    present: Callable[[FloatArray], ContactResponse]
 
 
 @dataclass(frozen=True)
@@ -56,30 +52,30 @@ class ContactSolution:
         iterations: of Newton's method.
     """
 
-    force_n: Array
+    force_n: FloatArray
     response: ContactResponse
     lag: Lag
     iterations: int
 
 
-def by_component(vectors: Array) -> Array:
+def by_component(vectors: FloatArray) -> FloatArray:
     """Return vectors (A, 3) as (3 A,) with all x first, the order of a compliance's rows."""
-    components: Array = vectors.T.ravel()
+    components: FloatArray = vectors.T.ravel()
     return components
 
 
-def by_marker(components: FloatArray) -> Array:
+def by_marker(components: AnyFloatArray) -> FloatArray:
     """Return (3 A,) components as vectors (A, 3)."""
     return np.ascontiguousarray(components.reshape(3, -1).T, dtype=np.float64)
 
 
 @dataclass(frozen=True)
-class _State:
+class _ContactState:
     """Change of the forces f - f0 (3 A,), what it causes, C (f - f0) (3 A,), how the indenter
     answers there, and the energy, J."""
 
-    change: FloatArray
-    caused: FloatArray
+    change: AnyFloatArray
+    caused: AnyFloatArray
     response: ContactResponse
     energy_j: float
 
@@ -88,34 +84,36 @@ class _ContactProblem:
     """C, b, f0 and the indenter's answers."""
 
     def __init__(
-        self, compliance: FloatArray, base_m: Array, force_n: Array, answers: Answers
+        self, compliance: AnyFloatArray, base_m: FloatArray, force_n: FloatArray, answers: Answers
     ) -> None:
         self.compliance, self.base_m, self.force_n = compliance, base_m, force_n
         self.answers = answers
         self._force = force_n.T.ravel()
         self.iterations = 0
 
-    def at(self, change: FloatArray, caused: FloatArray, lag: Lag | None) -> _State:
+    def at(self, change: AnyFloatArray, caused: AnyFloatArray, lag: Lag | None) -> _ContactState:
         """Return the state of changed forces; without a lag, with the pressure that there is."""
-        position: Array = self.base_m + by_marker(caused)
+        position: FloatArray = self.base_m + by_marker(caused)
         if lag is None:
             response = self.answers.present(position)
         else:
             response = self.answers.lagged(position, lag)
         energy = float((0.5 * change + self._force) @ caused) + response.energy_j
-        return _State(change, caused, response, energy)
+        return _ContactState(change, caused, response, energy)
 
-    def answered(self, state: _State) -> FloatArray:
+    def answered(self, state: _ContactState) -> AnyFloatArray:
         """Return the change of the forces (3 A,) that the indenter answers with."""
         change = by_component(state.response.force_n - self.force_n)
         return change.astype(self.compliance.dtype)
 
-    def out_of_balance(self, state: _State) -> FloatArray:
+    def out_of_balance(self, state: _ContactState) -> AnyFloatArray:
         """Return how far (3 A,) the markers would move if the indenter's answer acted on them."""
-        result: FloatArray = state.caused - self.compliance @ self.answered(state)
+        result: AnyFloatArray = state.caused - self.compliance @ self.answered(state)
         return result
 
-    def descend(self, state: _State, out_of_balance: FloatArray, lag: Lag) -> tuple[_State, bool]:
+    def descend(
+        self, state: _ContactState, out_of_balance: AnyFloatArray, lag: Lag
+    ) -> tuple[_ContactState, bool]:
         """Return the state after a Newton step that lowers the energy, and whether there is one."""
         self.iterations += 1
         step = self.answered(state) - state.change
@@ -133,14 +131,14 @@ class _ContactProblem:
             scale *= 0.5
         return state, False
 
-    def correct(self, state: _State, out_of_balance: FloatArray) -> _State:
+    def correct(self, state: _ContactState, out_of_balance: AnyFloatArray) -> _ContactState:
         """Return the state after a Newton step on Coulomb's law as it is."""
         self.iterations += 1
         change = self.answered(state)
         change += _coulomb_force(self.compliance, out_of_balance, state.response)
         return self.at(change, self.compliance @ change, None)
 
-    def solution(self, state: _State) -> ContactSolution:
+    def solution(self, state: _ContactState) -> ContactSolution:
         """Return what a state amounts to."""
         lag = Lag(state.response.pressure_pa, state.response.normal)
         force = self.force_n + by_marker(state.change)
@@ -148,13 +146,13 @@ class _ContactProblem:
 
 
 def solve_contact(
-    compliance: FloatArray,
-    base_m: Array,
-    force_n: Array,
+    compliance: AnyFloatArray,
+    base_m: FloatArray,
+    force_n: FloatArray,
     answers: Answers,
     lag: Lag,
     *,
-    guess_n: Array,
+    guess_n: FloatArray,
     passes: int,
     tolerance_m: float,
 ) -> ContactSolution:
@@ -189,8 +187,8 @@ def solve_contact(
 
 
 def linear_contact(
-    compliance: FloatArray, free_m: Array, force_n: Array, response: ContactResponse
-) -> Array:
+    compliance: AnyFloatArray, free_m: FloatArray, force_n: FloatArray, response: ContactResponse
+) -> FloatArray:
     """Return the forces (A, 3) of a contact that is linear too, one step of Newton's method.
 
     A gel that only the indenter holds has no energy of its own that a solution could descend.
@@ -206,7 +204,9 @@ def linear_contact(
     return force_n + by_marker(change + _newton_force(compliance, out_of_balance, response))
 
 
-def _corrected(problem: _ContactProblem, state: _State, tolerance_m: float) -> tuple[_State, bool]:
+def _corrected(
+    problem: _ContactProblem, state: _ContactState, tolerance_m: float
+) -> tuple[_ContactState, bool]:
     """Return the state after Newton's method on Coulomb's law, and whether it converged."""
     first = np.inf
     for correction in range(CORRECTIONS):
@@ -222,7 +222,9 @@ def _corrected(problem: _ContactProblem, state: _State, tolerance_m: float) -> t
     return state, False
 
 
-def _descended(problem: _ContactProblem, state: _State, lag: Lag, close_m: float) -> _State:
+def _descended(
+    problem: _ContactProblem, state: _ContactState, lag: Lag, close_m: float
+) -> _ContactState:
     """Return the state once the energy's descent has come so close to its end."""
     has_descended = True
     while has_descended and problem.iterations < ITERATIONS:
@@ -233,13 +235,13 @@ def _descended(problem: _ContactProblem, state: _State, lag: Lag, close_m: float
     return state
 
 
-def _largest(components: FloatArray) -> float:
+def _largest(components: AnyFloatArray) -> float:
     return float(np.abs(components).max())
 
 
 def _newton_force(
-    compliance: FloatArray, out_of_balance: FloatArray, response: ContactResponse
-) -> FloatArray:
+    compliance: AnyFloatArray, out_of_balance: AnyFloatArray, response: ContactResponse
+) -> AnyFloatArray:
     """Return by how much (3 A,) the linearised contact answers otherwise after a Newton step.
 
     With the touching markers' stiffness H = S S^T and r = C (f - F), they move by
@@ -263,8 +265,8 @@ def _newton_force(
 
 
 def _coulomb_force(
-    compliance: FloatArray, out_of_balance: FloatArray, response: ContactResponse
-) -> FloatArray:
+    compliance: AnyFloatArray, out_of_balance: AnyFloatArray, response: ContactResponse
+) -> AnyFloatArray:
     """Return by how much (3 A,) the contact answers otherwise after a Newton step, where its
     stiffness H is not symmetric: the markers move by d, (1 + C H) d = -r, the change is -H d."""
     active = np.flatnonzero(response.pressure_pa > 0.0)
@@ -292,7 +294,7 @@ def _coulomb_force(
     return result
 
 
-def _congruent(compliance: FloatArray, root: FloatArray) -> FloatArray:
+def _congruent(compliance: AnyFloatArray, root: AnyFloatArray) -> AnyFloatArray:
     """Return 1 + S^T C S for C (3 A, 3 A) by component and lower triangular blocks S (A, 3, 3)."""
     count = len(root)
     whole = compliance.reshape(3 * count, 3, count)
@@ -312,7 +314,7 @@ def _congruent(compliance: FloatArray, root: FloatArray) -> FloatArray:
     return result
 
 
-def _solve_positive(matrix: FloatArray, right: FloatArray) -> FloatArray:
+def _solve_positive(matrix: AnyFloatArray, right: AnyFloatArray) -> AnyFloatArray:
     """Solve with a symmetric matrix (n, n).
 
     It is positive definite, unless a gel is that is unstable where the indenter does not hold it,
@@ -324,5 +326,5 @@ def _solve_positive(matrix: FloatArray, right: FloatArray) -> FloatArray:
     if info != 0:
         return np.asarray(linalg.solve(matrix, right, assume_a="sym", check_finite=False))
     solved, _ = potrs(factor, right, lower=1)
-    result: FloatArray = solved.ravel()
+    result: AnyFloatArray = solved.ravel()
     return result

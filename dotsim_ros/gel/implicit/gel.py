@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
@@ -28,25 +29,22 @@ from dotsim_ros.gel.implicit.contact import (
 )
 from dotsim_ros.gel.implicit.newton import (
     CONTRACTION,
+    EquilibriumProblem,
     EquilibriumSearch,
     Factor,
     Point,
-    Problem,
     Trace,
     no_lag,
 )
 from dotsim_ros.gel.implicit.patch import NearMarkers, Patch, make_patch
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.relaxation import Relaxation
-from dotsim_ros.gel.implicit.tangent import ExactTangent, LocalTangent, Region
+from dotsim_ros.gel.implicit.tangent import ExactTangent, GridRegion, LocalTangent
 from dotsim_ros.gel.material import Material
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
-
-Array = NDArray[np.float64]
-IntArray = NDArray[np.int32]
 
 FORGOTTEN_N = 1.0e-9
 """A marker's force below this is none: it moves the skin by less than 1e-11 m. What a marker leaves
@@ -87,8 +85,8 @@ class GelState:
         timings_s: seconds spent, by part.
     """
 
-    displacement_m: Array
-    skin_position_m: Array
+    displacement_m: FloatArray
+    skin_position_m: FloatArray
     wrench: Wrench
     max_penetration_m: float
     contact_count: int
@@ -102,10 +100,10 @@ class Change:
     """What the last substep changed: displacements (N, 3) of the nodes, forces (V, 3) on the
     markers, the indenter's position (3,), pressures (V,), and how far it moved any marker."""
 
-    displacement_m: Array
-    marker_force_n: Array
-    move_m: Array
-    pressure_pa: Array
+    displacement_m: FloatArray
+    marker_force_n: FloatArray
+    move_m: FloatArray
+    pressure_pa: FloatArray
     skin_m: float
 
 
@@ -113,18 +111,19 @@ class Change:
 class World:
     """One environment's memory between steps."""
 
-    displacement_m: Array
-    velocity_m_s: Array
-    marker_force_n: Array
-    skin_position_m: Array
+    displacement_m: FloatArray
+    velocity_m_s: FloatArray
+    marker_force_n: FloatArray
+    skin_position_m: FloatArray
     pose: Pose | None = None
     history: ContactHistory | None = None
     last_change: Change | None = None
     patch: Patch | None = None
     close: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    region: Region | None = None
+    region: GridRegion | None = None
     contraction: float = CONTRACTION
     response: ContactResponse | None = None
+    inertia_step_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -132,7 +131,15 @@ class Inertia:
     """Mass over the squared step (N, N), and where the nodes would go without forces (N, 3)."""
 
     stiffness: sparse.csr_matrix
-    predicted_m: Array
+    predicted_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Tangents:
+    """The linear solves of all substeps of one duration; an exact gel has no local one."""
+
+    exact: ExactTangent
+    local: LocalTangent | None
 
 
 Observer = Callable[[World, Pose | None, Point, Inertia | None, float, int], Point]
@@ -189,14 +196,12 @@ class ImplicitGel:
         )
         self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
         self._mass = d.mass_over_density * material.density_kg_m3
-        self._step_s = 0.0
-        self._exact_tangent = ExactTangent(self._single, self._mass * 0.0)
-        self._local_tangent: LocalTangent | None = None
+        local: LocalTangent | None = None
         self.refinement: Refinement | None = None
         if not exact or solver.refined:
             at_rest = LocalTangent(self._single, self._mass * 0.0)
             if not exact:
-                self._local_tangent = at_rest
+                local = at_rest
             if solver.refined:
                 self.refinement = refine(
                     shape,
@@ -206,6 +211,8 @@ class ImplicitGel:
                     material.law,
                     progress=progress,
                 )
+        # By the duration of the substep that inertia is for; 0 without inertia.
+        self._tangents = {0.0: Tangents(ExactTangent(self._single, self._mass * 0.0), local)}
         self._shape = shape
         lower, upper = shape.bounds_m()
         # So dense that no tip gets through between them.
@@ -333,7 +340,7 @@ class ImplicitGel:
             return True
         return self._nearest_m(self.skin.rest_position_m, pose, ONSET_M) < ONSET_M
 
-    def _nearest_m(self, points_m: Array, pose: Pose, reach_m: float) -> float:
+    def _nearest_m(self, points_m: FloatArray, pose: Pose, reach_m: float) -> float:
         """Return the least distance of points (N, 3) from the indenter, inf where all are farther
         from the box around it than `reach_m`."""
         local = (points_m - pose.position_m) @ pose.rotation()
@@ -392,23 +399,35 @@ class ImplicitGel:
         world.contraction = CONTRACTION
 
     def _prepare_memory(self, world: World, dt_s: float, environment: int) -> Inertia | None:
-        fast, history = self._relaxation[environment].step_terms(
-            dt_s, self.discretization.particle_count
-        )
+        inertia = None
+        if self.solver.dynamic:
+            stiffness = (self._mass / dt_s**2).tocsr()
+            if dt_s != world.inertia_step_s:
+                world.inertia_step_s, world.region = dt_s, None
+                self._make_tangents(dt_s, stiffness, environment)
+            inertia = Inertia(stiffness, world.displacement_m + dt_s * world.velocity_m_s)
+        self._set_relaxation(self._relaxation[environment], dt_s, environment)
+        return inertia
+
+    def _set_relaxation(self, relaxation: Relaxation, dt_s: float, environment: int) -> None:
         if self.material.prony.shares:
+            terms = relaxation.step_terms(dt_s, self.discretization.particle_count)
             for body in (self.body, self._single):
-                body.set_history(fast, history, environment)
-        if not self.solver.dynamic:
-            return None
-        stiffness = (self._mass / dt_s**2).tocsr()
-        if dt_s != self._step_s:
-            self._step_s = dt_s
-            self._exact_tangent = ExactTangent(self._single, stiffness)
-            if self._local_tangent is not None:
-                self._local_tangent = LocalTangent(self._single, stiffness)
-            for other in self.worlds:
-                other.region = None
-        return Inertia(stiffness, world.displacement_m + dt_s * world.velocity_m_s)
+                body.set_history(*terms, environment)
+
+    def _make_tangents(self, dt_s: float, stiffness: sparse.csr_matrix, environment: int) -> None:
+        """Make the linear solves of substeps with inertia (N, N), unless there are those of this
+        duration. They are of a gel without a past, so that they serve every environment and do not
+        depend on when they were made."""
+        if dt_s in self._tangents:
+            return
+        used = {world.inertia_step_s for world in self.worlds}
+        self._tangents = {k: v for k, v in self._tangents.items() if k in used}
+        local = None
+        if not self.exact:
+            self._set_relaxation(Relaxation(self.material.prony), dt_s, environment)
+            local = LocalTangent(self._single, stiffness, environment)
+        self._tangents[dt_s] = Tangents(ExactTangent(self._single, stiffness), local)
 
     def _prepare_contact(self, world: World, pose: Pose, trace: Trace) -> None:
         """Find the markers that may touch, and renew patch and region where they do not do."""
@@ -430,8 +449,8 @@ class ImplicitGel:
         trace.add("contact", clock)
 
     def elastic(
-        self, displacement_m: Array, inertia: Inertia | None, environment: int
-    ) -> tuple[float, Array]:
+        self, displacement_m: FloatArray, inertia: Inertia | None, environment: int
+    ) -> tuple[float, FloatArray]:
         """Return the energy of elasticity and inertia, J, and its gradient (N, 3) at displacements
         (N, 3)."""
         batch = np.zeros((self.environment_count, *displacement_m.shape))
@@ -446,41 +465,44 @@ class ImplicitGel:
 
     def _problem(
         self, world: World, pose: Pose | None, inertia: Inertia | None, environment: int
-    ) -> Problem:
+    ) -> EquilibriumProblem:
         """Return what the search of a substep needs to know."""
-        local = self._local_tangent
+        tangents = self._tangents[world.inertia_step_s]
+        local = tangents.local
 
-        def elastic(displacement_m: Array) -> tuple[float, Array]:
+        def elastic(displacement_m: FloatArray) -> tuple[float, FloatArray]:
             return self.elastic(displacement_m, inertia, environment)
 
-        def respond(marker: IntArray, position_m: Array, lag: Lag) -> ContactResponse:
+        def respond(marker: IndexArray, position_m: FloatArray, lag: Lag) -> ContactResponse:
             assert pose is not None
             assert world.history is not None
             return self.contact.respond(marker, position_m, pose, world.history, lag)
 
-        def respond_now(marker: IntArray, position_m: Array) -> ContactResponse:
+        def respond_now(marker: IndexArray, position_m: FloatArray) -> ContactResponse:
             assert pose is not None
             assert world.history is not None
             return self.contact.respond_now(marker, position_m, pose, world.history)
 
         start_m = world.displacement_m
 
-        def linearise(near: NearMarkers, at_m: Array | None) -> Factor:
+        def linearise(near: NearMarkers, at_m: FloatArray | None) -> Factor:
             # At the last equilibrium the stiffness is positive definite; at a guess it need not be.
             displacement = start_m if at_m is None else at_m
             if local is None:
-                return self._exact_tangent.factor(displacement, environment)
-            region = self._region(world, near, local)
+                return tangents.exact.factor(displacement, environment)
+            region = self._region(world, near, local, environment)
             return local.factor(region, local.assemble(region, displacement, environment))
 
-        def at_rest(force_n: Array) -> Array:
+        def at_rest(force_n: FloatArray) -> FloatArray:
             if local is None:
-                return self._exact_tangent.factor(start_m, environment).solve(force_n)
+                return tangents.exact.factor(start_m, environment).solve(force_n)
             return local.solve_at_rest(force_n)
 
-        return Problem(world.patch, elastic, respond, respond_now, linearise, at_rest)
+        return EquilibriumProblem(world.patch, elastic, respond, respond_now, linearise, at_rest)
 
-    def _region(self, world: World, near: NearMarkers, local: LocalTangent) -> Region:
+    def _region(
+        self, world: World, near: NearMarkers, local: LocalTangent, environment: int
+    ) -> GridRegion:
         """Return the region around the near markers: the last one while it holds them."""
         if world.region is None or np.any(world.region.number[near.node] < 0):
             centre = self.skin.rest_position_m[np.union1d(near.marker, world.close)]
@@ -488,10 +510,10 @@ class ImplicitGel:
                 np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
             )
             cell = np.flatnonzero(gap < REGION_RADIUS_M).astype(np.int32)
-            world.region = local.region(cell, near.node)
+            world.region = local.region(cell, near.node, environment)
         return world.region
 
-    def _start(self, world: World, pose: Pose | None) -> tuple[Array, Array, Lag]:
+    def _start(self, world: World, pose: Pose | None) -> tuple[FloatArray, FloatArray, Lag]:
         """Return displacements (N, 3), forces on the patch's markers (C, 3) and their lag if all
         goes on changing in proportion to the indenter's motion."""
         share = self._share_of_last_move(world, pose)
@@ -523,9 +545,11 @@ class ImplicitGel:
         along = float((pose.position_m - world.pose.position_m) @ move) / length
         return float(np.clip(along, -1.0, 2.0))
 
-    def skin_at(self, displacement_m: Array, patch: Patch | None, force_n: Array) -> Array:
+    def skin_at(
+        self, displacement_m: FloatArray, patch: Patch | None, force_n: FloatArray
+    ) -> FloatArray:
         """Return the skin (V, 3) at displacements (N, 3) under forces (C, 3) on a patch."""
-        skin: Array = self.skin.rest_position_m + self.skin_weight @ displacement_m
+        skin: FloatArray = self.skin.rest_position_m + self.skin_weight @ displacement_m
         if self.refinement is not None and patch is not None:
             fine_force = patch.fine_weight.T @ force_n
             loaded = np.any(fine_force, axis=1)
@@ -538,7 +562,7 @@ class ImplicitGel:
         world: World,
         pose: Pose | None,
         point: Point,
-        start_m: Array,
+        start_m: FloatArray,
         dt_s: float,
         environment: int,
     ) -> None:
@@ -574,16 +598,16 @@ class ImplicitGel:
         world.history = history
 
 
-def _forget_traces(force_n: Array) -> None:
+def _forget_traces(force_n: FloatArray) -> None:
     """Set forces (V, 3) below `FORGOTTEN_N` to zero, in place."""
     # Takes a sixth of the time of a maximum along three columns.
     force_n[np.einsum("vi,vi->v", force_n, force_n) < FORGOTTEN_N**2] = 0.0
 
 
-def _inner_point_m(indenter: Indenter) -> Array:
+def _inner_point_m(indenter: Indenter) -> FloatArray:
     """Return a point (3,) of the indenter's inside, in its frame: the innermost of a grid."""
     lower, upper = indenter.bounds_m()
     axes = np.linspace(lower, upper, 17)
     points = np.stack(np.meshgrid(*axes.T, indexing="ij"), axis=-1).reshape(-1, 3)
-    innermost: Array = points[np.argmin(indenter.signed_distance(points))]
+    innermost: FloatArray = points[np.argmin(indenter.signed_distance(points))]
     return innermost

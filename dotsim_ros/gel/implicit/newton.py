@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactResponse, Lag
 from dotsim_ros.gel.implicit.contact_problem import (
     Answers,
@@ -24,8 +25,6 @@ from dotsim_ros.gel.implicit.contact_problem import (
 from dotsim_ros.gel.implicit.patch import NearMarkers, Patch
 from dotsim_ros.gel.implicit.tangent import ExactFactor, LocalFactor
 from dotsim_ros.specification import SolverSpecification
-
-Array = NDArray[np.float64]
 
 NEAR_M = 0.2e-3
 """Markers closer than this to the indenter take part in the contact of an iteration."""
@@ -62,16 +61,16 @@ class Point:
         response: of the contact.
     """
 
-    displacement_m: Array
-    force_n: Array
-    position_m: Array
+    displacement_m: FloatArray
+    force_n: FloatArray
+    position_m: FloatArray
     energy_j: float
-    gradient_n: Array
+    gradient_n: FloatArray
     response: ContactResponse
 
 
 @dataclass(frozen=True)
-class Problem:
+class EquilibriumProblem:
     """One substep.
 
     Attributes:
@@ -86,13 +85,13 @@ class Problem:
     """
 
     patch: Patch | None
-    elastic: Callable[[Array], tuple[float, Array]]
-    respond: Callable[[NDArray[np.int32], Array, Lag], ContactResponse]
-    respond_now: Callable[[NDArray[np.int32], Array], ContactResponse]
-    linearise: Callable[[NearMarkers, Array | None], Factor]
-    at_rest: Callable[[Array], Array]
+    elastic: Callable[[FloatArray], tuple[float, FloatArray]]
+    respond: Callable[[NDArray[np.int32], FloatArray, Lag], ContactResponse]
+    respond_now: Callable[[NDArray[np.int32], FloatArray], ContactResponse]
+    linearise: Callable[[NearMarkers, FloatArray | None], Factor]
+    at_rest: Callable[[FloatArray], FloatArray]
 
-    def at(self, displacement_m: Array, force_n: Array, lag: Lag) -> Point:
+    def at(self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag) -> Point:
         """Return the point of displacements (N, 3) and forces (C, 3) on the patch's markers."""
         energy, gradient = self.elastic(displacement_m)
         if self.patch is None:
@@ -123,14 +122,14 @@ class Trace:
 
 
 @dataclass(frozen=True)
-class _Step:
+class _NewtonStep:
     """A step of the nodes (N, 3) and of the forces on the patch's markers (C, 3); where it takes
     the markers (C, 3), how the indenter answers there under which lag; how far it moves any marker
     that took part; the energy's slope along it."""
 
-    displacement_m: Array
-    force_n: Array
-    position_m: Array
+    displacement_m: FloatArray
+    force_n: FloatArray
+    position_m: FloatArray
     response: ContactResponse
     lag: Lag
     largest_m: float
@@ -157,7 +156,7 @@ class EquilibriumSearch:
 
     def __init__(
         self,
-        problem: Problem,
+        problem: EquilibriumProblem,
         solver: SolverSpecification,
         trace: Trace,
         *,
@@ -170,7 +169,9 @@ class EquilibriumSearch:
         self.compliance: NDArray[np.floating] | None = None
         self.is_careful = self.is_slow = False
 
-    def run(self, displacement_m: Array, force_n: Array, lag: Lag) -> tuple[Point, int, bool]:
+    def run(
+        self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag
+    ) -> tuple[Point, int, bool]:
         """Return the equilibrium, the iterations used, and whether the tolerance was met.
 
         Args:
@@ -205,7 +206,7 @@ class EquilibriumSearch:
             point = trial
         return self._ended(point), self.solver.iterations, False
 
-    def _at(self, displacement_m: Array, force_n: Array, lag: Lag) -> Point:
+    def _at(self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag) -> Point:
         clock = time.perf_counter()
         point = self.problem.at(displacement_m, force_n, lag)
         self.trace.add("force", clock)
@@ -218,7 +219,7 @@ class EquilibriumSearch:
         added = patch.added_displacement(point.force_n)
         return point.energy_j + response.energy_j + 0.5 * float(np.vdot(point.force_n, added))
 
-    def _step(self, point: Point, lag: Lag) -> _Step:
+    def _step(self, point: Point, lag: Lag) -> _NewtonStep:
         """Return the step to the equilibrium of the linearised gel with the true contact."""
         patch = self.problem.patch
         if patch is None:
@@ -240,7 +241,7 @@ class EquilibriumSearch:
             close |= step.response.distance_m < ONSET_M + NEAR_M
             guess, lag = point.force_n + step.force_n, step.lag
 
-    def _free_step(self, point: Point, lag: Lag) -> _Step:
+    def _free_step(self, point: Point, lag: Lag) -> _NewtonStep:
         residual = -point.gradient_n
         patch = self.problem.patch
         if patch is not None:
@@ -253,11 +254,11 @@ class EquilibriumSearch:
                 point.displacement_m + displacement, np.zeros_like(point.force_n)
             )
             response = self.problem.respond(patch.marker, position, lag)
-        return _Step(displacement, -point.force_n, position, response, lag, largest, slope)
+        return _NewtonStep(displacement, -point.force_n, position, response, lag, largest, slope)
 
     def _loaded_step(
-        self, point: Point, lag: Lag, patch: Patch, rows: NDArray[np.int64], guess_n: Array
-    ) -> _Step:
+        self, point: Point, lag: Lag, patch: Patch, rows: NDArray[np.int64], guess_n: FloatArray
+    ) -> _NewtonStep:
         """Return the step if the listed rows of the patch may touch."""
         clock = time.perf_counter()
         near, factor, compliance = self._linear(point, patch, rows)
@@ -286,7 +287,7 @@ class EquilibriumSearch:
         response = self.problem.respond(patch.marker, position, renewed)
         self.trace.add("solve", clock)
         largest = float(np.abs(moved[rows]).max())
-        return _Step(displacement, force, position, response, renewed, largest, slope)
+        return _NewtonStep(displacement, force, position, response, renewed, largest, slope)
 
     def _linear(
         self, point: Point, patch: Patch, rows: NDArray[np.int64]
@@ -309,9 +310,9 @@ class EquilibriumSearch:
         near: NearMarkers,
         compliance: NDArray[np.floating],
         point: Point,
-        free_m: Array,
+        free_m: FloatArray,
         lag: Lag,
-        guess_n: Array,
+        guess_n: FloatArray,
     ) -> ContactSolution:
         """Return the contact of the linear gel that would move freely by (3 N,)."""
         rows, respond, respond_now = near.rows, self.problem.respond, self.problem.respond_now
@@ -338,7 +339,7 @@ class EquilibriumSearch:
             tolerance_m=tolerance,
         )
 
-    def _free(self, factor: Factor, right: Array) -> Array:
+    def _free(self, factor: Factor, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) if the forces stayed; a little out of balance far away waits."""
         if isinstance(factor, LocalFactor) and not self.is_slow:
             inside = float(np.linalg.norm(right[factor.region.dof]))
@@ -347,7 +348,7 @@ class EquilibriumSearch:
                 return factor.solve_near(right)
         return factor.solve(right)
 
-    def _after(self, point: Point, step: _Step) -> Point:
+    def _after(self, point: Point, step: _NewtonStep) -> Point:
         """Return the point after a whole step; energy and gradient are not renewed."""
         return Point(
             point.displacement_m + step.displacement_m,
@@ -358,7 +359,7 @@ class EquilibriumSearch:
             step.response,
         )
 
-    def _search_line(self, point: Point, step: _Step) -> tuple[Point, float]:
+    def _search_line(self, point: Point, step: _NewtonStep) -> tuple[Point, float]:
         """Return the point after as much of a step as lowers the energy, and its share."""
         patch = self.problem.patch
         response = NO_RESPONSE

@@ -8,13 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from dotsim_ros.arrays import AnyFloatArray, Float32Array, FloatArray, IndexArray
 from dotsim_ros.gel.implicit.contact_problem import by_component, by_marker
 from dotsim_ros.gel.implicit.refinement import Refinement
-
-Array = NDArray[np.float64]
-FloatArray = NDArray[np.float32]
-AnyArray = NDArray[np.floating]
-IntArray = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -30,33 +26,33 @@ class Patch:
         added_compliance: (3 F, 3 F) of the refinement by component, m/N; empty without one.
     """
 
-    marker: IntArray
-    rest_position_m: Array
+    marker: IndexArray
+    rest_position_m: FloatArray
     weight: sparse.csr_matrix
-    fine_node: IntArray
+    fine_node: IndexArray
     fine_weight: sparse.csr_matrix
-    added_compliance: FloatArray
+    added_compliance: Float32Array
 
-    def added_displacement(self, force_n: Array) -> Array:
+    def added_displacement(self, force_n: FloatArray) -> FloatArray:
         """Return what the refinement adds to the markers' displacement under forces (C, 3)."""
         if len(self.fine_node) == 0:
             return np.zeros_like(force_n)
         load = by_component(self.fine_weight.T @ force_n)
         flat = self.added_compliance @ load.astype(self.added_compliance.dtype)
-        moved: Array = self.fine_weight @ by_marker(flat)
+        moved: FloatArray = self.fine_weight @ by_marker(flat)
         return moved
 
-    def position(self, displacement_m: Array, force_n: Array) -> Array:
+    def position(self, displacement_m: FloatArray, force_n: FloatArray) -> FloatArray:
         """Return the markers (C, 3) at displacements (N, 3) of the grid under forces (C, 3)."""
-        position: Array = (
+        position: FloatArray = (
             self.rest_position_m + self.weight @ displacement_m + self.added_displacement(force_n)
         )
         return position
 
 
 def make_patch(
-    marker: IntArray,
-    skin_position_m: Array,
+    marker: IndexArray,
+    skin_position_m: FloatArray,
     skin_weight: sparse.csr_matrix,
     refinement: Refinement | None,
 ) -> Patch:
@@ -77,7 +73,7 @@ def make_patch(
     )
 
 
-def _component_order(matrix: AnyArray) -> AnyArray:
+def _component_order(matrix: AnyFloatArray) -> AnyFloatArray:
     """Return a (3 n, 3 n) matrix whose rows and columns go node by node, by component."""
     count = len(matrix) // 3
     blocks = matrix.reshape(count, 3, count, 3).transpose(1, 0, 3, 2)
@@ -116,7 +112,7 @@ class NearMarkers:
                 patch.added_compliance[dof].take(dof, axis=1),
             )
 
-    def compliance(self, of_nodes: AnyArray) -> AnyArray:
+    def compliance(self, of_nodes: AnyFloatArray) -> AnyFloatArray:
         """Return (3 A, 3 A) of the gel between the markers by component, the refinement included.
 
         Args:
@@ -127,7 +123,7 @@ class NearMarkers:
         return result
 
 
-def _add_between(result: AnyArray, weight: AnyArray, between: AnyArray) -> None:
+def _add_between(result: AnyFloatArray, weight: AnyFloatArray, between: AnyFloatArray) -> None:
     """Add W Z W^T to (3 A, 3 A), for weights (A, n) and Z (3 n, 3 n) symmetric, by component."""
     count, nodes = weight.shape
     for i in range(3):

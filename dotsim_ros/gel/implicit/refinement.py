@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
@@ -25,10 +26,6 @@ from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
-
-Array = NDArray[np.float64]
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int32]
 
 REACH_M = 7.0e-3
 """Pairs of nodes farther apart than this are left out of dG."""
@@ -51,15 +48,15 @@ class Refinement:
     """
 
     skin_weight: sparse.csr_matrix
-    indptr: IntArray
-    index: IntArray
-    block: FloatArray
+    indptr: IndexArray
+    index: IndexArray
+    block: Float32Array
 
     @property
     def node_count(self) -> int:
         return len(self.indptr) - 1
 
-    def dense(self, nodes: IntArray) -> FloatArray:
+    def dense(self, nodes: IndexArray) -> Float32Array:
         """Return the (3 n, 3 n) block of dG between the given nodes (sorted)."""
         number = np.full(self.node_count, -1, dtype=np.int32)
         number[nodes] = np.arange(len(nodes), dtype=np.int32)
@@ -72,7 +69,7 @@ class Refinement:
             3 * len(nodes), 3 * len(nodes)
         )
 
-    def by_component(self, nodes: IntArray) -> FloatArray:
+    def by_component(self, nodes: IndexArray) -> Float32Array:
         """Return the (3 n, 3 n) block of dG between the given nodes with all x first."""
         number = np.full(self.node_count, -1, dtype=np.int32)
         number[nodes] = np.arange(len(nodes), dtype=np.int32)
@@ -98,7 +95,7 @@ class Refinement:
         )
         return result
 
-    def displacement(self, nodes: IntArray, force_n: Array) -> Array:
+    def displacement(self, nodes: IndexArray, force_n: FloatArray) -> FloatArray:
         """Return the displacement (F, 3) of all fine nodes under forces (n, 3) on some."""
         single = self.block.astype(np.float32, copy=False)
         result = wp.zeros(self.node_count, dtype=wp.vec3, device="cpu")
@@ -117,7 +114,7 @@ class Refinement:
         )
         return result.numpy().astype(np.float64)
 
-    def _rows(self, nodes: IntArray) -> tuple[IntArray, NDArray[np.int64]]:
+    def _rows(self, nodes: IndexArray) -> tuple[IndexArray, NDArray[np.int64]]:
         start, stop = self.indptr[nodes], self.indptr[nodes + 1]
         length = stop - start
         rows = np.repeat(np.arange(len(nodes), dtype=np.int32), length)
@@ -126,7 +123,7 @@ class Refinement:
 
 
 def knot_insertion(
-    coarse: Discretization, fine: Discretization, nodes: IntArray
+    coarse: Discretization, fine: Discretization, nodes: IndexArray
 ) -> sparse.csr_matrix:
     """Return (n, N) weights that write a coarse spline at the given fine nodes.
 
@@ -151,9 +148,9 @@ def knot_insertion(
 
 def refine(
     body: Body,
-    skin_position_m: Array,
+    skin_position_m: FloatArray,
     coarse: Discretization,
-    coarse_compliance: FloatArray,
+    coarse_compliance: Float32Array,
     law: ElasticLaw,
     *,
     progress: Callable[[float], None] | None = None,
@@ -204,17 +201,17 @@ class _Table:
     """
 
     skin_weight: sparse.csr_matrix
-    indptr: IntArray
-    index: IntArray
-    block: FloatArray
-    node_position_m: Array
+    indptr: IndexArray
+    index: IndexArray
+    block: Float32Array
+    node_position_m: FloatArray
 
 
 def _compute(
     body: Body,
     fine: Discretization,
     coarse: Discretization,
-    coarse_compliance: FloatArray,
+    coarse_compliance: Float32Array,
     law: ElasticLaw,
     progress: Callable[[float], None] | None,
 ) -> _Table:
@@ -241,8 +238,8 @@ def _compute(
     leader = images.min(axis=0)
     leaders = np.flatnonzero(leader == np.arange(len(nodes)))
     tree = cKDTree(fine.node_position_m[nodes])
-    neighbours: list[IntArray] = [np.zeros(0, dtype=np.int32)] * len(nodes)
-    blocks: list[FloatArray] = [np.zeros((0, 3, 3), dtype=np.float32)] * len(nodes)
+    neighbours: list[IndexArray] = [np.zeros(0, dtype=np.int32)] * len(nodes)
+    blocks: list[Float32Array] = [np.zeros((0, 3, 3), dtype=np.float32)] * len(nodes)
     batch = 64
     surface = (3 * nodes[:, None] + np.arange(3)).ravel()
     spread = sparse.kron(insertion, sparse.eye(3, dtype=np.float32), format="csr")

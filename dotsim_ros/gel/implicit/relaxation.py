@@ -11,11 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import PronySeries
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -23,8 +21,8 @@ class StressMemory:
     """What relaxation remembers: internal stresses (K, P, 3, 3) and the last stress (P, 3, 3), or
     a loss's derivatives by them."""
 
-    internal_pa: Array
-    last_pa: Array
+    internal_pa: FloatArray
+    last_pa: FloatArray
 
 
 @dataclass(frozen=True)
@@ -37,8 +35,8 @@ class RelaxationAdjoint:
     """
 
     memory: StressMemory
-    shares: Array
-    times_s: Array
+    shares: FloatArray
+    times_s: FloatArray
 
 
 class Relaxation:
@@ -47,8 +45,8 @@ class Relaxation:
     def __init__(self, prony: PronySeries) -> None:
         self.shares = np.array(prony.shares)
         self.times_s = np.array(prony.times_s)
-        self._internal: Array | None = None
-        self._last_stress: Array | None = None
+        self._internal: FloatArray | None = None
+        self._last_stress: FloatArray | None = None
 
     def memory(self, particle_count: int) -> StressMemory:
         """Return what is remembered now."""
@@ -57,22 +55,22 @@ class Relaxation:
             return StressMemory(zero, np.zeros((particle_count, 3, 3)))
         return StressMemory(self._internal, self._last_stress)
 
-    def stress_adjoint(self, dt_s: float, after: StressMemory) -> Array:
+    def stress_adjoint(self, dt_s: float, after: StressMemory) -> FloatArray:
         """Return the derivatives (P, 3, 3) by the stress at a step's end, from those by the memory
         that `finish_step` makes of it."""
         _, gain = self._factors(dt_s)
-        weighted: Array = np.tensordot(self.shares * gain, after.internal_pa, axes=1)
+        weighted: FloatArray = np.tensordot(self.shares * gain, after.internal_pa, axes=1)
         return after.last_pa + weighted
 
     def step_adjoint(
         self,
         dt_s: float,
         before: StressMemory,
-        stress_pa: Array,
+        stress_pa: FloatArray,
         *,
         after: StressMemory,
         fast_share: float,
-        history_pa: Array,
+        history_pa: FloatArray,
     ) -> RelaxationAdjoint:
         """Return the derivatives of `step_terms` and `finish_step` together.
 
@@ -101,11 +99,11 @@ class Relaxation:
             by_ratio * (-ratio / self.times_s),
         )
 
-    def _factors(self, dt_s: float) -> tuple[Array, Array]:
+    def _factors(self, dt_s: float) -> tuple[FloatArray, FloatArray]:
         ratio = dt_s / self.times_s
         return np.exp(-ratio), -np.expm1(-ratio) / ratio
 
-    def step_terms(self, dt_s: float, particle_count: int) -> tuple[float, Array]:
+    def step_terms(self, dt_s: float, particle_count: int) -> tuple[float, FloatArray]:
         """Return the fast share and the stress (P, 3, 3) that the past leaves, for a step."""
         if len(self.shares) == 0:
             return 1.0, np.zeros((particle_count, 3, 3))
@@ -114,7 +112,7 @@ class Relaxation:
             self._last_stress = np.zeros((particle_count, 3, 3))
         return self.terms_of(dt_s, self.memory(particle_count))
 
-    def terms_of(self, dt_s: float, memory: StressMemory) -> tuple[float, Array]:
+    def terms_of(self, dt_s: float, memory: StressMemory) -> tuple[float, FloatArray]:
         """Return what `step_terms` does, of a given memory."""
         decay, gain = self._factors(dt_s)
         fast = 1.0 - float(np.sum(self.shares * (1.0 - gain)))
@@ -122,7 +120,7 @@ class Relaxation:
         history -= float(np.sum(self.shares * gain)) * memory.last_pa
         return fast, history
 
-    def finish_step(self, dt_s: float, stress_pa: Array) -> None:
+    def finish_step(self, dt_s: float, stress_pa: FloatArray) -> None:
         """Advance the internal stresses to the step's end, where S is `stress_pa` (P, 3, 3)."""
         if self._internal is None or self._last_stress is None:
             return

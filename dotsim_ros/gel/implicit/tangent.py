@@ -20,16 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
+from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
 from dotsim_ros.gel.elasticity import ElasticBody, region_base
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 
-Array = NDArray[np.float64]
-FloatArray = NDArray[np.float32]
-IntArray = NDArray[np.int32]
-
 
 @dataclass(frozen=True)
-class Region:
+class GridRegion:
     """A part of the grid around the contact.
 
     Attributes:
@@ -43,17 +40,17 @@ class Region:
         rest: (3 R, 3 R) stiffness of the cells at rest.
     """
 
-    node: IntArray
-    number: IntArray
-    cell: IntArray
-    base: IntArray
-    dof: IntArray
-    compliance_columns: FloatArray
-    condensed: FloatArray
-    rest: FloatArray
+    node: IndexArray
+    number: IndexArray
+    cell: IndexArray
+    base: IndexArray
+    dof: IndexArray
+    compliance_columns: Float32Array
+    condensed: Float32Array
+    rest: Float32Array
 
 
-def inverse_of_positive(matrix: FloatArray) -> FloatArray:
+def inverse_of_positive(matrix: Float32Array) -> Float32Array:
     """Return the inverse of a symmetric positive definite matrix.
 
     Raises:
@@ -64,7 +61,7 @@ def inverse_of_positive(matrix: FloatArray) -> FloatArray:
         raise np.linalg.LinAlgError(f"matrix of {len(matrix)} rows is not positive definite")
     inverse, _ = linalg.lapack.spotri(factor, lower=1, overwrite_c=1)
     lower = np.tril(inverse)
-    result: FloatArray = np.ascontiguousarray(lower + np.tril(inverse, -1).T)
+    result: Float32Array = np.ascontiguousarray(lower + np.tril(inverse, -1).T)
     return result
 
 
@@ -98,7 +95,7 @@ class ExactTangent:
     def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
         self.body, self.extra = body, sparse.kron(extra, sparse.eye(3), format="csr")
 
-    def factor(self, displacement_m: Array, environment: int) -> ExactFactor:
+    def factor(self, displacement_m: FloatArray, environment: int) -> ExactFactor:
         """Factor the stiffness at displacements (N, 3), made positive definite."""
         matrix = self.body.stiffness(displacement_m, environment) + self.extra
         matrix = matrix.astype(self.body.dtype).tocsr()
@@ -124,15 +121,15 @@ class ExactFactor:
     size: int
     dtype: type[np.floating]
 
-    def solve(self, right: Array) -> Array:
+    def solve(self, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) for forces (3 N,) anywhere."""
         return np.asarray(self.inverse(right.astype(self.dtype)), dtype=np.float64)
 
-    def solve_loads(self, right: Array) -> Array:
+    def solve_loads(self, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) for forces (3 N,) near the contact."""
         return self.solve(right)
 
-    def between(self, node: IntArray) -> NDArray[np.floating]:
+    def between(self, node: IndexArray) -> NDArray[np.floating]:
         """Return (3 n, 3 n) of the inverse between nodes."""
         dof = degrees_of_freedom(node)
         unit = np.zeros((self.size, len(dof)), dtype=self.dtype)
@@ -141,9 +138,9 @@ class ExactFactor:
         return result
 
 
-def degrees_of_freedom(node: IntArray) -> IntArray:
+def degrees_of_freedom(node: IndexArray) -> IndexArray:
     """Return (3 n,) unknowns of nodes (n,)."""
-    dof: IntArray = (3 * node[:, None] + np.arange(3)).ravel().astype(np.int32)
+    dof: IndexArray = (3 * node[:, None] + np.arange(3)).ravel().astype(np.int32)
     return dof
 
 
@@ -151,11 +148,11 @@ def degrees_of_freedom(node: IntArray) -> IntArray:
 class LocalFactor:
     """A factored region; `solve` returns the step of the whole gel."""
 
-    compliance: FloatArray
-    region: Region
-    factor: tuple[FloatArray, bool]
+    compliance: Float32Array
+    region: GridRegion
+    factor: tuple[Float32Array, bool]
 
-    def solve(self, right: Array) -> Array:
+    def solve(self, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) for residual forces (3 N,) anywhere."""
         free = linalg.blas.ssymv(1.0, self.compliance.T, right.astype(np.float32))
         region = self.region
@@ -163,10 +160,10 @@ class LocalFactor:
         local = region.condensed @ free_here
         step = linalg.cho_solve(self.factor, local, check_finite=False)
         change = region.condensed @ (step - free_here)
-        whole: Array = (free + region.compliance_columns @ change).astype(np.float64)
+        whole: FloatArray = (free + region.compliance_columns @ change).astype(np.float64)
         return whole
 
-    def solve_near(self, right: Array) -> Array:
+    def solve_near(self, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) for residual forces (3 N,): in the region for all of them, outside
         for those in the region."""
         region = self.region
@@ -174,19 +171,21 @@ class LocalFactor:
         free_here = region.compliance_columns.T @ right.astype(np.float32)
         step = linalg.cho_solve(self.factor, region.condensed @ free_here, check_finite=False)
         change = local + region.condensed @ (step - free_here)
-        whole: Array = (region.compliance_columns @ change).astype(np.float64)
+        whole: FloatArray = (region.compliance_columns @ change).astype(np.float64)
         whole[region.dof] = step
         return whole
 
-    def solve_loads(self, right: Array) -> Array:
+    def solve_loads(self, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) for forces (3 N,) that are all in the region."""
         region = self.region
         local = right[region.dof].astype(np.float32)
         step = linalg.cho_solve(self.factor, local, check_finite=False)
-        whole: Array = (region.compliance_columns @ (region.condensed @ step)).astype(np.float64)
+        whole: FloatArray = (region.compliance_columns @ (region.condensed @ step)).astype(
+            np.float64
+        )
         return whole
 
-    def between(self, node: IntArray) -> FloatArray:
+    def between(self, node: IndexArray) -> Float32Array:
         """Return (3 n, 3 n) of the inverse between nodes of the region."""
         lower, _ = self.factor
         dof = degrees_of_freedom(self.region.number[node])
@@ -195,7 +194,7 @@ class LocalFactor:
         unit = np.zeros((len(lower) - first, len(dof)), dtype=np.float32, order="F")
         unit[dof - first, np.arange(len(dof))] = 1.0
         half = linalg.blas.strsm(1.0, lower[first:, first:], unit, lower=1, overwrite_b=1)
-        result: FloatArray = half.T @ half
+        result: Float32Array = half.T @ half
         return result
 
 
@@ -205,26 +204,28 @@ class LocalTangent:
     Args:
         body: the elastic body in single precision.
         extra: (N, N) further stiffness of every direction, such as mass over the squared step.
+        environment: the one whose material it is.
     """
 
-    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix) -> None:
+    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix, environment: int = 0) -> None:
         self.body = body
         discretization = body.discretization
         self.rest = np.zeros((discretization.node_count, 3), dtype=np.float32)
-        stiffness = body.stiffness(self.rest, 0) + sparse.kron(extra, sparse.eye(3))
+        stiffness = body.stiffness(self.rest, environment) + sparse.kron(extra, sparse.eye(3))
         self.compliance = inverse_of_positive(
             np.asfortranarray(stiffness.toarray().astype(np.float32))
         )
         self.cell_centre_m = discretization.node_position_m[body.cells.node].mean(axis=1)
 
-    def solve_at_rest(self, right: Array) -> Array:
+    def solve_at_rest(self, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) with the stiffness of rest and no contact."""
         step = linalg.blas.ssymv(1.0, self.compliance.T, right.astype(np.float32))
-        whole: Array = step.astype(np.float64)
+        whole: FloatArray = step.astype(np.float64)
         return whole
 
-    def region(self, cell: IntArray, needed_node: IntArray) -> Region:
-        """Return the region of the given cells, with further nodes that contact needs.
+    def region(self, cell: IndexArray, needed_node: IndexArray, environment: int) -> GridRegion:
+        """Return the region of the given cells, with further nodes that contact needs, and with the
+        rest stiffness of an environment's material: what relaxation remembers is part of it.
 
         Its nodes go from the farthest to those in the middle of the needed ones, which
         `LocalFactor.between` profits from.
@@ -241,10 +242,12 @@ class LocalTangent:
         base = region_base(node_of_cell[inside], number, len(dof))
         rows = self.compliance[dof]
         condensed = inverse_of_positive(np.asfortranarray(rows[:, dof]))
-        rest = self.body.region_stiffness(self.rest, inside, base, len(dof))
-        return Region(node, number, inside, base, dof, rows.T, condensed, rest)
+        rest = self.body.region_stiffness(self.rest, inside, base, len(dof), environment)
+        return GridRegion(node, number, inside, base, dof, rows.T, condensed, rest)
 
-    def assemble(self, region: Region, displacement_m: Array, environment: int) -> FloatArray:
+    def assemble(
+        self, region: GridRegion, displacement_m: FloatArray, environment: int
+    ) -> Float32Array:
         """Return the condensed stiffness (3 R, 3 R) of a region at displacements (N, 3)."""
         now = self.body.region_stiffness(
             displacement_m, region.cell, region.base, len(region.dof), environment
@@ -253,15 +256,15 @@ class LocalTangent:
         now -= region.rest
         return now
 
-    def factor(self, region: Region, stiffness: FloatArray) -> LocalFactor:
+    def factor(self, region: GridRegion, stiffness: Float32Array) -> LocalFactor:
         """Factor an assembled stiffness."""
         mean = float(np.trace(stiffness)) / len(stiffness)
 
-        def factor(share: float) -> tuple[FloatArray, bool]:
+        def factor(share: float) -> tuple[Float32Array, bool]:
             # The transpose is the same matrix in LAPACK's order.
             matrix = stiffness.T.copy(order="F")
             matrix[np.diag_indices(len(matrix))] += share * mean
-            result: tuple[FloatArray, bool] = linalg.cho_factor(
+            result: tuple[Float32Array, bool] = linalg.cho_factor(
                 matrix, lower=True, overwrite_a=True, check_finite=False
             )
             return result

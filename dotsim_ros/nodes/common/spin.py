@@ -10,6 +10,7 @@ from threading import Event, Thread
 from types import FrameType
 
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import ParameterException
@@ -17,8 +18,11 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
+import msg_adapters
 from dotsim_ros.nodes.common.pace import FramePace
+from msg_adapters import Status
 
+SILENT_CLOCK_WARNING_S = 5.0
 REFUSED = 2
 """Exit status of a node that could not start from what its user gave it."""
 
@@ -91,9 +95,29 @@ class WorkingNode(Node):
 
         self.start_thread(name, run, broken)
 
-    def report_every(self, period_s: float, report: Callable[[], None]) -> None:
-        """Call `report` every `period_s` of a steady clock: also without /clock somebody must be
-        told what is wrong."""
+    def report_health(
+        self, period_s: float, statuses: Callable[[], Sequence[Status]], without_clock: str
+    ) -> None:
+        """Publish the node's health on /diagnostics.
+
+        Args:
+            period_s: between reports, by a steady clock: a node says what is wrong without /clock,
+                too.
+            statuses: returns the states of the node's parts.
+            without_clock: what does not work while `use_sim_time` is set and /clock is silent, for
+                the log.
+        """
+        publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+        def report() -> None:
+            stamp_ns = self.get_clock().now().nanoseconds
+            if stamp_ns == 0:
+                self.get_logger().warning(
+                    f"use_sim_time is set and /clock is silent: {without_clock}",
+                    throttle_duration_sec=SILENT_CLOCK_WARNING_S,
+                )
+            publisher.publish(msg_adapters.encode_diagnostics(statuses(), stamp_ns=stamp_ns))
+
         self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _watch(self, run: Callable[[], None], broken: str) -> None:

@@ -16,7 +16,7 @@ from dotsim_ros.measured.scripted import (
     travel,
     twist,
 )
-from dotsim_ros.measured.shipped_presses import Press, read_presses
+from dotsim_ros.measured.shipped_presses import ShippedPress, read_presses
 from dotsim_ros.measured.trajectory import BASE_FRAME, Topics, read_trajectory
 from dotsim_ros.nodes.common.options import check_options, option
 
@@ -218,7 +218,7 @@ def _twist(parameters: PlayerParameters) -> Motion:
     )
 
 
-def _chosen(presses: tuple[Press, ...], numbers: tuple[int, ...]) -> list[Press]:
+def _chosen(presses: tuple[ShippedPress, ...], numbers: tuple[int, ...]) -> list[ShippedPress]:
     if numbers == (-1,):
         return list(presses)
     wrong = [number for number in numbers if not 0 <= number < len(presses)]

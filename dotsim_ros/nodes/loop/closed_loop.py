@@ -19,15 +19,16 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
-from dotsim_ros.tasks.policy.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
+from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.paths import DomeContact
-from dotsim_ros.tasks.policy.safety import SafetyLimits
 
 SENSOR, ARM, POLICY, RECORDER = "tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"
 START_TIMEOUT_S = 300.0

@@ -34,7 +34,7 @@ PATIENCE_S = 30.0
 
 
 @dataclass(frozen=True)
-class Heard:
+class LoopTraffic:
     """A message as it came.
 
     Attributes:
@@ -92,12 +92,12 @@ class LoopObserver:
         with self._lock:
             return len(self._kept[topic])
 
-    def heard(self, topic: str, *, last: int | None = None) -> list[Heard]:
+    def heard(self, topic: str, *, last: int | None = None) -> list[LoopTraffic]:
         """Return the messages of a topic that have been heard, or the last of them."""
         with self._lock:
             kept = list(self._kept[topic] if last is None else self._kept[topic][-last:])
         kind = self._types[topic]
-        return [Heard(deserialize_message(raw, kind), *times) for raw, *times in kept]
+        return [LoopTraffic(deserialize_message(raw, kind), *times) for raw, *times in kept]
 
     def wait(
         self, is_reached: Callable[[], Any], what: str, *, timeout_s: float = PATIENCE_S

@@ -5,10 +5,10 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.trajectory.trials import Setting
-from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
-from dotsim_ros.tasks.policy.loop_recording import LoopRecording
+from dotsim_ros.tasks.control.loop_recording import LoopRecording
 
 
 class TrialLoop:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dotsim_ros.tasks.policy.safety import State
+from dotsim_ros.nodes.common.health import Report, statuses_of
+from dotsim_ros.tasks.control.safety import State
 from msg_adapters import Level, Status
 
 if TYPE_CHECKING:
     from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
     from dotsim_ros.nodes.tactile_policy.loops import ControlLoop, InferenceLoop
-
-Report = tuple[Level, str, dict[str, str]]
 
 LEVELS = {
     State.DISABLED: Level.OK,
@@ -42,17 +41,12 @@ def statuses(
         warnings: what else is wrong, by part.
         now_s: the steady clock.
     """
-    named = {
+    reports = {
         "control": _control(control, now_s),
         "inference": _inference(inference, control, now_s),
         "input": _input(inputs, now_s),
     }
-    found = []
-    for part, (level, message, values) in named.items():
-        if part in warnings and level < Level.WARN:
-            level, message = Level.WARN, warnings[part]
-        found.append(Status(f"{node_name}: {part}", level, message, hardware_id, values))
-    return found
+    return statuses_of(node_name, hardware_id, reports, warnings)
 
 
 def _milliseconds(*values_s: float) -> str:

@@ -23,8 +23,8 @@ from dotsim_ros.nodes.tactile_policy.parameters import (
     RAW,
     TactilePolicyParameters,
 )
-from dotsim_ros.tasks.policy.freshness import Heard, StreamWatch
-from dotsim_ros.tasks.policy.safety import Readings, Reason
+from dotsim_ros.tasks.control.freshness import HeardMessage, StreamWatch
+from dotsim_ros.tasks.control.safety import Readings, Reason
 
 # Best effort loses images between processes; of several that wait, only the newest counts.
 IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -156,9 +156,9 @@ class PolicyInputs:
         heard, why = watch.hear(
             stamp_ns, arrival_s=arrival_s, clock_ns=self._node.get_clock().now().nanoseconds
         )
-        if heard is Heard.JUMPED:
+        if heard is HeardMessage.JUMPED:
             self._latch(Reason.CLOCK_JUMP, why)
-        return heard is not Heard.NOTHING_NEW
+        return heard is not HeardMessage.NOTHING_NEW
 
     def _on_image(self, message: Any) -> None:
         arrival_s = time.monotonic()

@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.nodes.common.beat import Beat
-from dotsim_ros.nodes.tactile_policy.counters import Miss, MissCounter, RateMeter, Spread
+from dotsim_ros.nodes.common.counters import Miss, MissCounter, RateMeter, Spread
 from dotsim_ros.tasks.arm.command import Twist
-from dotsim_ros.tasks.arm.control import ArmControl, Order
-from dotsim_ros.tasks.policy.safety import Reason, State
+from dotsim_ros.tasks.control.arm_control import ArmControl, Order
+from dotsim_ros.tasks.control.safety import Reason, State
 
 if TYPE_CHECKING:
     from dotsim_ros.nodes.tactile_policy.inputs import HeardImage, PolicyInputs

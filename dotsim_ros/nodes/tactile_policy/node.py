@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import TwistStamped
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -23,10 +22,10 @@ from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
 from dotsim_ros.nodes.common.beat import Beat
+from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.priority import take_priority
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
-from dotsim_ros.nodes.tactile_policy.counters import Miss
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_picture
 from dotsim_ros.nodes.tactile_policy.health import statuses
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
@@ -38,12 +37,13 @@ from dotsim_ros.nodes.tactile_policy.parameters import (
     TactilePolicyParameters,
 )
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR, Twist, zero_twist
-from dotsim_ros.tasks.arm.control import ArmControl, Order
+from dotsim_ros.tasks.control.arm_control import ArmControl, Order
+from dotsim_ros.tasks.control.safety import Reason, State
 from dotsim_ros.tasks.policy.network import load_policy
-from dotsim_ros.tasks.policy.safety import Reason, State
 
 if TYPE_CHECKING:
     from dotsim_ros.tasks.policy.network import Policy
+from msg_adapters import Status
 
 COMMAND_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 IMAGE_MARGIN_S = 0.005
@@ -113,8 +113,11 @@ class TactilePolicy(WorkingNode):
             self._policy(idle, idle)
             self._inference.idle = idle
         self._logged_s: dict[tuple[State, Reason], float] = {}
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.report_every(self._settings.diagnostics_period_s, self._report)
+        self.report_health(
+            self._settings.diagnostics_period_s,
+            self._health,
+            without_clock="no stamp can be compared with it",
+        )
         self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
 
@@ -173,13 +176,8 @@ class TactilePolicy(WorkingNode):
             f"{miss.loop}: a deadline was missed by {1e3 * miss.late_s:.0f} ms{before}"
         )
 
-    def _report(self) -> None:
-        if self.get_clock().now().nanoseconds == 0:
-            self.get_logger().warning(
-                "use_sim_time is set and /clock is silent: no stamp can be compared with it",
-                throttle_duration_sec=5.0,
-            )
-        states = statuses(
+    def _health(self) -> list[Status]:
+        return statuses(
             self.get_fully_qualified_name().lstrip("/"),
             self._policy.name,
             inputs=self._inputs,
@@ -187,9 +185,6 @@ class TactilePolicy(WorkingNode):
             control=self._loop,
             warnings=self._crowds(),
             now_s=time.monotonic(),
-        )
-        self._diagnostics.publish(
-            msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
         )
 
     def _crowds(self) -> dict[str, str]:

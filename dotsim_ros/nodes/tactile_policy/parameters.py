@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from dotsim_ros.nodes.common.options import check_options, option
-from dotsim_ros.tasks.arm.control import ControlSettings
-from dotsim_ros.tasks.policy.safety import SafetyLimits
+from dotsim_ros.tasks.control.arm_control import ControlSettings
+from dotsim_ros.tasks.control.safety import SafetyLimits
 
 RAW, COMPRESSED = "raw", "compressed"
 TOOL_FRAME, BASE_FRAME = "link_tcp", "link_base"

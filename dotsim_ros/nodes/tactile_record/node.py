@@ -21,7 +21,7 @@ from rclpy.utilities import try_shutdown
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
-from dotsim_ros.nodes.tactile_record.recording import Recording, RecordingSummary
+from dotsim_ros.nodes.tactile_record.recording import BagRecording, RecordingSummary
 from msg_adapters import message_class
 
 SENSOR_TOPICS = {
@@ -118,11 +118,13 @@ class TactileRecord(WorkingNode):
         self._received = 0
         self._heard: set[str] = set()
         self._lost = 0
-        self._recording: Recording | None = None
+        self._recording: BagRecording | None = None
 
     def begin(self) -> None:
         """Open the recording and listen."""
-        recording = Recording(self._path, self._types, queue_bytes=self._settings.queue_mb * 2**20)
+        recording = BagRecording(
+            self._path, self._types, queue_bytes=self._settings.queue_mb * 2**20
+        )
         self._recording = recording
         for topic, kind in self._types.items():
             self.create_subscription(
@@ -161,7 +163,7 @@ class TactileRecord(WorkingNode):
                 f"{dropped} dropped, {self._lost} lost on the way"
             )
 
-    def _on_message(self, recording: Recording, topic: str, serialized: bytes) -> None:
+    def _on_message(self, recording: BagRecording, topic: str, serialized: bytes) -> None:
         self._received += 1
         if topic not in self._heard:
             self._heard.add(topic)
@@ -174,7 +176,7 @@ class TactileRecord(WorkingNode):
     def _on_lost(self, event: Any) -> None:
         self._lost += event.total_count_change
 
-    def _check(self, recording: Recording) -> None:
+    def _check(self, recording: BagRecording) -> None:
         self.get_logger().debug(f"{self._received} messages so far")
         if recording.error is not None:
             try_shutdown()

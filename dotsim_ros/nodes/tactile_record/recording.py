@@ -26,7 +26,7 @@ class RecordingSummary:
     error: str | None
 
 
-class Recording:
+class BagRecording:
     """Takes serialised messages without waiting for the disk.
 
     Args:

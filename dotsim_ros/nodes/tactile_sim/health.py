@@ -10,6 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from dotsim_ros.nodes.common.health import (
+    FAULT_MEMORY_S,
+    Report,
+    fault_values,
+    is_recent,
+    statuses_of,
+)
 from dotsim_ros.nodes.common.ingest import FaultLog
 from msg_adapters import Level, Status
 
@@ -19,7 +26,6 @@ if TYPE_CHECKING:
 RATE_WINDOW_S = 5.0
 SPENT_FRAME_COUNT = 1500
 GROUPS = {"gel": ("contact", "solve"), "optics": ("depth", "image")}
-FAULT_MEMORY_S = 5.0
 
 
 class FrameCounter:
@@ -108,18 +114,15 @@ def statuses(
     now_s: float,
 ) -> list[Status]:
     """Return the states of the frames, the input and the gel."""
-    named = [
-        ("frames", _frames(condition, counter, now_s)),
-        ("input", _input(condition, faults, now_s)),
-        ("gel", _gel(gel, effects, counter, now_s)),
-    ]
-    return [
-        Status(f"{node_name}: {part}", level, message, hardware_id, values)
-        for part, (level, message, values) in named
-    ]
-
-
-Report = tuple[Level, str, dict[str, str]]
+    return statuses_of(
+        node_name,
+        hardware_id,
+        {
+            "frames": _frames(condition, counter, now_s),
+            "input": _input(condition, faults, now_s),
+            "gel": _gel(gel, effects, counter, now_s),
+        },
+    )
 
 
 def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report:
@@ -140,14 +143,13 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
 def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
     values = {
         "silence_s": "never heard" if condition.silence_s is None else f"{condition.silence_s:.2f}",
-        **{fault.value: str(count) for fault, count in faults.counts().items()},
-        "last_fault": faults.last_reason,
+        **fault_values(faults),
     }
     if condition.silence_s is None:
         return Level.OK, "no input so far", values
     if condition.silence_s > condition.timeout_s:
         return Level.WARN, f"no input for {condition.silence_s:.1f} s: the last frame holds", values
-    if now_s - faults.last_s < FAULT_MEMORY_S:
+    if is_recent(faults, now_s):
         return Level.WARN, faults.last_reason, values
     return Level.OK, "input is valid", values
 

@@ -7,7 +7,8 @@ from threading import Lock
 
 import numpy as np
 
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 
@@ -15,7 +16,7 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 @dataclass(frozen=True)
-class Motion:
+class MotionOrder:
     """A checked pose of the indenter.
 
     Attributes:
@@ -42,7 +43,7 @@ class MotionGate:
         self._base_frame = base_frame
         self.maximum_jump_m = maximum_jump_m
         self.maximum_step_s = maximum_step_s
-        self._last: Motion | None = None
+        self._last: MotionOrder | None = None
 
     @property
     def last_pose(self) -> Pose | None:
@@ -53,7 +54,7 @@ class MotionGate:
         """Let the next pose be a start, wherever and whenever it is."""
         self._last = None
 
-    def hear(self, pose: Pose, stamp_ns: int, *, frame_id: str) -> Motion:
+    def hear(self, pose: Pose, stamp_ns: int, *, frame_id: str) -> MotionOrder:
         """Return the motion to a pose.
 
         Raises:
@@ -66,7 +67,7 @@ class MotionGate:
                 f"frame_id of the pose is {frame_id!r}, expected {self._base_frame!r}: transform "
                 "poses into the sensor's base frame, or set the parameter base_frame",
             )
-        self._last = Motion(pose, stamp_ns, self._new_start(pose, stamp_ns))
+        self._last = MotionOrder(pose, stamp_ns, self._new_start(pose, stamp_ns))
         return self._last
 
     def _new_start(self, pose: Pose, stamp_ns: int) -> Fault | None:
@@ -92,9 +93,9 @@ class NewestMotion:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._motion: Motion | None = None
+        self._motion: MotionOrder | None = None
 
-    def put(self, motion: Motion) -> None:
+    def put(self, motion: MotionOrder) -> None:
         """Replace what is held; a new start that was not simulated yet stays one."""
         with self._lock:
             held = self._motion
@@ -102,7 +103,7 @@ class NewestMotion:
                 motion = replace(motion, new_start=held.new_start)
             self._motion = motion
 
-    def take(self) -> Motion | None:
+    def take(self) -> MotionOrder | None:
         """Return what is held, once."""
         with self._lock:
             motion, self._motion = self._motion, None

@@ -17,8 +17,8 @@ from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
-    Motion,
     MotionGate,
+    MotionOrder,
     Velocity,
     velocity_axes,
 )
@@ -55,7 +55,7 @@ class MotionInput:
         parameters: TactileSimParameters,
         *,
         faults: FaultLog,
-        on_motion: Callable[[Motion], None],
+        on_motion: Callable[[MotionOrder], None],
     ) -> None:
         self._node = node
         self._parameters = parameters

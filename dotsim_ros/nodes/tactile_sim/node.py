@@ -17,10 +17,8 @@ from typing import Any
 
 import numpy as np
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray
 from std_srvs.srv import SetBool, Trigger
 
-import msg_adapters
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.live import specification_with_effects
@@ -34,13 +32,14 @@ from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
-from dotsim_ros.nodes.tactile_sim.motion import Motion, NewestMotion
+from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
-from dotsim_ros.nodes.tactile_sim.session import Moment, SensorSession
+from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from msg_adapters import Status
 
 REALTIME_ITERATIONS = 2
 """A frame that stalls is late, has a longer way to go next time, and stalls again: better one that
@@ -86,8 +85,11 @@ class TactileSim(WorkingNode):
             faults=self._faults,
             on_motion=self._newest.put if self._is_realtime else self._lockstep_frame,
         )
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.report_every(self._settings.diagnostics_period_s, self._report)
+        self.report_health(
+            self._settings.diagnostics_period_s,
+            self._health,
+            without_clock="there is no time to stamp frames with",
+        )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
         self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
@@ -174,12 +176,12 @@ class TactileSim(WorkingNode):
                 self._input.guard(self._session.catch_up)
             self._publish(self._session.moment, stamp_ns)
 
-    def _lockstep_frame(self, motion: Motion) -> None:
+    def _lockstep_frame(self, motion: MotionOrder) -> None:
         with self._lock:
             if self._is_enabled:
                 self._publish(self._session.follow(motion), motion.stamp_ns)
 
-    def _publish(self, moment: Moment, stamp_ns: int) -> None:
+    def _publish(self, moment: SensorMoment, stamp_ns: int) -> None:
         if self._outputs.shows_picture():
             moment.render()
         begun_s = time.monotonic()
@@ -191,15 +193,10 @@ class TactileSim(WorkingNode):
             converged=moment.gel.converged,
         )
 
-    def _report(self) -> None:
-        if self.get_clock().now().nanoseconds == 0:
-            self.get_logger().warning(
-                "use_sim_time is set and /clock is silent: there is no time to stamp frames with",
-                throttle_duration_sec=5.0,
-            )
+    def _health(self) -> list[Status]:
         # Not under the lock: poses would wait here until a frame ends, and the next frame would
         # begin with an old one.
-        states = statuses(
+        return statuses(
             self.get_name(),
             self._settings.sensor,
             condition=Condition(
@@ -215,9 +212,6 @@ class TactileSim(WorkingNode):
             gel=self._session.moment.gel,
             effects=self._effect_names,
             now_s=time.monotonic(),
-        )
-        self._diagnostics.publish(
-            msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
         )
 
     def _start_anew(self) -> None:

@@ -19,7 +19,7 @@ from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.tasks.policy.looks import with_noise
 
 if TYPE_CHECKING:
-    from dotsim_ros.nodes.tactile_sim.session import Moment
+    from dotsim_ros.nodes.tactile_sim.session import SensorMoment
     from dotsim_ros.sensor import Frame, TactileSensor
 
 # Reliable serves best-effort readers too; 5 is what viewers ask for.
@@ -74,7 +74,7 @@ class FramePublishers:
         """Return whether somebody reads a topic that the camera's picture is needed for."""
         return any(_is_read(each) for each in (self._image, self._compressed, self._depth))
 
-    def publish(self, moment: Moment, stamp_ns: int) -> None:
+    def publish(self, moment: SensorMoment, stamp_ns: int) -> None:
         """Publish a moment on every topic that somebody reads; render it only for a picture."""
         optical: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.optical_frame}
         base: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.base_frame}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter, way_m
-from dotsim_ros.geometry.pose import FloatArray, Pose, interpolate
+from dotsim_ros.geometry.pose import Pose, interpolate
 
 TOUCH_M = 0.05e-3
 """Closer to the skin than this the free way ends."""

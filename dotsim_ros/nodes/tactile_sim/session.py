@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dotsim_ros.effects.live import ImageArray, LiveEffects
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.effects.live import LiveEffects
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
-from dotsim_ros.nodes.tactile_sim.motion import NANOSECONDS_PER_SECOND, Motion
+from dotsim_ros.nodes.tactile_sim.motion import NANOSECONDS_PER_SECOND, MotionOrder
 from dotsim_ros.nodes.tactile_sim.pursuit import pursue
 from dotsim_ros.sensor import GelFailureError
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 WARM_UP_DEPTH_M = 0.0005
 
 
-class Moment:
+class SensorMoment:
     """The gel under an indenter, and what the camera sees of it once somebody asks.
 
     Args:
@@ -119,7 +120,7 @@ class SensorSession:
         self.reset()
         return time.monotonic() - start_s
 
-    def follow(self, motion: Motion) -> Moment:
+    def follow(self, motion: MotionOrder) -> SensorMoment:
         """Simulate a motion, or as much of it as one frame may.
 
         Raises:
@@ -140,7 +141,7 @@ class SensorSession:
         """Return whether the last frame shows the indenter on its way, not at its newest pose."""
         return self._is_behind
 
-    def catch_up(self) -> Moment:
+    def catch_up(self) -> SensorMoment:
         """Go on to the newest pose, which `follow` did not reach; where it did, let a gel that
         remembers, or an effect, go on under the held indenter.
 
@@ -154,7 +155,7 @@ class SensorSession:
             self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
         return self._move(self._told, self._first_dt_s)
 
-    def _move(self, told: Pose, step_s: float) -> Moment:
+    def _move(self, told: Pose, step_s: float) -> SensorMoment:
         self._told, self._is_behind = told, False
         pose = self._effects.moved(told, self._force_n, step_s)
         try:
@@ -171,11 +172,11 @@ class SensorSession:
             self.behind += 1
         return self.moment
 
-    def _pressed(self, pose: Pose | None, step_s: float) -> Moment:
+    def _pressed(self, pose: Pose | None, step_s: float) -> SensorMoment:
         before_m = None if self._at is None else self.moment.gel.skin_position_m
         gel = self._sensor.press(pose, step_s)
         self._force_n = gel.wrench.force_n
-        return Moment(
+        return SensorMoment(
             self._sensor,
             self._effects.answered(gel, pose),
             pose,

@@ -10,20 +10,20 @@ from threading import RLock
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
-from dotsim_ros.nodes.common.arm_health import link_statuses
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.xarm_adapter.health import link_statuses
 from dotsim_ros.nodes.xarm_adapter.link import Call, Hindrance, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
+from msg_adapters import Status
 from msg_adapters.xarm import move_velocity_service, robot_state_message
 
 COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -60,8 +60,11 @@ class XarmAdapter(WorkingNode):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self.create_subscription(state, self._settings.robot_states, self._on_state, STATE_QOS)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.report_every(self._settings.diagnostics_period_s, self._report)
+        self.report_health(
+            self._settings.diagnostics_period_s,
+            self._health,
+            without_clock="there is no time to stamp poses with",
+        )
         follow(self, lambda: self._settings, self._change_parameters)
 
     def begin(self) -> None:
@@ -165,13 +168,10 @@ class XarmAdapter(WorkingNode):
             f"the arm's state is refused: {reason}", throttle_duration_sec=WARN_EVERY_S
         )
 
-    def _report(self) -> None:
+    def _health(self) -> list[Status]:
         now_s = time.monotonic()
         with self._lock:
-            states = link_statuses(self.get_name(), self._link, self._faults, now_s=now_s)
-        self._diagnostics.publish(
-            msg_adapters.encode_diagnostics(states, stamp_ns=self.get_clock().now().nanoseconds)
-        )
+            return link_statuses(self.get_name(), self._link, self._faults, now_s=now_s)
 
     def _change_parameters(self, changed: XarmAdapterParameters) -> None:
         with self._lock:

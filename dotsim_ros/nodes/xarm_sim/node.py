@@ -11,7 +11,6 @@ from threading import RLock
 from typing import Any
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -20,15 +19,16 @@ from std_srvs.srv import Trigger
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose, compose, inverse
-from dotsim_ros.nodes.common.arm_health import ArmCondition, arm_statuses
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.xarm_sim.health import ArmCondition, arm_statuses
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
 from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
 from dotsim_ros.tasks.arm.simulated import ArmState, SimulatedArm
+from msg_adapters import Status
 
 COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 FEEDBACK_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
@@ -63,8 +63,11 @@ class XarmSim(WorkingNode):
             COMMAND_QOS,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
-        self.report_every(self._settings.diagnostics_period_s, self._report)
+        self.report_health(
+            self._settings.diagnostics_period_s,
+            self._health,
+            without_clock="there is no time to stamp poses with",
+        )
         self.create_service(Trigger, "~/emergency_stop", self._on_emergency_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
         follow(self, lambda: self._settings, self._change_parameters)
@@ -217,13 +220,7 @@ class XarmSim(WorkingNode):
         if self._faults.note(fault, reason, time.monotonic()):
             self.get_logger().warning(f"cmd_vel: {reason}")
 
-    def _report(self) -> None:
-        stamp_ns = self.get_clock().now().nanoseconds
-        if stamp_ns == 0:
-            self.get_logger().warning(
-                "use_sim_time is set and /clock is silent: there is no time to stamp poses with",
-                throttle_duration_sec=5.0,
-            )
+    def _health(self) -> list[Status]:
         now_s = time.monotonic()
         with self._lock:
             condition = ArmCondition(
@@ -236,8 +233,7 @@ class XarmSim(WorkingNode):
                 late=self._pace.late,
                 dropped=self._pace.dropped,
             )
-        states = arm_statuses(self.get_name(), condition, self._faults, now_s=now_s)
-        self._diagnostics.publish(msg_adapters.encode_diagnostics(states, stamp_ns=stamp_ns))
+        return arm_statuses(self.get_name(), condition, self._faults, now_s=now_s)
 
     def _on_emergency_stop(self, _request: Any, response: Any) -> Any:
         with self._lock:

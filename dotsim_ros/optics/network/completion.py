@@ -7,21 +7,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import ByteImage
 from dotsim_ros.optics.network.card import BASES, FINENESS, check_card, read_network
 from dotsim_ros.optics.network.carded_weights import GRAPH
-from dotsim_ros.optics.network.input import NetworkInput, resized
+from dotsim_ros.optics.network.input import CompletionInput, resized
 from dotsim_ros.optics.renderer import View
-
-Float32Array = NDArray[np.float32]
 
 THREADS = 1
 
 
-class ResidualNetwork:
+class CompletionNetwork:
     """A network of one sensor, read from its folder.
 
     Args:
@@ -60,7 +57,7 @@ class ResidualNetwork:
         )
         self._inputs = {entry.name for entry in self._session.get_inputs()}
 
-    def at_rest(self, view: View, idle: ByteImage) -> LearnedResidual:
+    def at_rest(self, view: View, idle: ImageArray) -> LearnedCompletion:
         """Return the residual for one idle frame.
 
         Args:
@@ -71,7 +68,7 @@ class ResidualNetwork:
             ValueError: view or idle frame are not of the camera's size.
         """
         fineness = FINENESS[self.card.kind]
-        given = NetworkInput(
+        given = CompletionInput(
             self._camera,
             (self.card.width // fineness, self.card.height // fineness),
             fineness=fineness,
@@ -79,7 +76,7 @@ class ResidualNetwork:
             normal=view.normal,
             idle=idle,
         )
-        return LearnedResidual(self, given, idle)
+        return LearnedCompletion(self, given, idle)
 
     def added(self, frame: Float32Array, rest: Float32Array, image: Float32Array) -> Float32Array:
         """Return what the network adds (3, f h, f w), over 255; see `network_input`."""
@@ -88,7 +85,7 @@ class ResidualNetwork:
         return np.asarray(self._session.run(None, fed)[0][0])
 
 
-class LearnedResidual:
+class LearnedCompletion:
     """What a network adds to the carried image, for one idle frame; see `image.Residual`.
 
     Args:
@@ -97,10 +94,12 @@ class LearnedResidual:
         idle: (H, W, 3) the idle frame.
     """
 
-    def __init__(self, network: ResidualNetwork, given: NetworkInput, idle: ByteImage) -> None:
+    def __init__(
+        self, network: CompletionNetwork, given: CompletionInput, idle: ImageArray
+    ) -> None:
         self._network, self._given, self._idle = network, given, idle
 
-    def __call__(self, view: View, carried: ByteImage) -> Float32Array:
+    def __call__(self, view: View, carried: ImageArray) -> Float32Array:
         """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
         frame = self._given.frame(view.depth_m, view.normal, carried)
         added = self._network.added(frame, self._given.rest, self._given.image(carried))

@@ -22,10 +22,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.idle import ByteImage, lit_region
-
-Float32Array = NDArray[np.float32]
+from dotsim_ros.optics.idle import lit_region
 
 FRAME = slice(0, 7)
 GEOMETRY = slice(0, 4)
@@ -52,7 +51,7 @@ def resized(array: NDArray[Pixels], size: tuple[int, int]) -> NDArray[Pixels]:
     return np.asarray(cv2.resize(array, size, interpolation=interpolation), dtype=array.dtype)
 
 
-class NetworkInput:
+class CompletionInput:
     """Brings what a camera sees to the size and the units of a network.
 
     Args:
@@ -79,7 +78,7 @@ class NetworkInput:
         fineness: int,
         depth_m: Float32Array,
         normal: Float32Array,
-        idle: ByteImage,
+        idle: ImageArray,
     ) -> None:
         for name, array in (("depth_m", depth_m), ("normal", normal), ("idle", idle)):
             if array.shape[:2] != (camera.height, camera.width):
@@ -108,7 +107,7 @@ class NetworkInput:
         ).astype(np.float32)
 
     def frame(
-        self, depth_m: Float32Array, normal: Float32Array, carried: ByteImage
+        self, depth_m: Float32Array, normal: Float32Array, carried: ImageArray
     ) -> Float32Array:
         """Return the input (7, h, w) of one frame.
 
@@ -129,12 +128,12 @@ class NetworkInput:
         frame[CARRIED] = self._planes(carried, self.size)
         return frame
 
-    def image(self, carried: ByteImage) -> Float32Array:
+    def image(self, carried: ImageArray) -> Float32Array:
         """Return a carried image (H, W, 3) uint8 as input (3, f h, f w)."""
         return self._planes(carried, self._image_size)
 
     @staticmethod
-    def _planes(image: ByteImage, size: tuple[int, int]) -> Float32Array:
+    def _planes(image: ImageArray, size: tuple[int, int]) -> Float32Array:
         small = resized(image, size)
         planes = np.empty((3, size[1], size[0]), dtype=np.float32)
         for channel in range(3):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.network.completion import ResidualNetwork
 from dotsim_ros.specification import SensorSpecification
 
+if TYPE_CHECKING:
+    from dotsim_ros.optics.network.completion import CompletionNetwork
 
-def residual_network(
+
+def completion_network(
     specification: SensorSpecification, camera: FisheyeCamera
-) -> ResidualNetwork | None:
+) -> CompletionNetwork | None:
     """Return the network that completes the sensor's image; None where it names none.
 
     Raises:
@@ -20,8 +24,8 @@ def residual_network(
     if not specification.camera.residual:
         return None
     # Loaded on use: it takes the time and memory of ONNX Runtime.
-    from dotsim_ros.optics.network.completion import ResidualNetwork
+    from dotsim_ros.optics.network.completion import CompletionNetwork
 
-    return ResidualNetwork(
+    return CompletionNetwork(
         given_path(specification.camera.residual), sensor=specification.name, camera=camera
     )

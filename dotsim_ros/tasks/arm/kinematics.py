@@ -15,7 +15,8 @@ import numpy as np
 import pinocchio
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.tasks.arm.command import Twist
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.tasks.arm.command import (
     ANGULAR,
     LINEAR,
@@ -118,7 +119,7 @@ class _Command:
 
 
 @dataclass(frozen=True)
-class _Step:
+class _ArmStep:
     """What a step of the grid ends with; fields as those of `ArmState`."""
 
     joints_rad: FloatArray
@@ -264,10 +265,10 @@ class SimulatedArm:
         while self._history[0].time_s < time_s - KEPT_S:
             self._history.popleft()
 
-    def _at_rest(self) -> _Step:
+    def _at_rest(self) -> _ArmStep:
         joints = self._start_joints_rad.copy()
         still = self._kinematics.motion(joints, self._kinematics.jacobian(joints), zero_twist())
-        return _Step(joints, still, zero_twist())
+        return _ArmStep(joints, still, zero_twist())
 
     def _rests(self) -> bool:
         moves = self._is_commanded() and self._command.twist.any()
@@ -291,7 +292,7 @@ class SimulatedArm:
         twist = self._command.twist
         return (twist.reshape(2, 3) @ rotation.T).reshape(6) if self._command.along_tool else twist
 
-    def _next_step(self) -> _Step:
+    def _next_step(self) -> _ArmStep:
         """Return one step on from the present one."""
         self._take_commands(self._time_s())
         before, kinematics = self._step, self._kinematics
@@ -307,7 +308,7 @@ class SimulatedArm:
         # A joint that stopped short of where it was going may have made the tool faster.
         rates *= self._room(jacobian @ rates)
         joints = before.joints_rad + STEP_S * rates
-        return _Step(joints, replace(motion, rates_rad_s=rates), jacobian @ rates)
+        return _ArmStep(joints, replace(motion, rates_rad_s=rates), jacobian @ rates)
 
     def _room(self, twist: Twist) -> float:
         """Return the factor, 1 at most, that brings a velocity within the limits."""

@@ -24,14 +24,15 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.tasks.policy.expert import Expert
-from dotsim_ros.tasks.policy.images import ByteImage, PolicyView, fingerprint
+from dotsim_ros.tasks.policy.images import PolicyView, fingerprint
 from dotsim_ros.tasks.policy.looks import Look, LookRanges
 from dotsim_ros.tasks.policy.network import load_policy
 from dotsim_ros.tasks.policy.paths import DomeContact, ReferencePath, reference_path
@@ -303,11 +304,11 @@ class _Record:
 
     def __init__(self, gel: TactileSensor, looks: Sequence[Look], view: PolicyView) -> None:
         self._gel, self._looks, self._view = gel, looks, view
-        self.pictures: list[list[ByteImage]] = [[] for _ in looks]
+        self.pictures: list[list[ImageArray]] = [[] for _ in looks]
         self.fingerprints: list[list[NDArray[np.float32]]] = [[] for _ in looks]
         self.position_m: list[FloatArray] = []
 
-    def __call__(self, pose: Pose) -> ByteImage:
+    def __call__(self, pose: Pose) -> ImageArray:
         """Return the image (H, W, 3) of the first look with the indenter at a pose."""
         skin = self._gel.press(pose, 1.0 / RATE_HZ).skin_position_m
         images = [look.image(skin) for look in self._looks]

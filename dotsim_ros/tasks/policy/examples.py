@@ -12,10 +12,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.tasks.policy.demonstration import CARD, Episode, read_card, read_episode
 from dotsim_ros.tasks.policy.expert import Expert
-from dotsim_ros.tasks.policy.images import ByteImage, Float32Array, NetworkInput
+from dotsim_ros.tasks.policy.images import PolicyInput
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
 HELD_OUT_EVERY = 7
@@ -118,7 +118,7 @@ def read_split(folders: Sequence[Path]) -> tuple[Frames, Frames]:
     )
 
 
-def moved_picture(picture: ByteImage, symmetry: int) -> ByteImage:
+def moved_picture(picture: ImageArray, symmetry: int) -> ImageArray:
     """Return the picture turned by a quarter as often as `symmetry % 4`, then, for 4 and more,
     mirrored from left to right."""
     turned = np.rot90(picture, symmetry % 4)
@@ -137,7 +137,7 @@ def moved_position(position_m: FloatArray, symmetry: int) -> FloatArray:
     return np.array([-x if symmetry >= 4 else x, y, z])
 
 
-class Examples:
+class PolicyExamples:
     """Gives batches of a network's inputs and what it should answer.
 
     Args:
@@ -182,7 +182,7 @@ class Examples:
         idle = np.asarray(cv2.resize(idle, size, interpolation=cv2.INTER_AREA), np.uint8)
         if random is not None:
             picture, idle = exposed(picture, idle, random)
-        return NetworkInput(idle)(picture)
+        return PolicyInput(idle)(picture)
 
     def batch(
         self, numbers: NDArray[np.int64], random: np.random.Generator
@@ -201,8 +201,8 @@ class Examples:
 
 
 def exposed(
-    picture: ByteImage, idle: ByteImage, random: np.random.Generator
-) -> tuple[ByteImage, ByteImage]:
+    picture: ImageArray, idle: ImageArray, random: np.random.Generator
+) -> tuple[ImageArray, ImageArray]:
     """Return a picture and its idle picture under other lights, with noise in the first."""
     gain = random.uniform(0.75, 1.2) * random.uniform(0.9, 1.1, 3)
     drift = 1.0 + 0.01 * random.standard_normal()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.tasks.policy.paths import ReferencePath
 
 

@@ -10,10 +10,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-ByteImage = NDArray[np.uint8]
-Float32Array = NDArray[np.float32]
+from dotsim_ros.arrays import Float32Array, ImageArray
 
 DARK_LEVELS = 16.0
 """Added to the idle image's brightness, in grey levels, before anything is divided by it."""
@@ -52,7 +50,7 @@ class PolicyView:
         if not 32 <= self.side_px <= 512:
             raise ValueError(f"side_px is {self.side_px}, expected 32 to 512")
 
-    def check(self, image: ByteImage, what: str) -> None:
+    def check(self, image: ImageArray, what: str) -> None:
         """Refuse an image that is not of this view.
 
         Raises:
@@ -70,7 +68,7 @@ class PolicyView:
                 "another size of the same aspect ratio, showing the same view"
             )
 
-    def picture(self, image: ByteImage) -> ByteImage:
+    def picture(self, image: ImageArray) -> ImageArray:
         """Return the middle (side, side, 3) of an image (h, w, 3)."""
         height, width = image.shape[:2]
         half = 0.5 * self.share * height
@@ -95,19 +93,19 @@ def place_channels(side_px: int) -> Float32Array:
     return np.stack(np.meshgrid(line, line))
 
 
-class NetworkInput:
+class PolicyInput:
     """Makes a network's input from pictures of one idle picture.
 
     Args:
         idle: (side, side, 3) uint8 picture of `PolicyView.picture`.
     """
 
-    def __init__(self, idle: ByteImage) -> None:
+    def __init__(self, idle: ImageArray) -> None:
         self._idle = idle.astype(np.float32)
         self._brightness = local_brightness(self._idle)
         self._place = place_channels(idle.shape[0])
 
-    def __call__(self, picture: ByteImage) -> Float32Array:
+    def __call__(self, picture: ImageArray) -> Float32Array:
         """Return (CHANNEL_COUNT, side, side): change (3), picture (3), place (2); each about 1."""
         now = picture.astype(np.float32)
         change = 4.0 * (now - self._idle) / self._brightness
@@ -117,7 +115,7 @@ class NetworkInput:
         ).astype(np.float32)
 
 
-def fingerprint(image: ByteImage, idle: ByteImage) -> Float32Array:
+def fingerprint(image: ImageArray, idle: ImageArray) -> Float32Array:
     """Return (96,) what tells images of an unlike sensor: for each of 6x8 cells of the whole image
     which share of the idle image is lit, and how much the image differs from it.
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.pose import FloatArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.optics.idle import ByteImage, IdleFrame, read_idle_frame
+from dotsim_ros.optics.idle import IdleFrame, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
 from dotsim_ros.optics.pattern import PatternStyle, render_idle_image
@@ -146,12 +146,12 @@ class Look:
         self._flicker, self._random = ranges.flicker, random
         self.idle = self._exposed(frame.image, self._gain)
 
-    def _exposed(self, image: ByteImage, gain: float) -> ByteImage:
+    def _exposed(self, image: ImageArray, gain: float) -> ImageArray:
         levels = np.linspace(0.0, 1.0, 256)
         table = np.clip(np.rint(255.0 * gain * levels**self._gamma), 0.0, 255.0)
         return np.asarray(cv2.LUT(image, table.astype(np.uint8)), dtype=np.uint8)
 
-    def image(self, skin_position_m: FloatArray) -> ByteImage:
+    def image(self, skin_position_m: FloatArray) -> ImageArray:
         """Return the image (H, W, 3) of the skin (V, 3), with the camera's noise."""
         seen = self._image.render(self._renderer.render(skin_position_m))
         flicker = 1.0 + self._flicker * float(self._random.standard_normal())
@@ -160,7 +160,7 @@ class Look:
         return with_noise(image, self._noise_levels, seed)
 
 
-def with_noise(image: ByteImage, levels: float, seed: int) -> ByteImage:
+def with_noise(image: ImageArray, levels: float, seed: int) -> ImageArray:
     """Return the image with normal noise of a standard deviation in grey levels, where it is lit.
 
     It is drawn for a small part and repeated: much faster, and no different to a network.

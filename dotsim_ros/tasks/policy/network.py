@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import onnxruntime
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.optics.network.carded_weights import GRAPH
 from dotsim_ros.tasks.policy.card import (
     COMMAND_SIZE,
@@ -20,12 +20,11 @@ from dotsim_ros.tasks.policy.card import (
     PolicyCard,
     read_policy,
 )
-from dotsim_ros.tasks.policy.images import ByteImage, Float32Array, NetworkInput, fingerprint
+from dotsim_ros.tasks.policy.images import PolicyInput, fingerprint
 
 if TYPE_CHECKING:
     from torch import nn
 
-FloatArray = NDArray[np.float64]
 
 THREADS = 1
 """A second one gains a third on an idle machine, and costs tails beside a simulation."""
@@ -63,13 +62,13 @@ class Policy:
         self._usual_mean, self._usual_root = usual_mean, usual_root
         self._row = card.paths.index(path)
         self._view = card.view
-        self._idle: ByteImage | None = None
-        self._input: NetworkInput | None = None
+        self._idle: ImageArray | None = None
+        self._input: PolicyInput | None = None
         self.path, self.paths, self.name = path, card.paths, card.name
         self.image_shape = self._view.image_shape
         self.rate_hz, self.largest_distance = card.rate_hz, card.largest_distance
 
-    def _check(self, image: ByteImage, idle: ByteImage) -> None:
+    def _check(self, image: ImageArray, idle: ImageArray) -> None:
         self._view.check(image, "image")
         self._view.check(idle, "idle image")
         if image.shape != idle.shape:
@@ -78,13 +77,13 @@ class Policy:
                 f"{idle.shape[1]}x{idle.shape[0]}, expected one size; take the idle image again"
             )
 
-    def _input_for(self, idle: ByteImage) -> NetworkInput:
+    def _input_for(self, idle: ImageArray) -> PolicyInput:
         if self._input is None or self._idle is None or not np.array_equal(idle, self._idle):
             self._idle = idle.copy()
-            self._input = NetworkInput(self._view.picture(idle))
+            self._input = PolicyInput(self._view.picture(idle))
         return self._input
 
-    def __call__(self, image: ByteImage, idle: ByteImage) -> FloatArray:
+    def __call__(self, image: ImageArray, idle: ImageArray) -> FloatArray:
         """Return (6,) the velocity that the sensor should have, along its own axes.
 
         Args:
@@ -104,7 +103,7 @@ class Policy:
         commands = self._session.run(None, {"picture": given[None]})[0]
         return np.asarray(commands[0, self._row], dtype=np.float64)
 
-    def image_distance(self, image: ByteImage, idle: ByteImage) -> float:
+    def image_distance(self, image: ImageArray, idle: ImageArray) -> float:
         """Return how unlike the training images a pair is: about 1 for those, far above
         `largest_distance` for images of something else, or for an image that does not go with the
         idle image.

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from dotsim_ros.geometry.pose import FloatArray
+from dotsim_ros.arrays import FloatArray
 
 SPEED_M_S = 0.005
 """On straight parts of a path."""

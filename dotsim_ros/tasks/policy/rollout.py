@@ -9,10 +9,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 from dotsim_ros.sensor import GelFailureError
-from dotsim_ros.tasks.policy.images import ByteImage
 from dotsim_ros.tasks.policy.paths import ReferencePath
 
 APPROACH_S = 2.0
@@ -25,7 +25,7 @@ ARM_SPEED_M_S = 0.02
 class Driver(Protocol):
     """What a `Policy` is to a roll-out."""
 
-    def __call__(self, image: ByteImage, idle: ByteImage) -> FloatArray:
+    def __call__(self, image: ImageArray, idle: ImageArray) -> FloatArray:
         """Return (6,) the sensor's velocity along its own axes."""
 
 
@@ -129,8 +129,8 @@ class RollOut:
 
 def follow(
     driver: Driver,
-    press: Callable[[Pose], ByteImage],
-    idle: ByteImage,
+    press: Callable[[Pose], ImageArray],
+    idle: ImageArray,
     path: ReferencePath,
     start: Pose,
     *,

@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dotsim_ros.arrays import Float32Array
 from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.provenance import provenance
@@ -27,12 +28,11 @@ from dotsim_ros.tasks.policy.demonstration import contact_of, read_card
 from dotsim_ros.tasks.policy.examples import (
     DEPTH_UNIT_M,
     TILT_UNIT_RAD,
-    Examples,
     Frames,
+    PolicyExamples,
     data_hash,
     read_split,
 )
-from dotsim_ros.tasks.policy.images import Float32Array
 from dotsim_ros.tasks.policy.network import save_policy
 from dotsim_ros.tasks.policy.resnet import (
     LINEAR_UNIT_M_S,
@@ -56,7 +56,7 @@ design 12 times."""
 
 
 @dataclass(frozen=True)
-class Recipe:
+class PolicyRecipe:
     """How a network is trained.
 
     Attributes:
@@ -84,7 +84,7 @@ class Recipe:
 
 
 @dataclass(frozen=True)
-class Progress:
+class PolicyProgress:
     """How far a training has come.
 
     Attributes:
@@ -102,7 +102,7 @@ class Progress:
     left_s: float
 
 
-class Training:
+class PolicyTraining:
     """One network being trained.
 
     Args:
@@ -120,9 +120,9 @@ class Training:
 
     def __init__(
         self,
-        examples: Examples,
+        examples: PolicyExamples,
         path_count: int,
-        recipe: Recipe,
+        recipe: PolicyRecipe,
         *,
         seed: int,
         key: str,
@@ -192,7 +192,7 @@ class Training:
                 else:
                     mean.copy_(value)
 
-    def run(self, progress: Callable[[Progress], None]) -> PolicyResNet:
+    def run(self, progress: Callable[[PolicyProgress], None]) -> PolicyResNet:
         """Train to the end; return the network with averaged weights, in evaluation mode.
 
         Raises:
@@ -216,7 +216,7 @@ class Training:
             error = LINEAR_UNIT_M_S * math.sqrt(6.0 * wrong)
             place = 0.018 * TILT_UNIT_RAD * math.sqrt(astray)
             left = self._spent_s * (count - self.done) / self.done
-            progress(Progress(self.done, count, error, place, self._spent_s, left))
+            progress(PolicyProgress(self.done, count, error, place, self._spent_s, left))
         return copy.deepcopy(self._averaged).eval()
 
     def _save(self) -> None:
@@ -261,7 +261,9 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     return state
 
 
-def judge(network: PolicyResNet, examples: Examples, paths: Sequence[str]) -> dict[str, float]:
+def judge(
+    network: PolicyResNet, examples: PolicyExamples, paths: Sequence[str]
+) -> dict[str, float]:
     """Return how well a network answers on frames: for each path the mean error of its velocity
     (m/s) where the indenter is within a millimetre of the path, and the median error of the
     contact's place, sideways and in depth (m)."""
@@ -309,9 +311,9 @@ def train_policy(
     *,
     record: Path,
     name: str,
-    recipe: Recipe,
+    recipe: PolicyRecipe,
     seed: int,
-    progress: Callable[[Progress], None],
+    progress: Callable[[PolicyProgress], None],
     start: Path | None = None,
 ) -> dict[str, Any]:
     """Train a policy on demonstrations and write it, with a report.
@@ -338,8 +340,8 @@ def train_policy(
     paths = tuple(plan["paths"])
     contact = contact_of(load_sensor(plan["sensor"]), load_indenter(plan["indenter"]))
     train, held_out = read_split(folders)
-    examples = Examples(train, paths, contact, recipe.side_px)
-    training = Training(
+    examples = PolicyExamples(train, paths, contact, recipe.side_px)
+    training = PolicyTraining(
         examples,
         len(paths),
         recipe,
@@ -349,7 +351,7 @@ def train_policy(
         start=None if start is None else read_checkpoint(start)["averaged"],
     )
     network = training.run(progress)
-    figures = judge(network, Examples(held_out, paths, contact, recipe.side_px), paths)
+    figures = judge(network, PolicyExamples(held_out, paths, contact, recipe.side_px), paths)
     mean, root, largest = usual_images(train, held_out)
     origin = provenance()
     card = PolicyCard(

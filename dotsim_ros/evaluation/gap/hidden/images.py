@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-Array = NDArray[np.float64]
+from dotsim_ros.arrays import FloatArray
 
 FULL_SCALE = 255.0
 LEAK = 0.06
@@ -34,13 +34,13 @@ class Takes:
         idle: (H, W, 3) without contact.
     """
 
-    pixels: Array
-    session_s: Array
-    idle: Array
+    pixels: FloatArray
+    session_s: FloatArray
+    idle: FloatArray
 
 
 @dataclass(frozen=True)
-class PictureLaw:
+class ImageLaw:
     """A hidden effect.
 
     Attributes:
@@ -55,42 +55,42 @@ class PictureLaw:
     library: str
     sizes: tuple[float, ...]
     unit: str
-    change: Callable[[Takes, float], Array]
+    change: Callable[[Takes, float], FloatArray]
 
 
-def taken(takes: Takes, law: PictureLaw, size: float) -> NDArray[np.uint8]:
+def taken(takes: Takes, law: ImageLaw, size: float) -> NDArray[np.uint8]:
     """Return the pictures (F, H, W, 3) as a camera gives them."""
     return np.clip(np.rint(law.change(takes, size)), 0.0, FULL_SCALE).astype(np.uint8)
 
 
-def _radius(pixels: Array) -> Array:
+def _radius(pixels: FloatArray) -> FloatArray:
     """Return (H, W) the distance from the picture's centre over half its height."""
     height, width = pixels.shape[1:3]
     y, x = np.mgrid[0:height, 0:width]
     return np.asarray(np.hypot(x - 0.5 * (width - 1), y - 0.5 * (height - 1)) / (0.5 * height))
 
 
-def _cosine_fourth(takes: Takes, size: float) -> Array:
+def _cosine_fourth(takes: Takes, size: float) -> FloatArray:
     # The size is the loss at half the height.
     angle = np.arctan(_radius(takes.pixels) * np.tan(np.arccos((1.0 - size) ** 0.25)))
     return takes.pixels * (np.cos(angle) ** 4)[..., None]
 
 
-def _logarithm(takes: Takes, size: float) -> Array:
+def _logarithm(takes: Takes, size: float) -> FloatArray:
     return FULL_SCALE * np.log1p(size * takes.pixels / FULL_SCALE) / np.log1p(size)
 
 
-def _two_times(takes: Takes, size: float) -> Array:
+def _two_times(takes: Takes, size: float) -> FloatArray:
     fast, slow = (-np.expm1(-takes.session_s / time_s) for time_s in (4.0, 30.0))
     return takes.pixels * (1.0 - size * (0.6 * fast + 0.4 * slow))[:, None, None, None]
 
 
-def _leaking(takes: Takes, size: float) -> Array:
+def _leaking(takes: Takes, size: float) -> FloatArray:
     gain = np.array([1.0 - size, 1.0 - LEAK * size, 1.0 - LEAK * size])
     return takes.pixels * gain
 
 
-def _lagging(takes: Takes, size: float) -> Array:
+def _lagging(takes: Takes, size: float) -> FloatArray:
     wanted = float(takes.idle.mean())
     followed, result = wanted, []
     for picture in takes.pixels:
@@ -99,21 +99,21 @@ def _lagging(takes: Takes, size: float) -> Array:
     return np.stack(result)
 
 
-def _veil(takes: Takes, size: float) -> Array:
+def _veil(takes: Takes, size: float) -> FloatArray:
     # A window at the right: more on that side.
     width = takes.pixels.shape[2]
     side = 1.0 + 0.3 * (np.arange(width) / width - 0.5)
     return takes.pixels + FULL_SCALE * size * side[None, None, :, None]
 
 
-def _shifted(takes: Takes, size: float) -> Array:
+def _shifted(takes: Takes, size: float) -> FloatArray:
     # The size is in pixels of a picture 240 px high.
     moved = size * takes.pixels.shape[1] / 240.0
     shift = (0.0, 0.4 * moved, moved, 0.0)
     return np.asarray(ndimage.shift(takes.pixels, shift, order=3, mode="nearest"))
 
 
-def _ragged_spot(takes: Takes, size: float) -> Array:
+def _ragged_spot(takes: Takes, size: float) -> FloatArray:
     height, width = takes.pixels.shape[1:3]
     random = np.random.default_rng(5)
     rough = cv2.GaussianBlur(random.standard_normal((height, width)), (0, 0), 0.012 * height)
@@ -123,30 +123,30 @@ def _ragged_spot(takes: Takes, size: float) -> Array:
     return takes.pixels * (1.0 - size * worn)[..., None]
 
 
-def _defocused(takes: Takes, size: float) -> Array:
+def _defocused(takes: Takes, size: float) -> FloatArray:
     blur = size * takes.pixels.shape[1] / 240.0
     return np.stack([cv2.GaussianBlur(picture, (0, 0), blur) for picture in takes.pixels])
 
 
-def _banded(takes: Takes, size: float) -> Array:
+def _banded(takes: Takes, size: float) -> FloatArray:
     rows = np.arange(takes.pixels.shape[1]) / takes.pixels.shape[1]
     phase = 37.0 * takes.session_s
     bands = np.sin(2.0 * np.pi * 3.0 * rows[None, :] + phase[:, None])
     return takes.pixels * (1.0 + size * bands)[:, :, None, None]
 
 
-LAWS: Mapping[str, PictureLaw] = {
+LAWS: Mapping[str, ImageLaw] = {
     law.name: law
     for law in (
-        PictureLaw("cosine_fourth", "vignetting", (0.02, 0.05, 0.1, 0.2), "edge", _cosine_fourth),
-        PictureLaw("logarithm", "gamma", (0.1, 0.2, 0.4, 0.8), "k", _logarithm),
-        PictureLaw("two_times", "led_dimming", (0.02, 0.05, 0.1, 0.2), "share", _two_times),
-        PictureLaw("leaking_red", "led_imbalance_red", (0.01, 0.03, 0.06, 0.12), "", _leaking),
-        PictureLaw("lagging_exposure", "auto_exposure", (0.15, 0.3, 0.6, 0.9), "", _lagging),
-        PictureLaw("window", "ambient_light", (0.004, 0.01, 0.02, 0.04), "share", _veil),
-        PictureLaw("knocked", "camera_intrinsics", (0.1, 0.3, 0.6, 1.2), "px", _shifted),
-        PictureLaw("ragged_spot", "worn_coat", (0.05, 0.1, 0.2, 0.4), "share", _ragged_spot),
-        PictureLaw("defocused", "", (0.4, 0.6, 0.9, 1.4), "px", _defocused),
-        PictureLaw("banded", "", (0.01, 0.02, 0.05, 0.1), "share", _banded),
+        ImageLaw("cosine_fourth", "vignetting", (0.02, 0.05, 0.1, 0.2), "edge", _cosine_fourth),
+        ImageLaw("logarithm", "gamma", (0.1, 0.2, 0.4, 0.8), "k", _logarithm),
+        ImageLaw("two_times", "led_dimming", (0.02, 0.05, 0.1, 0.2), "share", _two_times),
+        ImageLaw("leaking_red", "led_imbalance_red", (0.01, 0.03, 0.06, 0.12), "", _leaking),
+        ImageLaw("lagging_exposure", "auto_exposure", (0.15, 0.3, 0.6, 0.9), "", _lagging),
+        ImageLaw("window", "ambient_light", (0.004, 0.01, 0.02, 0.04), "share", _veil),
+        ImageLaw("knocked", "camera_intrinsics", (0.1, 0.3, 0.6, 1.2), "px", _shifted),
+        ImageLaw("ragged_spot", "worn_coat", (0.05, 0.1, 0.2, 0.4), "share", _ragged_spot),
+        ImageLaw("defocused", "", (0.4, 0.6, 0.9, 1.4), "px", _defocused),
+        ImageLaw("banded", "", (0.01, 0.02, 0.05, 0.1), "share", _banded),
     )
 }

@@ -12,39 +12,37 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.random import Generator
-from numpy.typing import NDArray
 from scipy.special import erf
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose, interpolate
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
-class Motion:
+class LawMotion:
     """A trajectory: F true poses, their times (F,), and the forces (F, 3) that an arm feels
     there without the effect."""
 
     poses: list[Pose]
-    stamp_s: Array
-    force_n: Array
+    stamp_s: FloatArray
+    force_n: FloatArray
 
 
 @dataclass(frozen=True)
-class Answer:
+class LawAnswer:
     """What the gel answers: skin (F, V, 3), force (F, 3), and when (F,) in the session."""
 
-    skin_position_m: Array
-    force_n: Array
-    rest_m: Array
-    stamp_s: Array
+    skin_position_m: FloatArray
+    force_n: FloatArray
+    rest_m: FloatArray
+    stamp_s: FloatArray
     session_s: float
 
 
 @dataclass(frozen=True)
-class Law:
+class HiddenLaw:
     """A hidden effect.
 
     Attributes:
@@ -65,8 +63,8 @@ class Law:
     high: float
     unit: str
     gel: Callable[[GelValues, float], tuple[GelValues, PronySeries | None]] | None = None
-    motion: Callable[[Motion, float, Generator, Generator], list[Pose]] | None = None
-    answer: Callable[[Answer, float], tuple[Array, Array]] | None = None
+    motion: Callable[[LawMotion, float, Generator, Generator], list[Pose]] | None = None
+    answer: Callable[[LawAnswer, float], tuple[FloatArray, FloatArray]] | None = None
     also: tuple[str, ...] = ()
 
 
@@ -92,13 +90,13 @@ def _thin(values: GelValues, size: float) -> tuple[GelValues, None]:
     return replace(values, thickness_m=values.thickness_m * (1.0 - size)), None
 
 
-def _mounted_off(motion: Motion, size: float, unit: Generator, _: Generator) -> list[Pose]:
+def _mounted_off(motion: LawMotion, size: float, unit: Generator, _: Generator) -> list[Pose]:
     direction = unit.standard_normal(3) * [0.3, 0.3, 1.0]
     shift = size * direction / np.linalg.norm(direction)
     return [Pose(p.position_m + shift, p.quaternion_xyzw) for p in motion.poses]
 
 
-def _late(motion: Motion, size: float, _: Generator, random: Generator) -> list[Pose]:
+def _late(motion: LawMotion, size: float, _: Generator, random: Generator) -> list[Pose]:
     poses = [motion.poses[0]]
     for frame in range(1, len(motion.poses)):
         duration = motion.stamp_s[frame] - motion.stamp_s[frame - 1]
@@ -107,7 +105,7 @@ def _late(motion: Motion, size: float, _: Generator, random: Generator) -> list[
     return poses
 
 
-def _gives_way(motion: Motion, size: float, _unit: Generator, _: Generator) -> list[Pose]:
+def _gives_way(motion: LawMotion, size: float, _unit: Generator, _: Generator) -> list[Pose]:
     poses = []
     for pose, force in zip(motion.poses, motion.force_n, strict=True):
         load = float(np.linalg.norm(force))
@@ -117,11 +115,11 @@ def _gives_way(motion: Motion, size: float, _unit: Generator, _: Generator) -> l
     return poses
 
 
-def _scaled(answer: Answer, size: float) -> tuple[Array, Array]:
+def _scaled(answer: LawAnswer, size: float) -> tuple[FloatArray, FloatArray]:
     return answer.skin_position_m, (1.0 + size) * answer.force_n
 
 
-def _softened(answer: Answer, size: float) -> tuple[Array, Array]:
+def _softened(answer: LawAnswer, size: float) -> tuple[FloatArray, FloatArray]:
     load = np.linalg.norm(answer.force_n, axis=1)
     peak = np.maximum.accumulate(load)
     fallen = (peak - load) / np.maximum(peak, 1e-9)
@@ -129,7 +127,7 @@ def _softened(answer: Answer, size: float) -> tuple[Array, Array]:
     return answer.skin_position_m, share[:, None] * answer.force_n
 
 
-def _set(answer: Answer, size: float) -> tuple[Array, Array]:
+def _set(answer: LawAnswer, size: float) -> tuple[FloatArray, FloatArray]:
     moved = answer.skin_position_m - answer.rest_m
     depth = np.linalg.norm(moved, axis=2).max(axis=1)
     deepest = np.argmax(depth)
@@ -139,19 +137,19 @@ def _set(answer: Answer, size: float) -> tuple[Array, Array]:
     return answer.skin_position_m + share[:, None, None] * left, answer.force_n
 
 
-def _crosstalk(answer: Answer, size: float) -> tuple[Array, Array]:
+def _crosstalk(answer: LawAnswer, size: float) -> tuple[FloatArray, FloatArray]:
     mixed = answer.force_n.copy()
     mixed[:, 0] += size * answer.force_n[:, 2]
     return answer.skin_position_m, mixed
 
 
-def _sticky_base(answer: Answer, size: float) -> tuple[Array, Array]:
+def _sticky_base(answer: LawAnswer, size: float) -> tuple[FloatArray, FloatArray]:
     height = answer.rest_m[:, 2] / answer.rest_m[:, 2].max()
     lean = answer.force_n[:, None, :] * [1.0, 1.0, 0.0] * (size * (1.0 - height))[None, :, None]
     return answer.skin_position_m + lean, answer.force_n
 
 
-def _swollen(answer: Answer, size: float) -> tuple[Array, Array]:
+def _swollen(answer: LawAnswer, size: float) -> tuple[FloatArray, FloatArray]:
     # The skin stands out by so much, except at the bonded base.
     distance = np.linalg.norm(answer.rest_m, axis=1, keepdims=True)
     height = answer.rest_m[:, 2:] / answer.rest_m[:, 2].max()
@@ -159,7 +157,7 @@ def _swollen(answer: Answer, size: float) -> tuple[Array, Array]:
     return answer.skin_position_m + size * height * outward, answer.force_n
 
 
-def _late_skin(answer: Answer, size: float) -> tuple[Array, Array]:
+def _late_skin(answer: LawAnswer, size: float) -> tuple[FloatArray, FloatArray]:
     # The skin is seen by a slower clock than pose and force.
     seen = answer.stamp_s - size
     right = np.clip(np.searchsorted(answer.stamp_s, seen), 1, len(seen) - 1)
@@ -170,24 +168,28 @@ def _late_skin(answer: Answer, size: float) -> tuple[Array, Array]:
     return (1.0 - share) * skin[left] + share * skin[right], answer.force_n
 
 
-LAWS: Mapping[str, Law] = {
+LAWS: Mapping[str, HiddenLaw] = {
     law.name: law
     for law in (
-        Law("slippery", "coulomb_slip", 0.3, 0.7, "of friction", gel=_slippery),
-        Law("exponential_stiffening", "hyperelastic_stiffening", 0.25, 0.8, "b", gel=_exponential),
-        Law("two_mode_relaxation", "viscoelastic_relaxation", 0.1, 0.35, "share", gel=_two_modes),
-        Law("compressible", "compressibility", 0.40, 0.45, "nu", gel=_compressible),
-        Law("thin", "thickness_error", 0.05, 0.12, "of thickness", gel=_thin),
-        Law("mounted_off", "pose_offset", 0.15e-3, 0.4e-3, "m", motion=_mounted_off,
+        HiddenLaw("slippery", "coulomb_slip", 0.3, 0.7, "of friction", gel=_slippery),
+        HiddenLaw(
+            "exponential_stiffening", "hyperelastic_stiffening", 0.25, 0.8, "b", gel=_exponential
+        ),
+        HiddenLaw(
+            "two_mode_relaxation", "viscoelastic_relaxation", 0.1, 0.35, "share", gel=_two_modes
+        ),
+        HiddenLaw("compressible", "compressibility", 0.40, 0.45, "nu", gel=_compressible),
+        HiddenLaw("thin", "thickness_error", 0.05, 0.12, "of thickness", gel=_thin),
+        HiddenLaw("mounted_off", "pose_offset", 0.15e-3, 0.4e-3, "m", motion=_mounted_off,
             also=("pose_offset_x", "pose_offset_y")),
-        Law("late", "latency", 0.02, 0.06, "s", motion=_late),
-        Law("gives_way", "base_compliance", 0.03e-3, 0.1e-3, "m/N", motion=_gives_way),
-        Law("scaled_force", "force_scale", 0.15, 0.3, "share", answer=_scaled),
-        Law("softened", "mullins_softening", 0.15, 0.35, "share", answer=_softened),
-        Law("set", "permanent_set", 0.04, 0.1, "of the peak", answer=_set),
-        Law("crosstalk", "", 0.1, 0.25, "share", answer=_crosstalk),
-        Law("leaning_base", "", 0.05e-3, 0.2e-3, "m/N", answer=_sticky_base),
-        Law("swollen", "", 0.1e-3, 0.3e-3, "m", answer=_swollen),
-        Law("late_skin", "", 0.05, 0.15, "s", answer=_late_skin),
+        HiddenLaw("late", "latency", 0.02, 0.06, "s", motion=_late),
+        HiddenLaw("gives_way", "base_compliance", 0.03e-3, 0.1e-3, "m/N", motion=_gives_way),
+        HiddenLaw("scaled_force", "force_scale", 0.15, 0.3, "share", answer=_scaled),
+        HiddenLaw("softened", "mullins_softening", 0.15, 0.35, "share", answer=_softened),
+        HiddenLaw("set", "permanent_set", 0.04, 0.1, "of the peak", answer=_set),
+        HiddenLaw("crosstalk", "", 0.1, 0.25, "share", answer=_crosstalk),
+        HiddenLaw("leaning_base", "", 0.05e-3, 0.2e-3, "m/N", answer=_sticky_base),
+        HiddenLaw("swollen", "", 0.1e-3, 0.3e-3, "m", answer=_swollen),
+        HiddenLaw("late_skin", "", 0.05, 0.15, "s", answer=_late_skin),
     )
 }  # fmt: skip

@@ -28,8 +28,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-Array = NDArray[np.float64]
-IntArray = NDArray[np.integer]
+from dotsim_ros.arrays import FloatArray
+
+AnyIntArray = NDArray[np.integer]
 
 LEAST_LLVM = 16
 """Dr.Jit loads an older LLVM too, and aborts the process with it."""
@@ -142,7 +143,7 @@ class Eye:
 
     def rays(
         self, width: int, height: int, sample_count: int, random: np.random.Generator
-    ) -> tuple[Array, Array, Array]:
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return origins (H * W * S, 3), metres, unit directions (H * W * S, 3) and weights
         (H * W * S,) of the rays of all pixels, those of a pixel next to each other.
 
@@ -187,15 +188,15 @@ class Inside:
         led_radius_m: that of the LEDs.
     """
 
-    coat: Array
-    led_power: Array = field(default_factory=lambda: np.ones(9))
-    glow: Array | None = None
-    dust_m: Array = field(default_factory=lambda: np.empty((0, 3)))
+    coat: FloatArray
+    led_power: FloatArray = field(default_factory=lambda: np.ones(9))
+    glow: FloatArray | None = None
+    dust_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     dust_radius_m: float = 0.1e-3
     led_radius_m: float = LED_RADIUS_M
 
 
-def map_directions(size: int = MAP_SIZE) -> Array:
+def map_directions(size: int = MAP_SIZE) -> FloatArray:
     """Return (N, N, 3) the unit directions from the dome's centre of a map of the coat: x grows
     with the column, y with the row."""
     place = MAP_REACH_RAD * ((2.0 * np.arange(size) + 1.0) / size - 1.0)
@@ -205,7 +206,7 @@ def map_directions(size: int = MAP_SIZE) -> Array:
     return np.stack([share * x, share * y, np.cos(angle)], axis=-1)
 
 
-def map_places(rest_position_m: Array) -> Array:
+def map_places(rest_position_m: FloatArray) -> FloatArray:
     """Return (V, 2) where vertices at rest lie in a map of the coat, 0 to 1 along its columns and
     rows."""
     across = np.hypot(rest_position_m[:, 0], rest_position_m[:, 1])
@@ -214,7 +215,7 @@ def map_places(rest_position_m: Array) -> Array:
     return 0.5 + share[:, None] * rest_position_m[:, :2]
 
 
-def led_places() -> tuple[Array, Array]:
+def led_places() -> tuple[FloatArray, FloatArray]:
     """Return (9, 3) the LEDs' places, metres, and (9, 3) where they point."""
     middle = np.repeat(LED_AZIMUTH_DEG, 3) + np.tile([-LED_SPREAD_DEG, 0.0, LED_SPREAD_DEG], 3)
     azimuth, tilt = np.radians(middle), np.radians(LED_TILT_DEG)
@@ -238,8 +239,8 @@ class InsideRenderer:
 
     def __init__(
         self,
-        rest_position_m: Array,
-        triangles: IntArray,
+        rest_position_m: FloatArray,
+        triangles: AnyIntArray,
         inside: Inside,
         *,
         width: int,
@@ -269,8 +270,8 @@ class InsideRenderer:
         self._parameters = [mitsuba.traverse(scene) for scene in self._scenes]
 
     def radiance(
-        self, skin_position_m: Array, eye: Eye, *, led_share: float = 1.0, seed: int
-    ) -> Array:
+        self, skin_position_m: FloatArray, eye: Eye, *, led_share: float = 1.0, seed: int
+    ) -> FloatArray:
         """Return (H, W, 3) the mean radiance of red, green and blue that the camera receives.
 
         Args:
@@ -295,7 +296,9 @@ class InsideRenderer:
             found[number] = mean
         return np.moveaxis(found[:3] + found[3:].sum(axis=0), 0, -1)
 
-    def _traced(self, number: int, origin_mm: Array, direction: Array, seed: int) -> Array:
+    def _traced(
+        self, number: int, origin_mm: FloatArray, direction: FloatArray, seed: int
+    ) -> FloatArray:
         """Return (N,) the radiance along rays of one scene."""
         mi, scene = self._mi, self._scenes[number]
         if not self._is_scalar:
@@ -311,7 +314,9 @@ class InsideRenderer:
             found[k] = spectrum[0]
         return found
 
-    def _scene(self, rest_position_m: Array, triangles: IntArray, lit: Iterable[int]) -> Any:
+    def _scene(
+        self, rest_position_m: FloatArray, triangles: AnyIntArray, lit: Iterable[int]
+    ) -> Any:
         """Return the scene with some of the LEDs lit; with none, light comes from outside."""
         mi = self._mi
         lit = tuple(lit)
@@ -354,7 +359,7 @@ class InsideRenderer:
             }
         return mi.load_dict(entries)
 
-    def _coat(self, rest_position_m: Array, triangles: IntArray, *, glows: bool) -> Any:
+    def _coat(self, rest_position_m: FloatArray, triangles: AnyIntArray, *, glows: bool) -> Any:
         """Return the skin's mesh, its front inside."""
         mi = self._mi
         properties = mi.Properties()
@@ -380,7 +385,7 @@ class InsideRenderer:
         parameters.update()
         return mesh
 
-    def _texture(self, values: Array) -> dict[str, Any]:
+    def _texture(self, values: FloatArray) -> dict[str, Any]:
         """Return a texture of values (N, N) over a map of the coat."""
         pixels = np.repeat(values[..., None], 3, axis=2).astype(np.float32)
         return {"type": "bitmap", "bitmap": self._mi.Bitmap(pixels), "raw": True}
@@ -392,7 +397,7 @@ def _diffuse(reflectance: float) -> dict[str, Any]:
 
 def _spread(
     pixel_count: int, sample_count: int, random: np.random.Generator
-) -> tuple[Array, Array]:
+) -> tuple[FloatArray, FloatArray]:
     """Return x and y (P * S each), 0 to 1, of places in the squares of P pixels: one in each cell
     of a grid, the rest anywhere."""
     side = int(np.sqrt(sample_count))

@@ -10,15 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.gap.hidden.laws import LAWS, Answer, Motion
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.evaluation.gap.hidden.laws import LAWS, LawAnswer, LawMotion
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -66,7 +64,7 @@ def answer_of(
     session_s: float,
     seed: int,
     number: int,
-) -> tuple[Array, Array]:
+) -> tuple[FloatArray, FloatArray]:
     """Return skin (F, V, 3) and force (F, 3) of a press in a reality.
 
     Args:
@@ -89,7 +87,7 @@ def answer_of(
             values, found = law.gel(values, size)
             relaxation = relaxation if found is None else found
         if law.motion is not None:
-            motion = Motion(poses, press.stamp_s, force)
+            motion = LawMotion(poses, press.stamp_s, force)
             poses = law.motion(motion, size, np.random.default_rng(seed), random)
     solved = simulator.press(
         replace(values, youngs_modulus_pa=REFERENCE_MODULUS_PA),
@@ -104,7 +102,7 @@ def answer_of(
         law = LAWS[name]
         if law.answer is not None:
             rest = simulator.skin.rest_position_m
-            skin, load = law.answer(Answer(skin, load, rest, press.stamp_s, session_s), size)
+            skin, load = law.answer(LawAnswer(skin, load, rest, press.stamp_s, session_s), size)
     return skin, load
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.evaluation.gap.hidden.path_traced import (
     MAP_REACH_RAD,
     MAP_SIZE,
@@ -34,9 +35,6 @@ from dotsim_ros.measured.trajectory import (
     WrenchChannel,
 )
 from dotsim_ros.reference.data_set import ReferenceDataSet
-
-Array = NDArray[np.float64]
-ByteImage = NDArray[np.uint8]
 
 FULL_SCALE = 255.0
 NOISE_LEVELS = 1.2
@@ -165,7 +163,7 @@ class Studio:
             if progress is not None:
                 progress(number + 1, len(names))
 
-    def smooth_skins(self, position_m: NDArray[np.floating]) -> Array:
+    def smooth_skins(self, position_m: NDArray[np.floating]) -> FloatArray:
         """Return measured skins (F, V, 3) with less of their noise; the base stays at rest."""
         rest = self.skin.rest_position_m
         moved = position_m.astype(np.float64) - rest
@@ -186,8 +184,8 @@ class Studio:
         return skin.position_m
 
     def light(
-        self, unit: RenderedUnit, skin_m: Array | None, session_s: float, *, seed: int
-    ) -> Array:
+        self, unit: RenderedUnit, skin_m: FloatArray | None, session_s: float, *, seed: int
+    ) -> FloatArray:
         """Return (H, W, 3) the light that the three channels collect, of white.
 
         Args:
@@ -207,10 +205,10 @@ class Studio:
     def picture(
         self,
         unit: RenderedUnit,
-        skin_m: Array | None,
+        skin_m: FloatArray | None,
         session_s: float,
         random: np.random.Generator,
-    ) -> ByteImage:
+    ) -> ImageArray:
         """Return (H, W, 3) what the camera gives: linear, noisy, whole and within its scale."""
         light = self.light(unit, skin_m, session_s, seed=int(random.integers(2**31)))
         light = light * (self.metered / _metered(light)) ** unit.metering
@@ -233,13 +231,13 @@ class Studio:
         return self._renderer[1]
 
 
-def coat_pattern(seed: int = 2) -> Array:
+def coat_pattern(seed: int = 2) -> FloatArray:
     """Return (N, N) the reflectance of a coat with random dark blots, over a map of it."""
     rough = rough_map(seed, BLOT_RAD)
     return np.asarray(BLOT + (BRIGHT - BLOT) / (1.0 + np.exp(-4.0 * (rough + 0.3))))
 
 
-def rough_map(seed: int, blur_rad: float) -> Array:
+def rough_map(seed: int, blur_rad: float) -> FloatArray:
     """Return (N, N) blurred noise of unit variance, over a map of the coat."""
     noise = np.random.default_rng(seed).standard_normal((MAP_SIZE, MAP_SIZE))
     blur_px = 0.5 * MAP_SIZE * blur_rad / MAP_REACH_RAD
@@ -259,7 +257,7 @@ def _smoothing(skin: SkinMesh) -> csr_matrix:
     return csr_matrix(beside.multiply(share) + 0.5 * csr_matrix(np.eye(count)))
 
 
-def _metered(light: Array) -> float:
+def _metered(light: FloatArray) -> float:
     """Return the mean of a picture (H, W, 3), most of it from the middle."""
     height, width = light.shape[:2]
     y, x = np.mgrid[0:height, 0:width]

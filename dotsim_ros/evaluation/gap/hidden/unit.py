@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, answer_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import load_indenter
@@ -23,8 +23,6 @@ from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 
-Array = NDArray[np.float64]
-
 UNIT_STIFFNESS = 0.03
 """Units differ by so much, one deviation."""
 SKIN_NOISE_M, FORCE_NOISE_N, POSE_NOISE_M = 0.04e-3, 0.015, 0.015e-3
@@ -34,7 +32,7 @@ BUMP_M = 2.5e-3
 FIRST_STAMP_NS = 1_000_000_000
 
 
-def protocols(random: np.random.Generator) -> list[tuple[str, str, Motion, Array]]:
+def protocols(random: np.random.Generator) -> list[tuple[str, str, Motion, FloatArray]]:
     """Return name, indenter, motion and (F,) times of the frames of each trajectory: holds, presses
     with two indenters, and slides, at drawn places."""
     found = []
@@ -138,7 +136,11 @@ def measure_unit(
 
 
 def _measured(
-    press: Press, skin_m: Array, force_n: Array, rest_m: Array, random: np.random.Generator
+    press: Press,
+    skin_m: FloatArray,
+    force_n: FloatArray,
+    rest_m: FloatArray,
+    random: np.random.Generator,
 ) -> Trajectory:
     """Return a trajectory as instruments give it, with what a model is off by."""
     stamp = FIRST_STAMP_NS + np.round(1e9 * (press.stamp_s - press.stamp_s[0])).astype(np.int64)

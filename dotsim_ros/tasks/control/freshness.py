@@ -22,7 +22,7 @@ DISORDER_S = 0.02
 a stamp so little before the newest tells nothing new, but is no jump."""
 
 
-class Heard(Enum):
+class HeardMessage(Enum):
     """What a message is to its stream."""
 
     NEW = "new"
@@ -68,7 +68,7 @@ class StreamWatch:
         self.count = 0
         self.repeated = 0
 
-    def hear(self, stamp_ns: int, *, arrival_s: float, clock_ns: int) -> tuple[Heard, str]:
+    def hear(self, stamp_ns: int, *, arrival_s: float, clock_ns: int) -> tuple[HeardMessage, str]:
         """Note a message; return what it is, and for a jump the reason in words.
 
         After a jump the stream goes on from the new stamp.
@@ -84,23 +84,26 @@ class StreamWatch:
             back_s = 0.0 if last_ns is None else (last_ns - stamp_ns) / NANOSECONDS_PER_SECOND
             if last_ns is not None and 0.0 <= back_s <= DISORDER_S:
                 self.repeated += 1
-                return Heard.NOTHING_NEW, ""
+                return HeardMessage.NOTHING_NEW, ""
             delay_s = (clock_ns - stamp_ns) / NANOSECONDS_PER_SECOND
             self._stamp_ns, self._clock_ns, self._arrival_s = stamp_ns, clock_ns, arrival_s
             self._delay_s = delay_s
             self.count += 1
         if last_ns is None:
-            return Heard.NEW, ""
+            return HeardMessage.NEW, ""
         if back_s > 0.0:
-            return Heard.JUMPED, f"{self.name}: the stamp runs back by {back_s:.3f} s"
+            return HeardMessage.JUMPED, f"{self.name}: the stamp runs back by {back_s:.3f} s"
         if delay_s < -self._jump_s:
-            return Heard.JUMPED, f"{self.name}: the stamp lies {-delay_s:.3f} s in the future"
+            return (
+                HeardMessage.JUMPED,
+                f"{self.name}: the stamp lies {-delay_s:.3f} s in the future",
+            )
         if abs(clock_step_s - passed_s) > self._jump_s:
-            return Heard.JUMPED, (
+            return HeardMessage.JUMPED, (
                 f"the time of this machine moves on by {clock_step_s:.3f} s while "
                 f"{passed_s:.3f} s pass"
             )
-        return Heard.NEW, ""
+        return HeardMessage.NEW, ""
 
     def reading(self, now_s: float) -> StreamReading:
         """Return the state of the stream."""

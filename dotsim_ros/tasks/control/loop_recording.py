@@ -11,8 +11,9 @@ from zipfile import BadZipFile
 
 import numpy as np
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.files import whole_file
-from dotsim_ros.geometry.pose import FloatArray, Pose, compose, inverse
+from dotsim_ros.geometry.pose import Pose, compose, inverse
 
 # Times, then values, of one stream after the other.
 _ARRAYS = ("pose_s", "pose", "twist_s", "twist", "command_s", "command", "frame_s", "force_n")

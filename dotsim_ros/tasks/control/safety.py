@@ -7,9 +7,10 @@ from enum import StrEnum
 
 import numpy as np
 
-from dotsim_ros.geometry.pose import FloatArray, Pose
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.tasks.arm.command import Twist, brake_time_s
-from dotsim_ros.tasks.policy.freshness import StreamReading
+from dotsim_ros.tasks.control.freshness import StreamReading
 
 SHORTEST_IMAGE_TIMEOUT_S = 0.045
 """A steady stream of 25 Hz must not count as cut, at any speed."""

@@ -21,8 +21,8 @@ from dotsim_ros.tasks.arm.command import (
     within_speed,
     zero_twist,
 )
-from dotsim_ros.tasks.policy.safety import Readings, Reason, SafetyLimits, State
-from dotsim_ros.tasks.policy.supervisor import Supervisor
+from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, State
+from dotsim_ros.tasks.control.supervisor import Supervisor
 
 LONGEST_STEP_TICKS = 2.0
 """A control loop that was held up must not make up for it with one large step."""

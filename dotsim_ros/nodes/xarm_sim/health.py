@@ -1,4 +1,4 @@
-"""What `xarm_sim` and `xarm_adapter` say of themselves on /diagnostics. Needs no ROS."""
+"""What `xarm_sim` says of itself on /diagnostics. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -6,15 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.nodes.common.health import Report, fault_values, is_recent, statuses_of
 from dotsim_ros.nodes.common.ingest import FaultLog
-from dotsim_ros.nodes.tactile_sim.health import FAULT_MEMORY_S
-from dotsim_ros.nodes.xarm_adapter.link import Hindrance, VelocityLink
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
 from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, SINGULAR_M
 from dotsim_ros.tasks.arm.simulated import ArmFaults, ArmState
 from msg_adapters import Level, Status
 
-SIMULATED, REAL = "simulated xArm 7", "xArm"
+SIMULATED = "simulated xArm 7"
 
 
 @dataclass(frozen=True)
@@ -46,14 +45,8 @@ def arm_statuses(
     node_name: str, condition: ArmCondition, faults: FaultLog, *, now_s: float
 ) -> list[Status]:
     """Return the states of the arm and of its input."""
-    named = [("arm", _arm(condition)), ("input", _input(condition, faults, now_s))]
-    return [
-        Status(f"{node_name}: {part}", level, message, SIMULATED, values)
-        for part, (level, message, values) in named
-    ]
-
-
-Report = tuple[Level, str, dict[str, str]]
+    reports = {"arm": _arm(condition), "input": _input(condition, faults, now_s)}
+    return statuses_of(node_name, SIMULATED, reports)
 
 
 def _arm(condition: ArmCondition) -> Report:
@@ -86,50 +79,13 @@ def _arm(condition: ArmCondition) -> Report:
     return Level.OK, "standing" if condition.is_stale else "following", values
 
 
-def link_statuses(
-    node_name: str, link: VelocityLink, faults: FaultLog, *, now_s: float
-) -> list[Status]:
-    """Return the state of the link to a real arm and of its input."""
-    robot = link.robot
-    values = {
-        **{name: str(link.counts[name]) for name in ("calls", "held_back", "refused", "failed")},
-        "last_refusal": link.last_refusal,
-        "hindrance": link.hindrance.value,
-    }
-    if robot is not None:
-        values |= {
-            "robot_mode": str(robot.mode),
-            "robot_state": str(robot.state),
-            "robot_error": str(robot.error),
-            "robot_warning": str(robot.warning),
-        }
-    if link.hindrance is Hindrance.NONE:
-        level, message = Level.OK, "the arm takes velocities"
-    else:
-        level, message = Level.ERROR, f"not commanding: {link.detail}"
-    status = Status(f"{node_name}: arm", level, message, REAL, values)
-    told = {
-        **{fault.value: str(count) for fault, count in faults.counts().items()},
-        "last_fault": faults.last_reason,
-    }
-    if now_s - faults.last_s < FAULT_MEMORY_S:
-        return [
-            status,
-            Status(f"{node_name}: input", Level.WARN, faults.last_reason, REAL, told),
-        ]
-    moves = link.is_commanded(now_s)
-    message = "commanded" if moves else "no velocity: the arm stands"
-    return [status, Status(f"{node_name}: input", Level.OK, message, REAL, told)]
-
-
 def _input(condition: ArmCondition, faults: FaultLog, now_s: float) -> Report:
     heard = np.isfinite(condition.silence_s)
     values = {
         "silence_s": f"{condition.silence_s:.2f}" if heard else "never heard",
-        **{fault.value: str(count) for fault, count in faults.counts().items()},
-        "last_fault": faults.last_reason,
+        **fault_values(faults),
     }
-    if now_s - faults.last_s < FAULT_MEMORY_S:
+    if is_recent(faults, now_s):
         return Level.WARN, faults.last_reason, values
     if not heard:
         return Level.OK, "no velocity so far", values

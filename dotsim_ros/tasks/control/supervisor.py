@@ -11,7 +11,7 @@ import numpy as np
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.tasks.arm.command import LINEAR, Twist, turn_between
-from dotsim_ros.tasks.policy.safety import Readings, Reason, SafetyLimits, State
+from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, State
 
 START_PATIENCE_S = 1.0
 """The first command after a start or a stop may take so long."""

@@ -1,0 +1,1 @@
+"""What stands between a policy and an arm: limits, stale data, stops, and the record of it."""

@@ -1,0 +1,192 @@
+"""What the files around the code say of it: citation, changelog, lint, hooks, workflow, forms."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+import dotsim_ros
+
+ROOT = Path(__file__).parents[2]
+WORKFLOW = ROOT / ".github" / "workflows" / "ci.yml"
+FORMS = sorted(
+    path
+    for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml")
+    if path.name != "config.yml"
+)
+SCHEMAS = {
+    "CITATION.cff": "citation-file-format",
+    ".github/workflows/ci.yml": "github-workflows",
+    ".github/ISSUE_TEMPLATE/config.yml": "github-issue-config",
+    **{str(path.relative_to(ROOT)): "github-issue-forms" for path in FORMS},
+}
+PAGES = (
+    "CODE_OF_CONDUCT.md",
+    "CONTRIBUTING.md",
+    "QUALITY_DECLARATION.md",
+    "README.md",
+    "SECURITY.md",
+    ".github/pull_request_template.md",
+)
+NOT_WRITTEN_YET = {"docs/architecture.md", "docs/extend.md"}
+KINDS_OF_CHANGE = ("Added", "Changed", "Deprecated", "Removed", "Fixed", "Security")
+
+
+def text_of(name: str) -> str:
+    """Return a file of the repository's root."""
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def workflow() -> dict[Any, Any]:
+    """Return the workflow; YAML reads its key `on` as True."""
+    content: dict[Any, Any] = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))
+    return content
+
+
+def lint_commands() -> list[str]:
+    """Return the commands of `make lint`."""
+    recipe = re.search(r"^lint:.*\n((?:\t.+\n)+)", text_of("Makefile"), re.MULTILINE)
+    assert recipe, "the Makefile has no target lint"
+    return [line.removeprefix("\t$(RUN) ") for line in recipe[1].splitlines()]
+
+
+def hooks() -> list[dict[str, Any]]:
+    """Return the hooks of pre-commit."""
+    repositories = yaml.safe_load(text_of(".pre-commit-config.yaml"))["repos"]
+    return [hook for repository in repositories for hook in repository["hooks"]]
+
+
+def extra(name: str) -> str:
+    """Return the source of a list of setup.py."""
+    found = re.search(rf"^{name} = \[\n(.*?)^\]", text_of("setup.py"), re.MULTILINE | re.DOTALL)
+    assert found, f"setup.py has no list {name}"
+    return found[1]
+
+
+def sections(changelog: str) -> dict[str, str]:
+    """Return the text of each version in a changelog, by its heading, newest first."""
+    parts = re.split(r"^## (.+)\n", changelog, flags=re.MULTILINE)[1:]
+    return dict(zip(parts[::2], parts[1::2], strict=True))
+
+
+def test_citation_has_the_version_of_the_package() -> None:
+    citation = yaml.safe_load(text_of("CITATION.cff"))
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert citation["version"] == dotsim_ros.__version__ == manifest.findtext("version")
+    assert citation["license"] == manifest.findtext("license")
+
+
+def test_citation_names_the_paper_and_all_its_authors() -> None:
+    (paper,) = yaml.safe_load(text_of("CITATION.cff"))["references"]
+    assert paper["title"].startswith("DOT-Sim: Differentiable Optical Tactile Simulation")
+    assert [author["family-names"] for author in paper["authors"]] == [
+        "You",
+        "Do",
+        "Swann",
+        "Antonova",
+        "Kennedy",
+        "Guibas",
+    ]
+
+
+@pytest.mark.parametrize(("name", "schema"), SCHEMAS.items(), ids=SCHEMAS)
+def test_file_matches_its_schema(name: str, schema: str) -> None:
+    pytest.importorskip("check_jsonschema", reason="needs the extra dev: pip install '.[dev]'")
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}"]
+    checked = subprocess.run(
+        [*command, str(ROOT / name)], capture_output=True, text=True, check=False
+    )
+    assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_issue_forms_ask_for_bugs_requests_and_mismatches() -> None:
+    assert [path.stem for path in FORMS] == ["bug_report", "feature_request", "sensor_mismatch"]
+
+
+def test_workflow_runs_the_checks_on_each_supported_python() -> None:
+    (job,) = workflow()["jobs"].values()
+    commands = [step["run"] for step in job["steps"] if "run" in step]
+    assert "bash .ci/run" in commands
+    minimum, limit = re.findall(r'python_requires=">=3\.(\d+),<3\.(\d+)"', text_of("setup.py"))[0]
+    supported = [f"3.{minor}" for minor in range(int(minimum), int(limit))]
+    assert job["strategy"]["matrix"]["python"] == supported
+    assert job["runs-on"] == "ubuntu-24.04", "the platform of ROS 2 Jazzy"
+
+
+def test_workflow_runs_for_pull_requests_and_may_only_read() -> None:
+    assert "pull_request" in workflow()[True]
+    assert workflow()["permissions"] == {"contents": "read"}
+
+
+def test_hooks_are_the_commands_of_make_lint() -> None:
+    assert [hook["entry"].removeprefix(".venv/bin/") for hook in hooks()] == lint_commands()
+    for hook in hooks():
+        assert hook["entry"].startswith(".venv/bin/"), "the tool that make setup installs"
+        assert hook["pass_filenames"] is False, "the whole tree, as make lint looks at it"
+
+
+def test_ci_runs_the_commands_of_make_lint() -> None:
+    script = text_of(".ci/run")
+    run = re.findall(r'^check "[^"]+" "\$venv/bin/([\w-]+)"(.*)$', script, re.MULTILINE)
+    assert set(lint_commands()) <= {program + arguments for program, arguments in run}
+
+
+def test_developers_get_the_tools_of_lint_and_hooks() -> None:
+    named = {"lint-imports": "import-linter"}
+    tools = {named.get(c.split()[0], c.split()[0]) for c in lint_commands()} | {"pre-commit"}
+    required = {re.split("[<>=]", name)[0] for name in re.findall(r'"(.+)"', extra("DEVELOPMENT"))}
+    assert tools <= required
+
+
+def test_codespell_passes_over_no_text() -> None:
+    settings = tomllib.loads(text_of("pyproject.toml"))["tool"]["codespell"]
+    binary = {".npz", ".onnx", ".safetensors", ".stl", ".png", ".jpg"}
+    suffixes = {Path(entry).suffix for entry in settings["skip"].split(",") if "*." in entry}
+    assert suffixes <= binary | {".egg-info"}
+    assert settings["check-hidden"], ".ci and .github are hidden"
+
+
+def test_changelog_has_what_is_unreleased_and_the_current_version() -> None:
+    headings = list(sections(text_of("CHANGELOG.md")))
+    assert headings[0] == "[Unreleased]"
+    version, _, date = headings[1].partition(" - ")
+    assert version == f"[{dotsim_ros.__version__}]"
+    assert re.fullmatch(r"\d{4}-\d{2}-\d{2}", date)
+
+
+def test_changelog_is_kept_by_kinds_of_change() -> None:
+    for version, text in sections(text_of("CHANGELOG.md")).items():
+        kinds = re.findall(r"^### (.+)$", text, re.MULTILINE)
+        assert kinds or version == "[Unreleased]", version
+        assert kinds == [kind for kind in KINDS_OF_CHANGE if kind in kinds], version
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_files_that_a_page_names_are_there(name: str) -> None:
+    path = r"`((?:docs|params|\.ci|\.github)/[\w./]*\w|[A-Z_]+\.(?:md|cff))"
+    named = set(re.findall(path, text_of(name)))
+    assert {path for path in named if not (ROOT / path).exists()} <= NOT_WRITTEN_YET
+
+
+def test_readme_links_to_the_quality_declaration() -> None:
+    assert "QUALITY_DECLARATION.md" in text_of("README.md")
+
+
+def test_quality_declaration_answers_each_requirement_of_the_rep() -> None:
+    # REP-2004, "Package Requirements" of Level 1, by which all levels are numbered.
+    counts = {1: 6, 2: 5, 3: 5, 4: 5, 5: 3, 6: 0, 7: 1}
+    numerals = ("i", "ii", "iii", "iv", "v", "vi")
+    headings = re.findall(r"^###? .+$", text_of("QUALITY_DECLARATION.md"), re.MULTILINE)
+    answered = {number for heading in headings for number in re.findall(r"\[([\d.iv]+)\]", heading)}
+    expected = {str(number) for number in counts} | {
+        f"{number}.{numeral}" for number, count in counts.items() for numeral in numerals[:count]
+    }
+    assert answered == expected

@@ -1,0 +1,379 @@
+"""Where figures come from and whether they are stale, on made-up checkouts and on this one."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from dotsim_ros.provenance import commit_of
+
+ROOT = Path(__file__).resolve().parents[2]
+FILES = {
+    "dotsim_ros/__init__.py": '"""A package."""\n',
+    "dotsim_ros/gel.py": 'def depth():\n    """Return a depth."""\n    return 1.0\n',
+    "dotsim_ros/light.py": "def gain():\n    return 0.5\n",
+    "dotsim_ros/node.py": "RATE_HZ = 25\n\n\ndef main():\n    pass\n",
+    "dotsim_ros/cli/evaluate.py": (
+        "def _geometry():\n    from dotsim_ros.gel import depth\n    return _twice(depth())\n\n\n"
+        "def _optics():\n    from dotsim_ros.light import gain\n    return gain()\n\n\n"
+        "def _twice(value):\n    return 2 * value\n"
+    ),
+    "benchmarks/soak.py": "from dotsim_ros.provenance import commit\nprint(commit)\n",
+    "dotsim_ros/provenance.py": "commit = 1\n",
+    "setup.py": 'ENTRY_POINTS = ["tactile_sim = dotsim_ros.node:main"]\n',
+    "README.md": "# Name\n\n[0.1 mm](docs/results/geometry.md) of error.\n",
+    "docs/gel.md": "Speed: [here](results/soak.json#rate).\n",
+}
+GEOMETRY = "dotsim_ros evaluate geometry --out docs/results"
+SOAK = "python benchmarks/soak.py --json docs/results/soak.json"
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / ".ci"))
+    yield importlib.import_module("results_status")
+    for name in ("results_status", "measured_code"):
+        sys.modules.pop(name, None)
+
+
+class MadeUp:
+    """A checkout in a folder."""
+
+    def __init__(self, root: Path, tool) -> None:
+        self.root = root
+        self.tool = tool
+        self.git("init", "--quiet", "--initial-branch=main")
+        for name, value in {"user.name": "A", "user.email": "a@example.org"}.items():
+            self.git("config", name, value)
+        self.commit(FILES)
+
+    def git(self, *arguments: str) -> str:
+        command = ["git", "-C", str(self.root), *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+    def write(self, files: dict[str, str]) -> None:
+        for name, text in files.items():
+            path = self.root / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(text, encoding="utf-8")
+
+    def change(self, file: str, old: str, new: str) -> None:
+        before = (self.root / file).read_text(encoding="utf-8")
+        assert old in before
+        self.write({file: before.replace(old, new)})
+
+    def commit(self, files: dict[str, str] | None = None) -> str:
+        self.write(files or {})
+        self.git("add", "--all")
+        self.git("commit", "--quiet", "--allow-empty", "--message", "Change")
+        return commit_of(self.root)
+
+    def record(self, name: str, command: str, commit: str | None = None) -> None:
+        made = {"commit": commit or commit_of(self.root), "date": "2026-01-02", "command": command}
+        self.write({f"docs/results/{name}.json": json.dumps({"x": 1, "provenance": made})})
+
+    def run(self, *arguments: str) -> int:
+        status_page = str(self.root / "docs/results/status.md")
+        given = ["--root", str(self.root), "--markdown", status_page, *arguments]
+        return self.tool.main(given)
+
+    def states(self) -> dict[str, str]:
+        checkout = self.tool.Checkout(self.root)
+        results, _, _ = self.tool.read_results(checkout)
+        return {str(r.file.with_suffix("")): r.state.name for r in results}
+
+
+@pytest.fixture
+def made_up(tmp_path, tool):
+    return MadeUp(tmp_path, tool)
+
+
+def test_a_clean_result_is_current_and_passes(made_up, capsys):
+    made_up.record("geometry", GEOMETRY)
+    assert made_up.states() == {"geometry": "CURRENT"}
+    assert made_up.run("--mark") == 0
+    assert made_up.run("--check") == 0
+    row = capsys.readouterr().out.splitlines()[1]
+    assert row.split(maxsplit=4) == [
+        "geometry.json",
+        commit_of(made_up.root),
+        "2026-01-02",
+        "current",
+        GEOMETRY,
+    ]
+    assert (made_up.root / "README.md").read_text() == FILES["README.md"]
+
+
+@pytest.mark.parametrize("commit", ["0123456789ab-dirty", "unknown: not run from a checkout"])
+def test_a_result_without_a_clean_commit_fails(made_up, capsys, commit):
+    made_up.record("geometry", GEOMETRY, commit)
+    assert made_up.states() == {"geometry": "REFUSED"}
+    assert made_up.run() == 1
+    assert "docs/results/geometry.json: " in capsys.readouterr().out
+
+
+def test_what_a_changed_tree_records_is_refused(made_up):
+    made_up.change("dotsim_ros/gel.py", "1.0", "1.5")
+    made_up.record("geometry", GEOMETRY)
+    assert made_up.states() == {"geometry": "REFUSED"}
+
+
+def test_only_what_figures_may_depend_on_makes_a_tree_dirty(made_up):
+    clean = made_up.commit()
+    made_up.write({"README.md": "new", "docs/results/new.json": "{}", "log.txt": "new"})
+    assert commit_of(made_up.root) == clean
+    made_up.write({"dotsim_ros/added.py": ""})
+    assert commit_of(made_up.root) == f"{clean}-dirty"
+    (made_up.root / "dotsim_ros/added.py").unlink()
+    made_up.write({"setup.py": ""})
+    assert commit_of(made_up.root) == f"{clean}-dirty"
+
+
+def test_a_copy_that_the_checkout_ignores_has_no_commit(made_up):
+    made_up.commit({".gitignore": "venv/\n"})
+    made_up.write({"venv/dotsim_ros/__init__.py": ""})
+    assert commit_of(made_up.root / "venv").startswith("unknown")
+
+
+@pytest.mark.parametrize(
+    "figures",
+    [
+        {"x": 1},
+        [1, 2],
+        {"x": 1, "provenance": {"date": "2026-01-02", "command": GEOMETRY}},
+    ],
+)
+def test_a_result_without_provenance_fails(made_up, figures):
+    made_up.write({"docs/results/geometry.json": json.dumps(figures)})
+    assert made_up.states() == {"geometry": "REFUSED"}
+    assert made_up.run() == 1
+
+
+@pytest.mark.parametrize(
+    "command",
+    ["", "python", "dotsim_ros", "dotsim_ros evaluate --out x", "make bench", "bash x.sh"],
+)
+def test_a_command_that_names_no_code_fails(made_up, capsys, command):
+    made_up.record("geometry", command)
+    assert made_up.run() == 1
+    assert "neither `python SCRIPT.py ...` nor `dotsim_ros VERB ...`" in capsys.readouterr().out
+
+
+def test_a_command_whose_code_is_not_there_fails(made_up, capsys):
+    made_up.record("geometry", "dotsim_ros evaluate tumour")
+    assert made_up.run() == 1
+    assert "dotsim_ros/cli/evaluate.py has no function _tumour" in capsys.readouterr().out
+
+
+def test_a_result_is_older_once_its_code_changes(made_up, capsys):
+    made_up.record("geometry", GEOMETRY)
+    made_up.record("optics", "dotsim_ros evaluate optics")
+    made_up.change("dotsim_ros/gel.py", "1.0", "1.5")
+    assert made_up.states() == {"geometry": "OLDER", "optics": "CURRENT"}
+    made_up.commit()
+    assert made_up.states() == {"geometry": "OLDER", "optics": "CURRENT"}
+    assert made_up.run("--mark") == 0
+    assert "\nOLDER THAN THE CODE: geometry.json\n" in capsys.readouterr().out
+
+
+def test_the_verbs_own_function_is_code_and_its_neighbours_are_not(made_up):
+    made_up.record("geometry", GEOMETRY)
+    made_up.record("optics", "dotsim_ros evaluate optics")
+    made_up.change("dotsim_ros/cli/evaluate.py", "2 * value", "3 * value")
+    assert made_up.states() == {"geometry": "OLDER", "optics": "CURRENT"}
+
+
+def test_a_process_that_a_script_starts_is_its_code_and_what_records_figures_is_not(made_up):
+    made_up.record("soak", SOAK)
+    made_up.change("dotsim_ros/provenance.py", "1", "2")
+    assert made_up.states() == {"soak": "CURRENT"}
+    made_up.change("dotsim_ros/node.py", "25", "50")
+    assert made_up.states() == {"soak": "OLDER"}
+
+
+def test_moved_modules_and_new_docstrings_make_nothing_older(made_up):
+    made_up.record("geometry", GEOMETRY)
+    made_up.change("dotsim_ros/gel.py", "Return a depth.", "Return how deep it is.")
+    made_up.change("dotsim_ros/gel.py", "    return", "    # One.\n    return")
+    (made_up.root / "dotsim_ros/body").mkdir()
+    made_up.git("mv", "dotsim_ros/gel.py", "dotsim_ros/body/shell.py")
+    made_up.change("dotsim_ros/cli/evaluate.py", "dotsim_ros.gel", "dotsim_ros.body.shell")
+    made_up.commit({"dotsim_ros/body/__init__.py": ""})
+    assert made_up.states() == {"geometry": "CURRENT"}
+
+
+def test_a_script_that_moved_is_found_by_its_new_path(made_up, tool, monkeypatch):
+    made_up.record("soak", "python benchmarks/endurance.py")
+    assert made_up.states() == {"soak": "REFUSED"}
+    monkeypatch.setitem(
+        sys.modules["measured_code"].MOVED, "benchmarks/endurance.py", SOAK.split()[1]
+    )
+    assert made_up.states() == {"soak": "CURRENT"}
+
+
+def test_a_commit_outside_of_the_history_is_unknown(made_up, capsys):
+    made_up.git("checkout", "--quiet", "-b", "aside")
+    aside = made_up.commit({"dotsim_ros/gel.py": "x = 1"})
+    made_up.git("checkout", "--quiet", "main")
+    for commit in (aside, "0123456789ab"):
+        made_up.record("geometry", GEOMETRY, commit)
+        assert made_up.states() == {"geometry": "UNKNOWN"}
+        assert made_up.run("--mark") == 0
+        assert "OLDER: UNKNOWN COMMIT: geometry.json" in capsys.readouterr().out
+
+
+def test_a_shallow_clone_knows_no_commits_and_compares_no_pages(made_up, tmp_path_factory, capsys):
+    made_up.record("geometry", GEOMETRY)
+    made_up.commit()
+    clone = tmp_path_factory.mktemp("clone")
+    made_up.git("clone", "--quiet", "--depth", "1", f"file://{made_up.root}", str(clone))
+    assert made_up.tool.main(["--root", str(clone), "--check"]) == 0
+    out = capsys.readouterr().out
+    assert "older: unknown commit" in out
+    assert "no clone with its whole history" in out
+
+
+def test_an_unmarked_stale_figure_fails_and_marking_mends_it(made_up, capsys):
+    made_up.record("geometry", GEOMETRY)
+    commit = commit_of(made_up.root)
+    made_up.record("soak", SOAK)
+    made_up.change("dotsim_ros/gel.py", "1.0", "1.5")
+    made_up.commit()
+    assert made_up.run() == 0  # only writes docs/results/status.md
+    assert made_up.run("--check") == 1
+    out = capsys.readouterr().out
+    mark = f" (measured at commit {commit[:7]}, before later changes)"
+    assert f"README.md:3: expected docs/results/geometry.md{mark}, found" in out
+    assert "docs/gel.md" not in out
+
+    assert made_up.run("--mark") == 0
+    assert f"[0.1 mm](docs/results/geometry.md){mark} of error." in (
+        made_up.root / "README.md"
+    ).read_text(encoding="utf-8")
+    assert made_up.run("--check") == 0
+
+    made_up.record("geometry", GEOMETRY)
+    assert made_up.run("--check") == 1
+    assert made_up.run("--mark") == 0
+    assert (made_up.root / "README.md").read_text(encoding="utf-8") == FILES["README.md"]
+
+
+def test_links_in_pages_of_docs_are_marked_and_those_in_code_are_not(made_up):
+    made_up.record("soak", SOAK, "0123456789ab")
+    made_up.write({"README.md": "```\n[x](docs/results/soak.json)\n```\n[y](docs/other.json)\n"})
+    made_up.run("--mark")
+    assert "measured" not in (made_up.root / "README.md").read_text(encoding="utf-8")
+    assert (made_up.root / "docs/gel.md").read_text(encoding="utf-8") == (
+        "Speed: [here](results/soak.json#rate) (measured at commit 0123456, not in this history).\n"
+    )
+
+
+@pytest.mark.parametrize(
+    "link",
+    [
+        '[x](docs/results/soak.json "A title")',
+        "[x](<docs/results/soak.md>)",
+        "[x](docs/../docs/results/soak.json#rate)",
+        "[x\nover lines](docs/results/soak.json)",
+    ],
+)
+def test_every_way_to_write_a_link_in_place_is_marked(made_up, link):
+    made_up.record("soak", SOAK, "0123456789ab")
+    made_up.write({"README.md": f"See {link}.\n"})
+    made_up.run("--mark")
+    assert (made_up.root / "README.md").read_text(encoding="utf-8") == (
+        f"See {link} (measured at commit 0123456, not in this history).\n"
+    )
+    assert made_up.run("--check") == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["[x][1]\n\n[1]: docs/results/soak.json", '<a href="docs/results/soak.json">x</a>']
+)
+def test_a_link_that_cannot_be_marked_fails(made_up, capsys, text):
+    made_up.record("soak", SOAK)
+    made_up.write({"README.md": text})
+    assert made_up.run("--mark") == 0
+    assert made_up.run("--check") == 1
+    assert "write the link to a result as [text](path)" in capsys.readouterr().out
+
+
+def test_the_page_of_states_must_be_up_to_date(made_up, capsys):
+    made_up.record("geometry", GEOMETRY)
+    assert made_up.run("--check") == 1
+    assert "status.md is not up to date" in capsys.readouterr().out
+    assert made_up.run("--mark") == 0
+    page = (made_up.root / "docs/results/status.md").read_text(encoding="utf-8")
+    assert f"[geometry](geometry.json) | `{commit_of(made_up.root)}` | 2026-01-02 | current" in page
+    assert made_up.run("--check") == 0
+    made_up.change("dotsim_ros/gel.py", "1.0", "1.5")
+    assert made_up.run("--check") == 1
+
+
+def test_rows_of_other_runs_are_judged_by_their_own_commit(made_up, capsys):
+    first = commit_of(made_up.root)
+    made_up.change("dotsim_ros/gel.py", "1.0", "1.5")
+    second = made_up.commit()
+    origin = {"commit": first, "date": "2026-01-01", "command": GEOMETRY}
+    figures = {
+        "ours": {"by_frame": {"x": 1, "commit": first, "date": "2026-01-01"}},
+        "tacto": {"x": 2, "origin": origin},
+        "provenance": {"commit": second, "date": "2026-01-02", "command": GEOMETRY},
+    }
+    made_up.write({"docs/results/geometry.json": json.dumps(figures)})
+    assert made_up.states() == {"geometry": "OLDER"}
+    assert made_up.run("--mark") == 0
+    page = (made_up.root / "docs/results/status.md").read_text(encoding="utf-8")
+    assert f"`{first}` | older than the code | ours.by_frame, tacto |" in page
+    assert f"`{second}` | current | the rest |" in page
+    assert f"(measured at commit {first[:7]} and 1 other, some before later changes)" in (
+        made_up.root / "README.md"
+    ).read_text(encoding="utf-8")
+
+
+def test_an_exception_is_shown_and_must_be_needed(made_up, capsys):
+    made_up.record("geometry", GEOMETRY, "0123456789ab-dirty")
+    exceptions = {"docs/results/not_reproducible.yaml": (
+        "geometry.json:\n  commits: [0123456789ab-dirty]\n  reason: It is from before.\n"
+    )}  # fmt: skip
+    made_up.write(exceptions)
+    assert made_up.states() == {"geometry": "NOT_REPRODUCIBLE"}
+    assert made_up.run("--mark") == 0
+    out = capsys.readouterr().out
+    assert "NOT REPRODUCIBLE AS RECORDED: geometry.json\n  geometry.json: It is from before." in out
+    assert "(measured at commit 0123456, with uncommitted changes)" in (
+        made_up.root / "README.md"
+    ).read_text(encoding="utf-8")
+
+    made_up.record("geometry", GEOMETRY, "ba9876543210-dirty")
+    assert made_up.run("--mark") == 1
+    made_up.record("geometry", GEOMETRY)
+    assert made_up.run("--mark") == 1
+    assert "has no figures of 0123456789ab-dirty (any more): remove it" in capsys.readouterr().out
+    (made_up.root / "docs/results/geometry.json").unlink()
+    assert made_up.run("--mark") == 1
+    assert "there is no geometry.json: remove it" in capsys.readouterr().out
+    made_up.write({"docs/results/not_reproducible.yaml": "geometry.json: it is old\n"})
+    assert made_up.run("--mark") == 1
+
+
+def test_a_page_of_figures_without_its_file_fails(made_up, capsys):
+    made_up.write({"docs/results/speed.md": "| 1 |"})
+    assert made_up.run() == 1
+    assert "docs/results/speed.md: no JSON file beside it" in capsys.readouterr().out
+
+
+def test_every_result_of_this_package_has_its_code(tool):
+    measured_code = importlib.import_module("measured_code")
+    checkout = tool.Checkout(ROOT)
+    results, _, _ = tool.read_results(checkout)
+    assert results
+    for result in results:
+        for origin, _ in result.origins:
+            files, _ = measured_code.files_behind(origin.command, checkout.now)
+            assert len(files) > 3, (result.file, origin, files)
