@@ -1,5 +1,5 @@
-"""The documentation: its examples run, its tables are those of the code, its figures name their
-commit, and the checks of its links find what is broken."""
+"""The documentation: its examples run, its tables are those of the code, its figures are
+those of the results, and the checks of its links find what is broken."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from dotsim_ros.specification import load_sensor
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 README_LINES = 150
-FIGURES = re.compile(r"<!-- figures: (\S+) -->\n(.*?)<!-- end figures -->", re.DOTALL)
+FIGURES = re.compile(r"<!-- figures: (\S+) at (\S+) -->\n(.*?)<!-- end figures -->", re.DOTALL)
 
 
 def text_of(name: str) -> str:
@@ -146,17 +146,22 @@ def test_ten_questions_are_answered_by_three_files_that_there_are() -> None:
 @pytest.mark.parametrize(
     "path", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda p: p.name
 )
-def test_figures_name_the_commit_of_their_file(path: Path) -> None:
-    for source, block in FIGURES.findall(path.read_text(encoding="utf-8")):
+def test_figures_are_those_of_their_file_and_link_to_it(path: Path) -> None:
+    for source, commit, block in FIGURES.findall(path.read_text(encoding="utf-8")):
         record = json.loads((ROOT / source).read_text(encoding="utf-8"))
-        commit = record.get("provenance", record)["commit"]
-        assert f"easured at commit {commit}" in " ".join(block.split()), source
+        assert commit == record.get("provenance", record)["commit"], (
+            f"{source} was made anew: bring the figures beside it up to date, then its commit"
+        )
+        shown_by = {(ROOT / source).with_suffix(suffix) for suffix in (".json", ".md")}
+        linked = {(path.parent / link).resolve() for link in re.findall(r"\]\(([^)]+)\)", block)}
+        assert shown_by & linked, f"results-status can mark no link to {source}"
 
 
 def test_the_readme_is_short_and_says_where_its_figures_come_from() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) <= README_LINES
-    assert len(FIGURES.findall(readme)) == section(readme, "Figures").count("measured at commit")
+    figures = section(readme, "Figures")
+    assert len(FIGURES.findall(figures)) == len(re.findall("^- ", figures, re.MULTILINE)) > 0
 
 
 def site_with(folder: Path, body: str) -> Path:
