@@ -1,11 +1,11 @@
 """Open pages in headless Chromium, as wide as a screen and as a phone, and look at each.
 
-    pages_open.py BROWSER PICTURES [--site FOLDER] PAGE...
+    pages_open.py BROWSER IMAGES [--site FOLDER] PAGE...
 
 Fails on a message of the console, an exception, a request for anything that is not in the page, a
-picture that did not load, that has no alternative text or that is drawn smaller than it was made
+image that did not load, that has no alternative text or that is drawn smaller than it was made
 for, text under 11 pixels, and a page wider than its window. Leaves a screenshot of each in
-PICTURES.
+IMAGES.
 
 A report is one file and asks for nothing. With --site the pages are those of a site in FOLDER:
 they may ask for files of that folder, parts of them may be hidden, or wider than the window within
@@ -51,15 +51,15 @@ LOOK = """((width, isSite) => {
     if (own && parseFloat(getComputedStyle(element).fontSize) < 11)
       bad.push(`text under 11 px: ${element.textContent.slice(0, 40)}`);
   }
-  for (const picture of document.images) {
-    const name = picture.alt.slice(0, 40);
-    if (!picture.complete || !picture.naturalWidth) bad.push(`not loaded: ${name}`);
-    if (!picture.alt) bad.push('a picture without alternative text');
-    if (picture.clientWidth < 0.9 * Number(picture.getAttribute('width')))
-      bad.push(`drawn ${picture.clientWidth} px wide, made for ${picture.getAttribute('width')}: `
+  for (const image of document.images) {
+    const name = image.alt.slice(0, 40);
+    if (!image.complete || !image.naturalWidth) bad.push(`not loaded: ${name}`);
+    if (!image.alt) bad.push('an image without alternative text');
+    if (image.clientWidth < 0.9 * Number(image.getAttribute('width')))
+      bad.push(`drawn ${image.clientWidth} px wide, made for ${image.getAttribute('width')}: `
         + name);
   }
-  return JSON.stringify({bad, pictures: document.images.length, height: root.scrollHeight,
+  return JSON.stringify({bad, images: document.images.length, height: root.scrollHeight,
     text: document.body.innerText.length});
 })"""
 SEARCH = """(async word => {
@@ -197,7 +197,7 @@ def look(
     shot = browser.call("Page.captureScreenshot", captureBeyondViewport=True, format="png")
     screenshot.write_bytes(base64.b64decode(shot["data"]))
     print(
-        f"{page.parent.name}/{page.name} at {width_px} px: {seen['pictures']} pictures, "
+        f"{page.parent.name}/{page.name} at {width_px} px: {seen['images']} images, "
         f"{seen['text']} characters, {seen['height']} px high"
     )
     if not seen["text"]:
@@ -228,12 +228,12 @@ def search(browser: Browser, page: Path, site: Path) -> list[str]:
 
 def main() -> int:
     """Look at all pages; return the exit status."""
-    program, pictures, *pages = sys.argv[1:]
+    program, images, *pages = sys.argv[1:]
     site = None
     if pages[0] == "--site":
         site = Path(pages[1])
         del pages[:2]
-    Path(pictures).mkdir(parents=True, exist_ok=True)
+    Path(images).mkdir(parents=True, exist_ok=True)
     bad = []
     # The browser may still be writing into its profile as it ends.
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
@@ -241,7 +241,7 @@ def main() -> int:
         try:
             for page in map(Path, pages):
                 for width_px in WIDTHS_PX:
-                    shot = Path(pictures) / f"{name_of(page, site)}_{width_px}.png"
+                    shot = Path(images) / f"{name_of(page, site)}_{width_px}.png"
                     wrong = look(browser, page, width_px, shot, site)
                     bad += [f"{page} at {width_px} px: {what}" for what in wrong]
             if site is not None:

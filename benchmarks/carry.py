@@ -1,4 +1,4 @@
-"""Scores the carried idle frame on measured images, with the measured skin at full depth.
+"""Scores the warped idle frame on measured images, with the measured skin at full depth.
 
     python benchmarks/carry.py ../shared/measured/sensor_a --json carry.json
 
@@ -42,9 +42,9 @@ def measure(directory: Path, sensor_name: str) -> dict[str, float]:
         camera = sensor_camera.scaled(measured.shape[1], measured.shape[0])
         idle = read_idle_frame(data.idle_images()[0], camera)
         view = SkinRenderer(camera, skin).render(trajectory.skin.position_m[-1])
-        carried = ImageRenderer(camera, skin, idle.image, lighting=UNCHANGING).render(view)
+        warped = ImageRenderer(camera, skin, idle.image, lighting=UNCHANGING).render(view)
         shaded = ImageRenderer(camera, skin, idle.image, lighting=idle.lighting).render(view)
-        scores.append([image_psnr_db(image, measured) for image in (idle.image, carried, shaded)])
+        scores.append([image_psnr_db(image, measured) for image in (idle.image, warped, shaded)])
     means = np.mean(scores, axis=0)
     names = ("idle_db", "carried_db", "carried_and_shaded_db")
     return {name: round(float(mean), 2) for name, mean in zip(names, means, strict=True)}
@@ -53,7 +53,7 @@ def measure(directory: Path, sensor_name: str) -> dict[str, float]:
 def main() -> None:
     """Print the scores, and write them as JSON where asked."""
     parser = argparse.ArgumentParser(
-        description="Score the carried idle frame on measured images.",
+        description="Score the warped idle frame on measured images.",
         epilog="example: python benchmarks/carry.py ../shared/measured/sensor_a",
     )
     parser.add_argument("data_set", type=Path, help="folder that holds dataset.yaml")

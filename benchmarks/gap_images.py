@@ -1,6 +1,6 @@
 """How often the gap finder is right about effects of the camera: nulls, and hidden laws by size.
 
-The pictures are those of a measured data set. What images show where nothing is missing is learnt
+The images are those of a measured data set. What images show where nothing is missing is learnt
 from the trajectories that the twin's network was fitted on (`--noise` writes the file that the
 package ships); all that is judged comes from the others: nulls are subsets of them as they were
 measured, cases are hidden laws (`evaluation.gap.hidden.images`) applied to one subset. The nulls
@@ -26,7 +26,7 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.evaluation.gap.hidden.images import LAWS, PictureLaw, Takes, taken
+from dotsim_ros.evaluation.gap.hidden.images import LAWS, ImageLaw, Takes, taken
 from dotsim_ros.files import given_path, write_json
 from dotsim_ros.gap.find import case_of
 from dotsim_ros.gap.findings import Verdict
@@ -48,7 +48,7 @@ SUBSET = 6
 
 
 class Study:
-    """Pictures of a data set with the signatures of all effects, made once."""
+    """Images of a data set with the signatures of all effects, made once."""
 
     def __init__(self, case: OpticalCase, effects: Sequence[Effect]) -> None:
         self.case, self.effects = case, list(effects)
@@ -110,14 +110,14 @@ def nulls(
     return found
 
 
-def power(search: ImageSearch, law: PictureLaw, size: float) -> dict[str, Any]:
-    """Return what the finder makes of a hidden law in the pictures of a search."""
+def power(search: ImageSearch, law: ImageLaw, size: float) -> dict[str, Any]:
+    """Return what the finder makes of a hidden law in the images of a search."""
     idle = np.asarray(search.shots[0].film.idle, dtype=np.float64)
     residuals: list[FloatArray] = []
     for shot in search.shots:
         takes = Takes(shot.measured.astype(np.float64), shot.film.session_s, idle)
-        pictures = taken(takes, law, size)
-        residuals.append(search.case.meter.difference(pictures, shot.film.pixels))
+        images = taken(takes, law, size)
+        residuals.append(search.case.meter.difference(images, shot.film.pixels))
     answer = search.answer(residuals)
     named = [one.effect.name for one in answer.named]
     if law.library:

@@ -1,7 +1,7 @@
-"""How often the gap finder is right about pictures of an independent renderer.
+"""How often the gap finder is right about images of an independent renderer.
 
 A path tracer (Mitsuba 3, `evaluation.gap.hidden.path_traced`) films the skins of a measured data
-set: a commissioning, from which the finder learns what its pictures show where nothing is
+set: a commissioning, from which the finder learns what its images show where nothing is
 missing, and later sets of other trajectories, of which some hide an effect in the scene or in the
 camera. The twin has the gel of a sensor's file, the camera and the LEDs as the scene has them, and
 no network.
@@ -37,7 +37,7 @@ from dotsim_ros.evaluation.gap.hidden.reality import Truth, write_truth
 from dotsim_ros.evaluation.gap.hidden.rendered_laws import LAWS
 from dotsim_ros.evaluation.gap.hidden.rendered_unit import LEAK, Studio
 from dotsim_ros.files import write_json
-from dotsim_ros.gap.find import find_gap_with_pictures, fit_noise_of_pictures
+from dotsim_ros.gap.find import find_gap_with_images, fit_noise_of_images
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
 from dotsim_ros.gap.presses.search_state import GapRequest
@@ -98,9 +98,9 @@ def render(studio: Studio, plan: Plan, directory: Path) -> None:
 
 def twin(sensor: SensorSpecification, commissioning: Path, directory: Path) -> SensorSpecification:
     """Return the unit's twin: the gel of a sensor, the camera and the LEDs of the scene, and the
-    idle picture of the commissioning."""
-    pictures = read_idle_images(read_data_set(commissioning).idle_images())
-    mean = np.rint(pictures.mean(axis=0)).astype(np.uint8)
+    idle image of the commissioning."""
+    images = read_idle_images(read_data_set(commissioning).idle_images())
+    mean = np.rint(images.mean(axis=0)).astype(np.uint8)
     idle = directory / "twin_idle.png"
     cv2.imwrite(str(idle), cv2.cvtColor(mean, cv2.COLOR_RGB2BGR))
     lighting = {
@@ -169,7 +169,7 @@ def judged(findings: Findings, directory: Path, plan: Plan) -> dict[str, Any]:
 
 
 def noise_figures(null: OpticalNull) -> dict[str, Any]:
-    """Return what the pictures of the commissioning show where nothing is missing."""
+    """Return what the images of the commissioning show where nothing is missing."""
     return {
         "camera_levels": float(np.sqrt(np.mean(null.noise.camera[:, :3] ** 2))),
         "model_levels": float(np.sqrt(np.mean(null.noise.model[:, :3] ** 2))),
@@ -213,11 +213,11 @@ def main() -> int:
         workers=1,
         optical_noise=noise,
     )
-    null = fit_noise_of_pictures(request, PrintedProgress())
+    null = fit_noise_of_images(request, PrintedProgress())
     save_optical_null(null, noise)
     results = []
     for plan in later:
-        findings, _ = find_gap_with_pictures(
+        findings, _ = find_gap_with_images(
             replace(request, measured=sets / plan.name), PrintedProgress()
         )
         results.append(judged(findings, sets, plan))

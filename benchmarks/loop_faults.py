@@ -47,7 +47,7 @@ from dotsim_ros.files import given_path, write_json, write_text
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup, policy_name
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
-from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_picture
+from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import read_policy
@@ -186,8 +186,8 @@ class Bench:
         self._sides = itertools.cycle((1, -1))
         other = load_sensor("sensor_a").camera
         own = load_sensor(loop.setup.sensor).camera
-        picture = read_picture(given_path(other.idle_image))
-        self._wrong = np.asarray(cv2.resize(picture, (own.width, own.height)), dtype=np.uint8)
+        image = read_image(given_path(other.idle_image))
+        self._wrong = np.asarray(cv2.resize(image, (own.width, own.height)), dtype=np.uint8)
         self.faults: dict[str, Fault] = {
             "images cut": Fault(self._cut_images, lambda: self._set_sensor(True)),
             "poses cut": Fault(self._cut_poses, lambda: loop.set_arm(fail_drop_feedback=False)),

@@ -2,7 +2,7 @@
 
     python benchmarks/optics_network.py --sensor sensor_a --json optics_network.json
 
-The whole of the optics is what a frame costs beside the gel: depth, normals, the carried image,
+The whole of the optics is what a frame costs beside the gel: depth, normals, the warped image,
 the network's input, the network, and what it adds. The network alone is then timed by ONNX Runtime
 and, where it is installed, by OpenVINO, with one and with two threads, and DeepLabV3-ResNet50 (with
 random weights, which cost the same) beside it in the same run where torch is.
@@ -81,7 +81,7 @@ def whole_optics(
     renderer = SkinRenderer(camera, skin)
     untouched = renderer.render(skin.rest_position_m)
     network = CompletionNetwork(directory, sensor=sensor.name, camera=camera, thread_count=threads)
-    residual = network.at_rest(untouched, idle.image)
+    completion = network.at_rest(untouched, idle.image)
     images = ImageRenderer(
         camera, skin, idle.image, lighting=idle.lighting, vignetting=idle.vignetting
     )
@@ -101,19 +101,19 @@ def whole_optics(
         marks = [clock()]
         view = renderer.render(position)
         marks.append(clock())
-        carried = images.carry(view)
+        warped = images.warp(view)
         marks.append(clock())
-        added = residual(view, carried)
+        added = completion(view, warped)
         marks.append(clock())
-        cv2.add(carried, added, dtype=cv2.CV_8U)
+        cv2.add(warped, added, dtype=cv2.CV_8U)
         marks.append(clock())
         if number < 5:
             continue
         spent = [*np.diff(marks), marks[-1] - marks[0]]
         for name, value in zip(("depth", "carry", "residual", "add", "whole"), spent, strict=True):
             parts.setdefault(name, []).append(float(value))
-    frame = given.frame(view.depth_m, view.normal, carried)
-    image = given.image(carried)
+    frame = given.frame(view.depth_m, view.normal, warped)
+    image = given.image(warped)
     feed = {"frame": frame[None], "rest": given.rest[None], "image": image[None]}
     return {name: spread(samples) for name, samples in parts.items()}, feed
 

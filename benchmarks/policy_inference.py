@@ -49,8 +49,8 @@ def by_torch(path_count: int, side_px: int, count: int) -> dict[str, dict[str, f
 
     network = without_normalisation(PolicyResNet(path_count).eval())
     network = network.to(memory_format=torch.channels_last)
-    picture = torch.rand(1, CHANNEL_COUNT, side_px, side_px)
-    picture = picture.to(memory_format=torch.channels_last)
+    crop = torch.rand(1, CHANNEL_COUNT, side_px, side_px)
+    crop = crop.to(memory_format=torch.channels_last)
     result = {}
     for threads in THREADS:
         torch.set_num_threads(threads)
@@ -61,7 +61,7 @@ def by_torch(path_count: int, side_px: int, count: int) -> dict[str, dict[str, f
                     torch.inference_mode(),
                     torch.autocast("cpu", dtype=torch.bfloat16, enabled=narrow),
                 ):
-                    network(picture)
+                    network(crop)
 
             result[f"torch, {name}, {threads} threads"] = timed(run, count)
     return result

@@ -1,7 +1,7 @@
-"""A report: sections of text, tables and pictures, as one HTML file or as Markdown.
+"""A report: sections of text, tables and images, as one HTML file or as Markdown.
 
-The HTML needs nothing beside it: no script, no network, pictures inside. It is laid out for a
-screen of 1280 pixels and for a phone of 400, where tables become lists and no picture is drawn
+The HTML needs nothing beside it: no script, no network, images inside. It is laid out for a
+screen of 1280 pixels and for a phone of 400, where tables become lists and no image is drawn
 smaller than it was made for.
 """
 
@@ -23,7 +23,7 @@ MARKDOWN = "report.md"
 PIXELS_PER_INCH = 100.0
 """Of a page, for a figure's inch: a font of 8 points is 11 pixels high."""
 LARGEST_WIDTH_INCHES = 3.6
-"""Of a picture: it fits a phone without being drawn smaller."""
+"""Of an image: it fits a phone without being drawn smaller."""
 _DOTS_PER_PIXEL = 2.0
 _STYLE: Any = {
     "font.family": "DejaVu Sans",
@@ -62,8 +62,8 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Picture:
-    """A picture.
+class ReportImage:
+    """An image.
 
     Attributes:
         name: of its file, without suffix.
@@ -80,9 +80,9 @@ class Picture:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Pictures side by side, as many as there is room for."""
+    """Images side by side, as many as there is room for."""
 
-    pictures: tuple[Picture, ...]
+    images: tuple[ReportImage, ...]
 
 
 Block = Paragraph | Bullets | Table | Gallery
@@ -143,29 +143,29 @@ def page_figure(width_inches: float, height_inches: float) -> Iterator[Any]:
         yield Figure(figsize=(width_inches, height_inches), layout="constrained")
 
 
-def picture_of(figure: Any, *, name: str, alt: str) -> Picture:
-    """Return a matplotlib figure as a picture, sharp on screens of twice the usual density."""
+def image_of(figure: Any, *, name: str, alt: str) -> ReportImage:
+    """Return a matplotlib figure as an image, sharp on screens of twice the usual density."""
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=PIXELS_PER_INCH * _DOTS_PER_PIXEL)
     width_px = round(float(figure.get_figwidth()) * PIXELS_PER_INCH)
-    return Picture(name, buffer.getvalue(), alt, width_px)
+    return ReportImage(name, buffer.getvalue(), alt, width_px)
 
 
-def pictures_of(page: Page) -> list[Picture]:
-    """Return all pictures of a page, in order."""
+def images_of(page: Page) -> list[ReportImage]:
+    """Return all images of a page, in order."""
     return [
-        picture
+        image
         for section in page.sections
         for block in section.blocks
         if isinstance(block, Gallery)
-        for picture in block.pictures
+        for image in block.images
     ]
 
 
 def write_page(directory: Path, page: Page) -> Path:
-    """Write a page as `report.html`, and as `report.md` with its pictures beside it, in place of
+    """Write a page as `report.html`, and as `report.md` with its images beside it, in place of
     the page before; return the former."""
-    files = {f"{picture.name}.png": picture.png for picture in pictures_of(page)}
+    files = {f"{image.name}.png": image.png for image in images_of(page)}
     texts = {MARKDOWN: as_markdown(page), HTML: as_html(page)}
     replace_files(directory, files | {name: text.encode() for name, text in texts.items()})
     return directory / HTML
@@ -189,7 +189,7 @@ def as_html(page: Page) -> str:
 
 
 def as_markdown(page: Page) -> str:
-    """Return a page as Markdown; its pictures are PNG files beside it, under their names."""
+    """Return a page as Markdown; its images are PNG files beside it, under their names."""
     label = f"**{_plain(page.label)}.** " if page.label else ""
     parts = [f"# {_plain(page.title)}", f"{label}{_plain(page.lead)}"]
     for section in page.sections:
@@ -212,8 +212,8 @@ def _block_html(block: Block) -> str:
             return "<ul>" + "".join(f"<li>{html.escape(item)}</li>" for item in items) + "</ul>"
         case Table(head, rows):
             return _table_html(head, rows)
-        case Gallery(pictures):
-            return '<div class="gallery">' + "".join(map(_picture_html, pictures)) + "</div>"
+        case Gallery(images):
+            return '<div class="gallery">' + "".join(map(_image_html, images)) + "</div>"
 
 
 def _table_html(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -230,10 +230,10 @@ def _table_html(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return f"<table><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _picture_html(picture: Picture) -> str:
-    data = base64.b64encode(picture.png).decode("ascii")
+def _image_html(image: ReportImage) -> str:
+    data = base64.b64encode(image.png).decode("ascii")
     return (
-        f'<img alt="{html.escape(picture.alt)}" width="{picture.width_px}" '
+        f'<img alt="{html.escape(image.alt)}" width="{image.width_px}" '
         f'src="data:image/png;base64,{data}">'
     )
 
@@ -251,8 +251,8 @@ def block_markdown(block: Block) -> str:
                 "| " + " | ".join(_plain(cell).replace("|", "\\|") for cell in line) + " |"
                 for line in lines
             )
-        case Gallery(pictures):
-            return "\n\n".join(f"![{_plain(p.alt)}]({p.name}.png)" for p in pictures)
+        case Gallery(images):
+            return "\n\n".join(f"![{_plain(p.alt)}]({p.name}.png)" for p in images)
 
 
 def _plain(text: str) -> str:

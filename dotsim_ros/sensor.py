@@ -112,10 +112,10 @@ class TactileSensor:
         return self._idle.image
 
     def _set_idle(self, idle: IdleFrame) -> None:
-        residual = None
+        completion = None
         if self._network is not None:
             untouched = self._renderer.render(self.skin.rest_position_m)
-            residual = self._network.at_rest(untouched, idle.image)
+            completion = self._network.at_rest(untouched, idle.image)
         self._image = ImageRenderer(
             self.camera,
             self.skin,
@@ -123,7 +123,7 @@ class TactileSensor:
             lighting=idle.lighting,
             vignetting=idle.vignetting,
             fine=idle.fine,
-            residual=residual,
+            completion=completion,
             device=self.device,
         )
         self._idle = idle
@@ -221,7 +221,7 @@ class TactileSensor:
         )
 
     def image_motion_px(self, before_m: FloatArray, after_m: FloatArray) -> FloatArray:
-        """Return how far (H, W, 2) what each pixel shows has moved in the picture, x then y.
+        """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y.
 
         Args:
             before_m, after_m: (V, 3) the skin then and now, base frame.

@@ -27,12 +27,12 @@ from dotsim_ros.page import (
     Gallery,
     Page,
     Paragraph,
-    Picture,
+    ReportImage,
     Section,
     Table,
     as_html,
+    image_of,
     page_figure,
-    picture_of,
 )
 from dotsim_ros.provenance import provenance
 
@@ -296,11 +296,11 @@ def _bullets(items: Sequence[str]) -> Block:
     return Bullets(tuple(items)) if items else Paragraph("Nothing.")
 
 
-def _plot_single_fits(calibration: Calibration) -> tuple[Picture, ...]:
-    """Return a picture of each parameter: the fits of single presses, and their combinations."""
+def _plot_single_fits(calibration: Calibration) -> tuple[ReportImage, ...]:
+    """Return an image of each parameter: the fits of single presses, and their combinations."""
     c = calibration
     names = list(c.fits)
-    pictures = []
+    images = []
     for index, parameter in enumerate(c.problem.parameters):
         with page_figure(LARGEST_WIDTH_INCHES, 1.3 + 0.2 * len(names)) as figure:
             axes = figure.add_subplot()
@@ -325,11 +325,11 @@ def _plot_single_fits(calibration: Calibration) -> tuple[Picture, ...]:
                 f"{parameter.name} of single presses, {_number(min(single))} to "
                 f"{_number(max(single))}, with {' and '.join(combined)}"
             )
-            pictures.append(picture_of(figure, name=f"fits_{parameter.name}", alt=alt))
-    return tuple(pictures)
+            images.append(image_of(figure, name=f"fits_{parameter.name}", alt=alt))
+    return tuple(images)
 
 
-def _plot_information(calibration: Calibration) -> Picture:
+def _plot_information(calibration: Calibration) -> ReportImage:
     rows = calibration.identifiability
     with page_figure(LARGEST_WIDTH_INCHES, 2.6) as figure:
         axes = figure.add_subplot()
@@ -345,10 +345,10 @@ def _plot_information(calibration: Calibration) -> Picture:
         alt = "Deviation of each parameter after the data over before: " + ", ".join(
             f"{r.parameter} from {r.data} {r.deviation / r.prior_deviation:.2g}" for r in rows
         )
-        return picture_of(figure, name="information", alt=alt)
+        return image_of(figure, name="information", alt=alt)
 
 
-def _plot_misfit(calibration: Calibration) -> Picture:
+def _plot_misfit(calibration: Calibration) -> ReportImage:
     items = list(calibration.linearisations.items())
     with page_figure(LARGEST_WIDTH_INCHES, 0.9 + 0.3 * len(items)) as figure:
         axes = figure.add_subplot()
@@ -365,4 +365,4 @@ def _plot_misfit(calibration: Calibration) -> Picture:
         axes.set_yticks(np.arange(len(items)) + 0.2, [name for name, _ in items])
         figure.legend(loc="outside upper center", ncols=2, frameon=False)
         alt = f"Misfit of each press in units of noise: {', '.join(worst)}"
-        return picture_of(figure, name="misfit", alt=alt)
+        return image_of(figure, name="misfit", alt=alt)

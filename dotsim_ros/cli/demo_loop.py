@@ -1,7 +1,7 @@
 """Let a policy follow a path by touch, record it, and show what it did.
 
 Starts tactile_sim, tactile_policy, xarm_sim and tactile_record as processes of their own, which
-talk over DDS, and enables the policy for a while. Leaves the bag OUT/loop, the picture of the path
+talk over DDS, and enables the policy for a while. Leaves the bag OUT/loop, the image of the path
 OUT/path.png, and the report OUT/report.html and OUT/report.md with the figures of the bag.
 Needs ROS 2.
 
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
-    from dotsim_ros.evaluation.trajectory.page import path_picture, trial_report
+    from dotsim_ros.evaluation.trajectory.page import path_image, trial_report
     from dotsim_ros.evaluation.trajectory.trials import judge, told, trial_start
     from dotsim_ros.files import write_json
     from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
@@ -63,11 +63,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise OSError("; ".join(failed))
     recording = read_loop_bag(bag, notes=observed.notes)
     row = judge(recording, path, setup.limits())
-    picture = path_picture(path.name, [recording], name="path")
+    image = path_image(path.name, [recording], name="path")
     page = trial_report(
         row,
         setup.limits(),
-        picture,
+        image,
         path=path.name,
         policy=card.name,
         sensor=Path(setup.sensor).stem,

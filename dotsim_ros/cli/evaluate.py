@@ -160,7 +160,7 @@ def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
     add("--seconds", type=float, default=12.0, help="of a trial, its approach included (12)")
     add("--seed", type=int, default=0, help="of the starts (0)")
     add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
-    add("--images", type=Path, default=Path("docs/images"), help="folder of the picture")
+    add("--images", type=Path, default=Path("docs/images"), help="folder of the image")
     add("--json", type=Path, help="write the figures here as well")
     add("--cache", type=Path, help="folder of the trials run before (the user's cache)")
 
@@ -481,14 +481,14 @@ def _trajectory(arguments: argparse.Namespace) -> int:
     )
     with TrialLoop(folder) as loop:
         trials = run_trials(plan, loop, loop.limits, cache, progress=_say)
-    picture = arguments.images / "closed_loop.png"
-    write_grid(picture, trials.recordings)
+    image = arguments.images / "closed_loop.png"
+    write_grid(image, trials.recordings)
     figures = trajectory_figures(plan, trials) | {
         "plan": {"trials": plan.trial_count, "seconds": plan.seconds, "paths": list(plan.paths)},
         "limits": limits_shown(loop.limits),
         "provenance": provenance() | {"policy": card.name, "seed": str(arguments.seed)},
     }
-    page = trajectory_page(figures, os.path.relpath(picture, arguments.out))
+    page = trajectory_page(figures, os.path.relpath(image, arguments.out))
     for path in filter(None, (arguments.out / "trajectory.json", arguments.json)):
         write_json(path, figures)
     write_text(arguments.out / "trajectory.md", page)

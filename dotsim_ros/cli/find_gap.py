@@ -1,7 +1,7 @@
 """Find where simulation and measurement disagree, and name the missing effect.
 
 Calibrates the twin within its priors, tries every effect of the library, refits the best, judges
-the answer on trajectories kept locked. Writes OUT/report.html, report.md, findings.json, pictures,
+the answer on trajectories kept locked. Writes OUT/report.html, report.md, findings.json, images,
 and, where an effect was named, OUT/effects_overlay.yaml, which tactile_sim loads with its parameter
 `effects`. Solves are kept in OUT/run: a run that was broken off goes on.
 
@@ -90,23 +90,23 @@ def run(arguments: argparse.Namespace) -> int:
 
 def search(arguments: argparse.Namespace) -> Findings:
     """Return the findings of a search, its report written."""
-    from dotsim_ros.gap.find import find_gap_with_pictures
+    from dotsim_ros.gap.find import find_gap_with_images
     from dotsim_ros.gap.report.write import write_findings
     from dotsim_ros.progress import PrintedProgress
 
     request = request_of(arguments)
-    findings, overlay = find_gap_with_pictures(request, PrintedProgress())
+    findings, overlay = find_gap_with_images(request, PrintedProgress())
     write_findings(arguments.out, findings, overlay, effects=arguments.effects)
     return findings
 
 
 def fit_optical_noise(arguments: argparse.Namespace) -> None:
     """Learn what the images of a data set show in which nothing is wrong; write it."""
-    from dotsim_ros.gap.find import fit_noise_of_pictures
+    from dotsim_ros.gap.find import fit_noise_of_images
     from dotsim_ros.gap.images.null import save_optical_null
     from dotsim_ros.progress import PrintedProgress
 
-    null = fit_noise_of_pictures(request_of(arguments), PrintedProgress())
+    null = fit_noise_of_images(request_of(arguments), PrintedProgress())
     save_optical_null(null, arguments.fit_optical_noise)
     print(f"{arguments.fit_optical_noise}: {null.source}")
 

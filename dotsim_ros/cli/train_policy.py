@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--start", type=Path, metavar="FILE", help="begin with the weights of this training.pt")
     add("--examples", type=int, default=80_000, metavar="N", help="to show in all (80000)")
     add("--learning-rate", type=float, default=2e-3, metavar="RATE", help="the highest (2e-3)")
-    add("--size", type=int, default=80, metavar="PX", help="side of the network's pictures (80)")
+    add("--size", type=int, default=80, metavar="PX", help="side of the network's images (80)")
     add("--seed", type=int, default=0, help="of the training (0)")
     add("--json", type=Path, metavar="FILE", help="copy the report to this file as well")
 

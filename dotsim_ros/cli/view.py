@@ -4,7 +4,7 @@ Writes NAME.mp4 (or NAME.gif) and NAME.png, where NAME is the bag's. Topics are 
 names end; name them where a bag has several or others.
 
 example:
-  dotsim_ros view recordings/press --out pictures
+  dotsim_ros view recordings/press --out images
   dotsim_ros view recordings/press --format gif --speed 0.5 --image /RunCamera/image_raw_1
 """
 

@@ -92,7 +92,7 @@ class SeenImage:
         idle: (H, W, 3) the same without contact.
         centre_px: (2,) x and y of the optical axis.
         focal_px: pixels a radian of the equidistant fisheye.
-        flow_px_s: (H, W, 2) how fast the picture moves; zero where it is not known.
+        flow_px_s: (H, W, 2) how fast the image moves; zero where it is not known.
     """
 
     stamp_s: float

@@ -1,8 +1,8 @@
 """What the optical effects share: gains, resampling, and what excites them.
 
 An optical effect acts on the camera's numbers after everything else, and keeps them between 0 and
-`FULL_SCALE`. Lengths in the picture are given in units of the focal length, so that a value found
-on pictures of one size holds for pictures of another.
+`FULL_SCALE`. Lengths in the image are given in units of the focal length, so that a value found
+on images of one size holds for images of another.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from dotsim_ros.measured.recording import Phase, Recording
 FULL_SCALE = 255.0
 
 FAST_M_S = 2.0e-3
-"""An indenter that moves faster under load moves the picture enough to blur or skew it."""
+"""An indenter that moves faster under load moves the image enough to blur or skew it."""
 
 SourceMap = Callable[[SeenImage], tuple[FloatArray, FloatArray]]
-"""From a picture to x and y (H, W each), px, of where in it each new pixel looks."""
+"""From an image to x and y (H, W each), px, of where in it each new pixel looks."""
 
 
 def any_frame(recording: Recording) -> bool:
@@ -48,7 +48,7 @@ def within_scale(pixels: FloatArray) -> FloatArray:
 
 
 def radius_square(image: SeenImage) -> FloatArray:
-    """Return (H, W) the squared distance from the optical axis over half the picture's height, the
+    """Return (H, W) the squared distance from the optical axis over half the image's height, the
     coordinate of `dotsim_ros.optics.lighting.Vignetting`."""
     height, width = image.pixels.shape[:2]
     x = np.arange(width) - image.centre_px[0]
@@ -92,10 +92,10 @@ def pixel_places(image: SeenImage) -> tuple[FloatArray, FloatArray]:
 
 
 class FixedResampling:
-    """Resamples every picture alike; the map is made for the first picture of each geometry.
+    """Resamples every image alike; the map is made for the first image of each geometry.
 
     Args:
-        source: makes the map; it may read the picture's size, centre and focal length alone.
+        source: makes the map; it may read the image's size, centre and focal length alone.
     """
 
     def __init__(self, source: SourceMap) -> None:
@@ -116,12 +116,12 @@ class FixedResampling:
 def led_imbalance(colour: str, channel: int) -> Effect:
     """Return the effect that the LEDs of one colour shine weaker or brighter than the others.
 
-    The picture's channel stands for the LEDs: the light of one colour that the camera sees in
+    The image's channel stands for the LEDs: the light of one colour that the camera sees in
     another channel is left out.
 
     Args:
         colour: of the LEDs.
-        channel: of the picture: 0 red, 1 green, 2 blue.
+        channel: of the image: 0 red, 1 green, 2 blue.
     """
 
     def image(values: Values) -> Callable[[SeenImage], FloatArray]:
@@ -134,7 +134,7 @@ def led_imbalance(colour: str, channel: int) -> Effect:
         title=f"{colour.capitalize()} LEDs out of balance",
         parameters=(EffectParameter("loss_share", "", 0.0, -0.3, 0.3, (0.05, -0.05)),),
         channels=(IMAGE,),
-        protocol="any pictures, also without contact",
+        protocol="any images, also without contact",
         excited_by=any_frame,
         taken_for=("white balance of the camera",),
         image=image,

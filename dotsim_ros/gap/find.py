@@ -1,6 +1,6 @@
-"""The search with pictures: the mechanical search as it is, then the camera's effects.
+"""The search with images: the mechanical search as it is, then the camera's effects.
 
-Skins come from the twin's gel at the poses of the pictures, with the mechanical effects that were
+Skins come from the twin's gel at the poses of the images, with the mechanical effects that were
 named; where a mechanical gap is unknown, only frames without contact are looked at, since the skin
 of the others is not known.
 """
@@ -50,8 +50,8 @@ from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, load_optic
 from dotsim_ros.gap.images.reading import (
     MeasuredImages,
     check_same_unit,
-    has_pictures,
-    read_pictures,
+    holds_images,
+    read_images,
 )
 from dotsim_ros.gap.images.tiles import COLOURS
 from dotsim_ros.gap.presses.search import find_gap
@@ -70,13 +70,13 @@ RESAMPLED = 200
 def channels_of(measured: Path) -> tuple[str, ...]:
     """Return the channels that are used where none were asked for: skin, force, and the images
     where the bags of a data set hold them and idle images lie beside them."""
-    return (*MECHANICAL, IMAGE) if all(has_pictures(measured)) else MECHANICAL
+    return (*MECHANICAL, IMAGE) if all(holds_images(measured)) else MECHANICAL
 
 
-def find_gap_with_pictures(
+def find_gap_with_images(
     request: GapRequest, progress: Progress
 ) -> tuple[Findings, Overlay | None]:
-    """Search a data set by the channels of a request, pictures among them.
+    """Search a data set by the channels of a request, images among them.
 
     Raises:
         FileNotFoundError: a data set, an indenter or a file that is not there.
@@ -144,8 +144,8 @@ def combined(findings: Findings, optical: OpticalFindings) -> Findings:
     )
 
 
-def fit_noise_of_pictures(request: GapRequest, progress: Progress) -> OpticalNull:
-    """Return what the pictures of a data set show in which nothing is missing.
+def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
+    """Return what the images of a data set show in which nothing is missing.
 
     Args:
         request: the data set, its twin and indenters; with a reference, that idle frame is the
@@ -153,7 +153,7 @@ def fit_noise_of_pictures(request: GapRequest, progress: Progress) -> OpticalNul
         progress: told the steps.
 
     Raises:
-        FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
+        FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
     case, _ = _case_without_gap(request, progress)
     count = len(case.shots) - 1
@@ -164,30 +164,30 @@ def fit_noise_of_pictures(request: GapRequest, progress: Progress) -> OpticalNul
         effects,
         sensor=request.sensor.name,
         source=source,
-        progress=lambda done, total: progress("noise of the pictures", done, total),
+        progress=lambda done, total: progress("noise of the images", done, total),
     )
 
 
 def case_of(request: GapRequest, progress: Progress) -> OpticalCase:
-    """Return the pictures of a data set beside those of the twin without any effect.
+    """Return the images of a data set beside those of the twin without any effect.
 
     Raises:
-        FileNotFoundError, ValueError: pictures that cannot be used; the text says why.
+        FileNotFoundError, ValueError: images that cannot be used; the text says why.
     """
     return _case_and_solves(request, progress)[0]
 
 
 def _case_and_solves(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    pictures, model = _pictures_and_model(request)
-    skins, solves, _ = _skins(request, pictures, None, progress)
+    images, model = _images_and_model(request)
+    skins, solves, _ = _skins(request, images, None, progress)
     case = optical_case(
-        pictures, model, skins, progress=lambda done, total: progress("pictures", done, total)
+        images, model, skins, progress=lambda done, total: progress("images", done, total)
     )
     return case, solves
 
 
 def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    """Return the pictures of a data set in which nothing is missing, and how many solves it took.
+    """Return the images of a data set in which nothing is missing, and how many solves it took.
 
     Raises:
         FileNotFoundError, ValueError: as `case_of`; or too few trajectories.
@@ -196,7 +196,7 @@ def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalC
     count = len(case.shots) - 1
     if count <= LEAST_TRAJECTORIES:
         raise ValueError(
-            f"{count} trajectories with pictures are too few to tell what a model errs by, "
+            f"{count} trajectories with images are too few to tell what a model errs by, "
             f"expected more than {LEAST_TRAJECTORIES}"
         )
     return case, solves
@@ -205,7 +205,7 @@ def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalC
 def _null_of(
     request: GapRequest, effects: Sequence[Effect], progress: Progress
 ) -> tuple[OpticalNull, list[str], int]:
-    """Return what pictures show where nothing is missing, what limits that, and how many solves it
+    """Return what images show where nothing is missing, what limits that, and how many solves it
     took. Nothing is missing in a reference: it tells the sizes of effects that the file does not
     know, such as the user's own."""
     null = load_optical_null(request.optical_noise)
@@ -237,11 +237,11 @@ def _find_optical(
     overlay: Overlay | None,
     progress: Progress,
 ) -> tuple[OpticalFindings, tuple[FoundEffect, ...], str, int]:
-    """Return the optical part, its effects for the overlay, the hash of the pictures, and how many
+    """Return the optical part, its effects for the overlay, the hash of the images, and how many
     solves it took."""
-    pictures, model = _pictures_and_model(request)
+    images, model = _images_and_model(request)
     null, limits, reference_solves = _null_of(request, effects, progress)
-    warnings = [*pictures.warnings, *limits]
+    warnings = [*images.warnings, *limits]
     known = [effect for effect in effects if null.knows(effect)]
     not_tried = [effect for effect in effects if effect not in known]
     if not known:
@@ -250,11 +250,11 @@ def _find_optical(
         nothing = OpticalFindings(
             Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
         )
-        return nothing, (), pictures.digest, reference_solves
-    skins, solves, left_out = _skins(request, pictures, overlay, progress)
+        return nothing, (), images.digest, reference_solves
+    skins, solves, left_out = _skins(request, images, overlay, progress)
     warnings += left_out
     case = optical_case(
-        pictures, model, skins, progress=lambda done, total: progress("pictures", done, total)
+        images, model, skins, progress=lambda done, total: progress("images", done, total)
     )
     if findings is not None and findings.verdict is Verdict.UNKNOWN:
         case = case.without_contact()
@@ -262,7 +262,7 @@ def _find_optical(
             "what is missing in the gel is unknown, so the skin in contact is not known: only "
             "frames without contact were searched for effects of the camera"
         )
-    warnings += wording.picture_warnings(
+    warnings += wording.image_warnings(
         null.sensor, null.source, request.sensor.name, len(case.shots) - 1
     )
     random = np.random.default_rng([request.seed, 1])
@@ -270,10 +270,10 @@ def _find_optical(
     chosen = [shot for shot in case.shots if shot.name not in locked]
     tried, silent = excited({e.name: e for e in known}, chosen)
     if not tried:
-        raise ValueError("no picture excites any effect of the camera; record presses with images")
-    progress("screen the pictures", 0, 1)
+        raise ValueError("no image excites any effect of the camera; record presses with images")
+    progress("screen the images", 0, 1)
     search = ImageSearch(case, chosen, tried, null, alpha=request.alpha, seed=request.seed)
-    progress("screen the pictures", 1, 1)
+    progress("screen the images", 1, 1)
     answer = search.answer()
     library = {effect.name: effect for effect in effects}
     seen = _optical_findings(case, search, answer, locked, null, library, silent, random, warnings)
@@ -284,23 +284,23 @@ def _find_optical(
     found = tuple(
         FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
     )
-    return seen, found, pictures.digest, solves + reference_solves
+    return seen, found, images.digest, solves + reference_solves
 
 
-def _pictures_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
-    """Return the pictures, and the model of the twin's at their size.
+def _images_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
+    """Return the images, and the model of the twin's at their size.
 
     Raises:
-        FileNotFoundError, ValueError: as `read_pictures`; or pictures of another unit.
+        FileNotFoundError, ValueError: as `read_images`; or images of another unit.
     """
     skin = skin_of(request.sensor.gel)
-    pictures = read_pictures(request.measured, skin=skin, indenters=request.indenters)
-    height, width = pictures.idle_images.shape[1:3]
+    images = read_images(request.measured, skin=skin, indenters=request.indenters)
+    height, width = images.idle_images.shape[1:3]
     idle, owner = None, f"the idle frame of {request.sensor.name}"
     if request.reference is not None:
-        reference = read_pictures(request.reference, skin=skin, indenters=request.indenters)
+        reference = read_images(request.reference, skin=skin, indenters=request.indenters)
         idle, owner = reference.idle, "that of the reference"
-        check_same_unit(idle, pictures.idle, owner=owner)
+        check_same_unit(idle, images.idle, owner=owner)
     camera = request.sensor.camera
     if width * camera.height != height * camera.width:
         raise ValueError(
@@ -308,18 +308,18 @@ def _pictures_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera
             f"{camera.width}x{camera.height}, another aspect ratio: they come from another camera"
         )
     model = TwinCamera(request.sensor, width=width, height=height, idle=idle)
-    check_same_unit(model.idle, pictures.idle, owner=owner)
-    return pictures, model
+    check_same_unit(model.idle, images.idle, owner=owner)
+    return images, model
 
 
 def _skins(
-    request: GapRequest, pictures: MeasuredImages, overlay: Overlay | None, progress: Progress
+    request: GapRequest, images: MeasuredImages, overlay: Overlay | None, progress: Progress
 ) -> tuple[dict[str, FloatArray], int, list[str]]:
     """Return the twin's skin (F, V, 3) by trajectory, how many solves it took, and what could not
     be solved."""
     sensor = request.sensor
     active = () if overlay is None else active_effects(overlay, load_effects(request.effects))
-    recordings = [one.recording for one in pictures.trajectories]
+    recordings = [one.recording for one in images.trajectories]
     with open_solver(
         sensor,
         skin_of(sensor.gel),
@@ -329,7 +329,7 @@ def _skins(
     ) as solver:
         answers, failures = solver.run_each(
             [request_of(r, values_of(sensor), effects=active) for r in recordings],
-            lambda done, total: progress("skins of the pictures", done, total),
+            lambda done, total: progress("skins of the images", done, total),
         )
         count = solver.solve_count
     skins = {
@@ -337,7 +337,7 @@ def _skins(
         for recording, answer in zip(recordings, answers, strict=True)
         if answer is not None
     }
-    return skins, count, [f"no picture of the twin's: {text}" for text in failures]
+    return skins, count, [f"no image of the twin's: {text}" for text in failures]
 
 
 def _locked(

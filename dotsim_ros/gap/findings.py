@@ -144,10 +144,10 @@ class Pair:
 
 @dataclass(frozen=True)
 class TileGap:
-    """Residuals in one tile of the picture: RMS of its observables in expected deviations.
+    """Residuals in one tile of the image: RMS of its observables in expected deviations.
 
     Attributes:
-        x, y: its centre, shares of the picture's width and height.
+        x, y: its centre, shares of the image's width and height.
         before, after: with the twin as it is, and with the named effects.
     """
 
@@ -159,7 +159,7 @@ class TileGap:
 
 @dataclass(frozen=True)
 class OpticalFindings:
-    """What the pictures told.
+    """What the images told.
 
     Attributes:
         verdict, sentence: the answer, and in words.
@@ -176,12 +176,12 @@ class OpticalFindings:
             in expected deviations, with its interval; None if nothing was added.
         stability: share of bootstrap repetitions that gave the same name; None if nothing was
             named.
-        tiles: where in the picture the gap is.
+        tiles: where in the image the gap is.
         warnings: what cannot be concluded, and why.
         trajectories, locked: names used for the search, and kept locked.
-        frame_count: pictures.
+        frame_count: images.
         noise_source: where the thresholds come from.
-        not_tried: effects whose sizes in pictures without any effect are not known.
+        not_tried: effects whose sizes in images without any effect are not known.
     """
 
     verdict: Verdict
@@ -238,7 +238,7 @@ class Findings:
         solve_count, seconds: the cost.
         data_hash: of the measured data.
         sensor: name of the sensor's file.
-        optical: what the pictures told, whose names, sentence and warnings are among those above;
+        optical: what the images told, whose names, sentence and warnings are among those above;
             None where none were searched.
     """
 

@@ -111,9 +111,9 @@ def network_input(
 def inputs_of(press: OpticalPress, given: CompletionInput) -> tuple[Tensor, Tensor]:
     """Return the network's input for a press: frame (F, 7, h, w) and image (F, 3, f h, f w)."""
     frames = [
-        given.frame(*seen) for seen in zip(press.depth_m, press.normal, press.carried, strict=True)
+        given.frame(*seen) for seen in zip(press.depth_m, press.normal, press.warped, strict=True)
     ]
-    images = [given.image(carried) for carried in press.carried]
+    images = [given.image(warped) for warped in press.warped]
     return torch.from_numpy(np.stack(frames)), torch.from_numpy(np.stack(images))
 
 

@@ -59,15 +59,15 @@ class FittedNetwork:
         added = added_images(self.trained.network, given, *inputs_of(press, given))
         full = (self.camera.width, self.camera.height)
         images = []
-        for residual, carried in zip(added, press.carried, strict=True):
+        for completion, warped in zip(added, press.warped, strict=True):
             match BASES[self.kind]:
                 case "carried":
-                    base = carried.astype(np.float32)
+                    base = warped.astype(np.float32)
                 case "idle":
                     base = rest.idle.astype(np.float32)
                 case _:
-                    base = np.zeros(carried.shape, dtype=np.float32)
-            image = base + resized(residual, full)
+                    base = np.zeros(warped.shape, dtype=np.float32)
+            image = base + resized(completion, full)
             images.append(np.clip(np.rint(image), 0.0, 255.0).astype(np.uint8))
         return np.stack(images)
 

@@ -2,7 +2,7 @@
 
 Every network maps `frame` (N, 7, h, w), `rest` (N or 1, 10, h, w) and `image` (N, 3, f h, f w),
 laid out as in `dotsim_ros.optics.network.input`, to what is to be added to its base: an image
-(N, 3, f h, f w) in units of 255 grey levels, to be added to the carried image, to the idle frame,
+(N, 3, f h, f w) in units of 255 grey levels, to be added to the warped image, to the idle frame,
 or to nothing. The factor f is 2 for ours and 1 for the others.
 
 - `paper`: DeepLabV3 with a ResNet-50 (Chen et al., "Rethinking Atrous Convolution for Semantic
@@ -10,7 +10,7 @@ or to nothing. The factor f is 2 for ours and 1 for the others.
   DOT-Sim publishes it, but from random weights: the backbone's pretrained ones are not used.
 - `paper_direct`: the same network giving the image itself, its ablation.
 - `unet`: the same input and base by a U-Net (Ronneberger et al., 2015), which DOT-Sim's text names.
-- `ours`: `LocalModel`, below, added to the carried image.
+- `ours`: `LocalModel`, below, added to the warped image.
 """
 
 from __future__ import annotations
@@ -106,8 +106,8 @@ class LocalModel(nn.Module):
 
         added = gain * c + offset + sharpening * laplacian(c)
 
-    with c the carried image, and seven coefficients that a network gives at half the resolution of
-    c from normals, depth, their change against rest, the place, and the carried image and its
+    with c the warped image, and seven coefficients that a network gives at half the resolution of
+    c from normals, depth, their change against rest, the place, and the warped image and its
     change. The pattern itself never needs to be learned, so few frames suffice. Everything is
     multiplied by a measure of whether anything has moved, exactly zero at rest, and by the fade of
     the lit disc. (A shift of the pattern as further coefficients fits the errors of pose of single
@@ -155,7 +155,7 @@ class LocalModel(nn.Module):
         return functional.pixel_shuffle(self.head(functional.relu(self.last(x))), 2)
 
     def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
-        """Return what is to be added to the carried image; exactly 0 at rest."""
+        """Return what is to be added to the warped image; exactly 0 at rest."""
         rest = rest.expand(frame.shape[0], -1, -1, -1)
         acts = moved(frame, rest) * rest[:, FADE]
         coefficients = _enlarged(self.coefficients(frame, rest) * acts, image)

@@ -1,9 +1,9 @@
 """The idle image with samples between its own, learned from presses.
 
-An idle image shows each point of the skin at one place between the pixels. Carried by half a pixel,
+An idle image shows each point of the skin at one place between the pixels. Warped by half a pixel,
 a pattern whose edges are sharper than pixels is off by what interpolation does not know; on images
 of 320x240 that is more than their noise. Presses show the same points at many other places, so they
-tell the samples between: those are the least squares of what the carrying skin makes of them
+tell the samples between: those are the least squares of what the warping skin makes of them
 against what was measured. (Super-resolution from known motion; Elad and Feuer, "Restoration of a
 single superresolution image from several blurred, noisy, and undersampled measured images", 1997.)
 The samples at the idle image's own pixels lose noise in the same solve.

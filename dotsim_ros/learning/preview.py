@@ -1,4 +1,4 @@
-"""A sheet that shows what a network has learned: measured, carried, predicted, and the error."""
+"""A sheet that shows what a network has learned: measured, warped, predicted, and the error."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import write_image
 from dotsim_ros.twin.footage import OpticalPress
 
-COLUMNS = ("measured", "carried", "predicted", "error of carried x4", "error of predicted x4")
+COLUMNS = ("measured", "carried", "predicted", "error of warped x4", "error of predicted x4")
 ERROR_GAIN = 4.0
 TITLE_PX = 18
 
@@ -46,9 +46,9 @@ def write_preview(
     for index in chosen:
         press = presses[index]
         frame = int(np.argmax(press.tip_depth_m))
-        measured, carried = press.measured[frame], press.carried[frame]
+        measured, warped = press.measured[frame], press.warped[frame]
         image = predicted[index][frame]
-        pictures = (measured, carried, image, _error(carried, measured), _error(image, measured))
+        images = (measured, warped, image, _error(warped, measured), _error(image, measured))
         titles = (f"{press.name}, frame {frame}: {COLUMNS[0]}", *COLUMNS[1:])
-        lines.append(np.hstack([_titled(*pair) for pair in zip(pictures, titles, strict=True)]))
+        lines.append(np.hstack([_titled(*pair) for pair in zip(images, titles, strict=True)]))
     write_image(path, np.vstack(lines))

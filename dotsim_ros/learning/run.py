@@ -81,7 +81,7 @@ def scores(
     for press, images in zip(presses, predicted, strict=True):
         deep = int(np.argmax(press.tip_depth_m))
         for frame, measured in enumerate(press.measured):
-            shown = {"idle": idle, "carried": press.carried[frame], "predicted": images[frame]}
+            shown = {"idle": idle, "carried": press.warped[frame], "predicted": images[frame]}
             for name, image in shown.items():
                 score = image_psnr_db(image, measured)
                 every[name].append(score)

@@ -2,7 +2,7 @@
 
 A press begins off the gel, so its first frames show what the idle images show, each with noise of
 its own; what idle images taken together share (the path tracer's noise of a synthetic sensor, the
-flicker of lights) they average out. The carried image inherits what the idle image gains.
+flicker of lights) they average out. The warped image inherits what the idle image gains.
 """
 
 from __future__ import annotations

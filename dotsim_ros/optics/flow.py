@@ -1,4 +1,4 @@
-"""How the picture moves from one shape of the skin to another."""
+"""How the image moves from one shape of the skin to another."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dotsim_ros.optics.renderer import View
 
 
 def image_motion_px(view: View, triangles: IndexArray, pixel_before: FloatArray) -> FloatArray:
-    """Return how far (H, W, 2) what each pixel shows has moved in the picture, x then y.
+    """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y.
 
     Args:
         view: of the skin now.

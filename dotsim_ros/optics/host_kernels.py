@@ -6,7 +6,7 @@ direction. Numbers are added and multiplied in the same order, so the results ar
 last bit; the tests hold both against each other. The types are those of Clang, which Warp compiles
 for a CPU with: any CPU has them, whatever the width of its registers.
 
-`fill_view` and `carry_idle` take what their namesakes in `kernels` take.
+`fill_view` and `warp_idle` take what their namesakes in `kernels` take.
 """
 
 # Kernels are Warp's language, whose types are none of a type checker's.
@@ -256,7 +256,7 @@ def fill_view(
     )
 
 
-_CARRY_BLOCK = """
+_WARP_BLOCK = """
     typedef float four __attribute__((vector_size(16), aligned(4), may_alias));
     typedef int levels __attribute__((vector_size(16)));
     const auto load = [](const wp::vec_t<3, float>& v) -> four {
@@ -327,8 +327,8 @@ _CARRY_BLOCK = """
 """
 
 
-@wp.func_native(_CARRY_BLOCK)
-def carry_block(
+@wp.func_native(_WARP_BLOCK)
+def warp_block(
     y: int,
     x_first: int,
     x_end: int,
@@ -350,7 +350,7 @@ def carry_block(
 
 
 @wp.kernel
-def carry_idle(
+def warp_idle(
     triangle_seen: wp.array2d(dtype=wp.int32),
     barycentric: wp.array2d(dtype=wp.vec2),
     triangles: wp.array2d(dtype=wp.int32),
@@ -366,7 +366,7 @@ def carry_idle(
 ):
     """`kernels.carry_idle`, the three colours at once."""
     y, block = wp.tid()
-    carry_block(
+    warp_block(
         y,
         block * run,
         wp.min(block * run + run, lit.shape[1]),

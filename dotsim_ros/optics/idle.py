@@ -197,7 +197,7 @@ def read_idle_frame(path: Path, camera: FisheyeCamera) -> IdleFrame:
     A YAML file of the same name beside the image may describe it, in three optional sections:
     `disc` (the fields of LitDisc; without it the image must show the camera's own view), `lighting`
     (the arguments of led_ring, and Lighting's other fields) and `vignetting` (`falloff`). So may a
-    picture NAME_fine.png of samples between the image's pixels, as train-optics learns it.
+    image NAME_fine.png of samples between the image's pixels, as train-optics learns it.
 
     Raises:
         FileNotFoundError: no such image.

@@ -1,11 +1,11 @@
-"""The image: the idle frame carried along by the skin, and shaded anew to first order.
+"""The image: the idle frame warped along by the skin, and shaded anew to first order.
 
 Every pixel shows the material point that it shows in the idle frame somewhere else; the colour is
 taken from there and multiplied by the change of the light that reaches the point: the sum over the
 LEDs of the cosine of incidence over the squared distance (a Lambertian coat), relative to that at
 rest. A glossy coat also mirrors the LEDs, in a lobe around the half-way direction (Blinn, "Models
-of light reflection for computer synthesized pictures", 1977). At rest the image is the idle frame,
-bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a residual
+of light reflection for computer synthesized images", 1977). At rest the image is the idle frame,
+bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a completion
 that may be learned.
 """
 
@@ -32,10 +32,10 @@ RIM_PX = 2
 
 
 class Completion(Protocol):
-    """What a learned model adds to the carried image."""
+    """What a learned model adds to the warped image."""
 
-    def __call__(self, view: View, carried: ImageArray) -> Float32Array:
-        """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
+    def __call__(self, view: View, warped: ImageArray) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3)."""
 
 
 def spread_outwards(image: Float32Array, region: BoolArray) -> Float32Array:
@@ -109,12 +109,12 @@ class ImageRenderer:
         vignetting: of the camera, which the pattern moves beneath.
         fine: (2 H - 1, 2 W - 1, 3) uint8, the idle image with samples half-way between its own,
             and with the rim's colours beyond the lit disc; None to interpolate them.
-        residual: what to add to the carried image; None for nothing.
+        completion: what to add to the warped image; None for nothing.
         device: Warp's name of the device.
 
     Attributes:
         pixel_kernels: the module whose kernel colours the image; both give the same.
-        fine_pattern: (2 H - 1, 2 W - 1, 3) float32, what is carried: the idle image without
+        fine_pattern: (2 H - 1, 2 W - 1, 3) float32, what is warped: the idle image without
             vignetting, with samples half-way between its own.
         fine_brightness: (2 H - 1, 2 W - 1) that vignetting leaves at them.
 
@@ -132,7 +132,7 @@ class ImageRenderer:
         lighting: Lighting | None = None,
         vignetting: Vignetting | None = None,
         fine: ImageArray | None = None,
-        residual: Completion | None = None,
+        completion: Completion | None = None,
         device: str = "cpu",
     ) -> None:
         check_image(idle_image)
@@ -145,7 +145,7 @@ class ImageRenderer:
             raise ValueError(
                 f"idle image is {camera.width}x{camera.height}, expected two pixels each way"
             )
-        self.residual = residual
+        self.completion = completion
         self._camera = camera
         self._lighting = lighting or Lighting()
         self._device = wp.get_device(device)
@@ -214,12 +214,12 @@ class ImageRenderer:
         """Return the brightness (V, 3) of each vertex over that at rest, without vignetting."""
         return np.asarray(self._gain(view).numpy(), dtype=np.float32)
 
-    def carry(self, view: View) -> ImageArray:
-        """Return the image (H, W, 3) without the residual."""
+    def warp(self, view: View) -> ImageArray:
+        """Return the image (H, W, 3) without the completion."""
         gain = self._gain(view)
         image = self._memory.array(self._idle.shape, wp.uint8)
         wp.launch(
-            self.pixel_kernels.carry_idle,
+            self.pixel_kernels.warp_idle,
             dim=(self._camera.height, self._camera.width // self._run),
             inputs=[
                 self._upload(view.triangle, wp.int32),
@@ -241,9 +241,9 @@ class ImageRenderer:
 
     def render(self, view: View) -> ImageArray:
         """Return the image (H, W, 3), red, green, blue, of what the camera sees."""
-        carried = self.carry(view)
-        if self.residual is None:
-            return carried
+        warped = self.warp(view)
+        if self.completion is None:
+            return warped
         # Rounded and clipped to whole grey levels.
-        added = cv2.add(carried, self.residual(view, carried), dtype=cv2.CV_8U)
+        added = cv2.add(warped, self.completion(view, warped), dtype=cv2.CV_8U)
         return np.asarray(added, dtype=np.uint8)

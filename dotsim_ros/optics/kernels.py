@@ -202,7 +202,7 @@ def brightness_gain(
 
 
 @wp.kernel
-def carry_idle(
+def warp_idle(
     triangle_seen: wp.array2d(dtype=wp.int32),
     barycentric: wp.array2d(dtype=wp.vec2),
     triangles: wp.array2d(dtype=wp.int32),

@@ -1,6 +1,6 @@
 """What the camera sees of the deformed skin: depth, normals, and the material point of each pixel.
 
-The skin is a triangle mesh of fixed topology; its corners are carried by the gel. Within a
+The skin is a triangle mesh of fixed topology; its corners are warped by the gel. Within a
 triangle, depth is that of the plane, normals and material points are interpolated from the
 corners.
 """

@@ -75,7 +75,7 @@ class OpticalPress:
         measured: (F, H, W, 3) uint8, red, green, blue.
         depth_m: (F, H, W) distance along the ray; NaN where no skin is seen.
         normal: (F, H, W, 3) unit normal in the optical frame; NaN where no skin is seen.
-        carried: (F, H, W, 3) uint8, the idle image carried by the skin and shaded to first order.
+        warped: (F, H, W, 3) uint8, the idle image warped by the skin and shaded to first order.
     """
 
     name: str
@@ -84,7 +84,7 @@ class OpticalPress:
     measured: ImageArray
     depth_m: Float32Array
     normal: Float32Array
-    carried: ImageArray
+    warped: ImageArray
 
 
 @dataclass(frozen=True)
@@ -334,7 +334,7 @@ def render_filmed(
                 press.measured,
                 np.stack([view.depth_m for view in views]),
                 np.stack([view.normal for view in views]),
-                np.stack([image.carry(view) for view in views]),
+                np.stack([image.warp(view) for view in views]),
             )
         )
     rest = Rest(filmed.idle, untouched.depth_m, untouched.normal, lit_region(filmed.idle))

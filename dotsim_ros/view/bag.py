@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.measured.bag import BagReader
-from dotsim_ros.view.pictures import PanelImages
+from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.sheet import strongest_stamps, write_sheet
 from dotsim_ros.view.timeline import (
     ViewTopics,
@@ -71,7 +71,7 @@ def view_bag(request: ViewRequest) -> list[Path]:
     if stamps_ns.size == 0:
         raise ValueError(f"{request.bag} shows nothing: no image, no depth and no skin")
     forces = read_forces(request.bag, topics.wrench)
-    pictures = PanelImages(iterate_moments(request.bag, topics), rest_m=_rest_m(request.rest))
+    images = PanelImages(iterate_moments(request.bag, topics), rest_m=_rest_m(request.rest))
     start_ns, end_ns = int(stamps_ns[0]), int(stamps_ns[-1])
     title = request.bag.resolve().stem
     chosen = set(strongest_stamps(stamps_ns, forces, count=request.column_count))
@@ -79,7 +79,7 @@ def view_bag(request: ViewRequest) -> list[Path]:
     write_sheet(
         sheet,
         (moment for moment in iterate_moments(request.bag, topics) if moment.stamp_ns in chosen),
-        pictures,
+        images,
         forces,
         start_ns=start_ns,
         end_ns=end_ns,
@@ -87,7 +87,7 @@ def view_bag(request: ViewRequest) -> list[Path]:
     )
     written = [sheet]
     if request.formats:
-        board = Board(pictures, forces, start_ns=start_ns, end_ns=end_ns, title=title)
+        board = Board(images, forces, start_ns=start_ns, end_ns=end_ns, title=title)
         fps = request.fps or usual_rate_hz(stamps_ns)
         with tempfile.TemporaryDirectory() as folder:
             keeps_video = "mp4" in request.formats

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
-from dotsim_ros.view.pictures import (
+from dotsim_ros.view.panels import (
     BACKGROUND,
     CHANGE_GAIN,
     DEPTH_COLOURS,

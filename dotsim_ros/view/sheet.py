@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.files import whole_file
 from dotsim_ros.view.figure import FAINT, INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.pictures import PanelImages
+from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.timeline import BagMoment, Forces
 
 COLUMN_INCHES = 2.6
@@ -48,7 +48,7 @@ def strongest_stamps(
 def write_sheet(
     path: str | Path,
     moments: Iterable[BagMoment],
-    pictures: PanelImages,
+    images: PanelImages,
     forces: Forces | None,
     *,
     start_ns: int,
@@ -60,14 +60,14 @@ def write_sheet(
     Args:
         path: the file; replaced where it is there.
         moments: one column each.
-        pictures: draws the panels.
+        images: draws the panels.
         forces: plotted below, or None.
         start_ns: where the time axis begins.
         end_ns: where it ends.
         title: printed above.
     """
     columns = list(moments)
-    shapes = pictures.shape_px()
+    shapes = images.shape_px()
     heights = [COLUMN_INCHES * shape[0] / shape[1] for shape in shapes.values()]
     size = (COLUMN_INCHES * len(columns) + 1.5, sum(heights) + PLOT_INCHES + 1.3)
     with matplotlib.rc_context(STYLE):
@@ -83,13 +83,13 @@ def write_sheet(
                 axes.set_xticks([])
                 axes.set_yticks([])
                 axes.spines[:].set_visible(False)
-                picture = pictures.panel(name, moment)
-                if picture is not None:
-                    axes.imshow(picture, interpolation="antialiased")
+                image = images.panel(name, moment)
+                if image is not None:
+                    axes.imshow(image, interpolation="antialiased")
                 if row == 0:
                     axes.set_title(_caption(moment, forces, start_ns))
             row_axes[0].set_ylabel(TITLES[name].replace(", ", ",\n"))
-            scale = colour_scale(name, pictures.ranges)
+            scale = colour_scale(name, images.ranges)
             if scale is not None:
                 figure.colorbar(scale, ax=row_axes, fraction=0.02, pad=0.01)
         plot = figure.add_subplot(grid[len(shapes), :])

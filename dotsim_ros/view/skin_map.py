@@ -58,10 +58,10 @@ class SkinMap:
 
     def raster(self, values: ArrayLike) -> FloatArray:
         """Return (size, size) values, interpolated from (V,) at the vertices; NaN off the skin."""
-        picture = np.full(self._inside.shape, np.nan)
+        image = np.full(self._inside.shape, np.nan)
         at_corners = np.asarray(values, dtype=np.float64)[self._corners]
-        picture[self._inside] = (at_corners * self._weights).sum(axis=1)
-        return picture
+        image[self._inside] = (at_corners * self._weights).sum(axis=1)
+        return image
 
 
 def _flattened(rest: FloatArray) -> FloatArray:

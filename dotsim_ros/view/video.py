@@ -20,7 +20,7 @@ from PIL import Image, ImageDraw, ImageFont
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import whole_file
 from dotsim_ros.view.figure import INK, STYLE, TITLES, colour_scale, draw_forces
-from dotsim_ros.view.pictures import PanelImages
+from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.timeline import BagMoment, Forces
 
 PANELS = ("image", "depth", "skin")
@@ -62,7 +62,7 @@ class Board:
     """The part of every frame that stays: titles, colour scales, the force plot.
 
     Args:
-        pictures: draws the panels.
+        images: draws the panels.
         forces: plotted below, or None.
         start_ns: where the time axis begins.
         end_ns: where it ends.
@@ -71,17 +71,17 @@ class Board:
 
     def __init__(
         self,
-        pictures: PanelImages,
+        images: PanelImages,
         forces: Forces | None,
         *,
         start_ns: int,
         end_ns: int,
         title: str,
     ) -> None:
-        self._pictures = pictures
+        self._images = images
         self._forces = forces
         self._start_ns = start_ns
-        self._places = _places(pictures.shape_px())
+        self._places = _places(images.shape_px())
         font = Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf"
         self._font = ImageFont.truetype(str(font), 17)
         with matplotlib.rc_context(STYLE):
@@ -100,7 +100,7 @@ class Board:
                 fontsize=12,
                 va="bottom",
             )
-            scale = colour_scale(name, self._pictures.ranges)
+            scale = colour_scale(name, self._images.ranges)
             if scale is not None:
                 bar = figure.add_axes(self._box(place.left + place.width + 8, place, 12))
                 figure.colorbar(scale, cax=bar)
@@ -145,13 +145,13 @@ class Board:
         """Return the (720, 1280, 3) uint8 RGB frame of a moment."""
         frame = self._background.copy()
         for name, place in self._places.items():
-            picture = self._pictures.panel(name, moment)
-            if picture is None:
+            image = self._images.panel(name, moment)
+            if image is None:
                 continue
-            shrinks = picture.shape[1] > place.width
+            shrinks = image.shape[1] > place.width
             frame[place.top : place.top + place.height, place.left : place.left + place.width] = (
                 cv2.resize(
-                    np.ascontiguousarray(picture),
+                    np.ascontiguousarray(image),
                     (place.width, place.height),
                     interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR,
                 )

@@ -72,7 +72,7 @@ def filmed(true):
     ):
         depth_m = np.array([-0.1e-3, 3.0e-3])
         position = np.stack([dented(skin, (x, y, 1.0), max(d, 0.0)) for d in depth_m])
-        measured = np.stack([images.carry(renderer.render(p)) for p in position])
+        measured = np.stack([images.warp(renderer.render(p)) for p in position])
         noisy = measured + NOISE_LEVELS * random.standard_normal(measured.shape)
         presses.append(
             FilmedPress(

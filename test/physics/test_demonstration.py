@@ -21,7 +21,7 @@ from dotsim_ros.tasks.policy.demonstration import (
     motion_of,
     read_episode,
 )
-from dotsim_ros.tasks.policy.examples import moved_picture, moved_position
+from dotsim_ros.tasks.policy.examples import moved_crop, moved_position
 from dotsim_ros.tasks.policy.network import load_policy
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
 from dotsim_ros.tasks.policy.rollout import follow
@@ -57,7 +57,7 @@ def test_motions_stay_where_the_ball_may_be_and_differ():
 
 def test_an_episode_shows_the_contact_where_the_ball_is(made):
     episode = read_episode(episode_file(made, 0))
-    looks, frames, side = episode.picture.shape[:3]
+    looks, frames, side = episode.crop.shape[:3]
     assert (looks, frames) == (2, 12)
     assert episode.command.shape == (12, 4, 6)
     assert episode.fingerprint.shape == (2, 12, 96)
@@ -66,7 +66,7 @@ def test_an_episode_shows_the_contact_where_the_ball_is(made):
     deep = int(np.argmax(depth))
     camera_height = SENSOR.camera.position_m[2]
     for look in range(looks):
-        change = np.abs(episode.picture[look, deep].astype(float) - episode.idle[look]).sum(axis=2)
+        change = np.abs(episode.crop[look, deep].astype(float) - episode.idle[look]).sum(axis=2)
         rows, columns = np.mgrid[0:side, 0:side]
         weight = change**2
         found = np.array([np.average(columns, weights=weight), np.average(rows, weights=weight)])
@@ -86,7 +86,7 @@ def test_a_run_that_was_broken_off_makes_what_is_missing(made):
     assert first.stat().st_mtime_ns == kept
     again = read_episode(second)
     np.testing.assert_array_equal(again.position_m, before.position_m)
-    np.testing.assert_array_equal(again.picture, before.picture)
+    np.testing.assert_array_equal(again.crop, before.crop)
 
 
 def test_another_plan_is_not_mixed_in(made, capsys):
@@ -126,8 +126,8 @@ def test_the_shipped_policy_follows_its_path_by_touch(name):
     assert figures["laps"] > 0.6 * figures["laps_of_expert"]
 
 
-def test_turning_a_picture_is_turning_the_sensor():
-    """What training takes for granted: the turned picture is what the turned place gives."""
+def test_turning_a_crop_is_turning_the_sensor():
+    """What training takes for granted: the turned crop is what the turned place gives."""
     from dotsim_ros.sensor import TactileSensor
     from dotsim_ros.tasks.policy.images import PolicyView
 
@@ -141,9 +141,9 @@ def test_turning_a_picture_is_turning_the_sensor():
         frame = sensor.step(Pose(moved_position(place, symmetry)), 0.04)
         # From 8 mm to 16 mm of depth.
         grey = np.clip(3e4 * (np.nan_to_num(frame.depth_m) - 0.008), 0.0, 255.0).astype(np.uint8)
-        depths[symmetry] = view.picture(np.repeat(grey[..., None], 3, axis=2)).astype(int)
+        depths[symmetry] = view.crop(np.repeat(grey[..., None], 3, axis=2)).astype(int)
     for symmetry in (1, 6):
-        expected = moved_picture(depths[0].astype(np.uint8), symmetry).astype(int)
+        expected = moved_crop(depths[0].astype(np.uint8), symmetry).astype(int)
         change = np.abs(depths[0] - depths[symmetry])
         assert change.max() > 25
         assert np.abs(expected - depths[symmetry]).max() < 0.2 * change.max()

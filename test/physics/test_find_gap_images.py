@@ -1,8 +1,8 @@
-"""The search with pictures from bags to overlay, on small cases with another law of vignetting.
+"""The search with images from bags to overlay, on small cases with another law of vignetting.
 
-Two trajectories of a unit of `sensor_a` with a coarse gel. Its pictures are those that the twin's
+Two trajectories of a unit of `sensor_a` with a coarse gel. Its images are those that the twin's
 camera has of its gel, with noise, and with what a hidden law does to them; so what is tested is
-that all parts find each other. `benchmarks/gap_images.py` judges the rule on pictures that were
+that all parts find each other. `benchmarks/gap_images.py` judges the rule on images that were
 made by other means.
 """
 
@@ -27,7 +27,7 @@ from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
 from dotsim_ros.gap import find as optical_find
 from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.images.model import Film, TwinCamera
-from dotsim_ros.gap.images.reading import MeasuredImages, read_pictures
+from dotsim_ros.gap.images.reading import MeasuredImages, read_images
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
@@ -66,7 +66,7 @@ def sensor() -> SensorSpecification:
 
 @dataclass(frozen=True)
 class Unit:
-    """A unit that was measured without pictures, and what the twin's camera has of it.
+    """A unit that was measured without images, and what the twin's camera has of it.
 
     Attributes:
         data: its data set.
@@ -99,7 +99,7 @@ def unit(sensor: SensorSpecification, run: Path, tmp_path_factory: pytest.TempPa
 
 
 def measure(unit: Unit, directory: Path, law: Law | None = None) -> Path:
-    """Write the unit's data set with pictures that a law changed; return its folder."""
+    """Write the unit's data set with images that a law changed; return its folder."""
     data = directory / "measured"
     shutil.copytree(unit.data, data)
     random = np.random.default_rng(SEED)
@@ -132,7 +132,7 @@ def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> Measur
         entry.update(bag=f"filmed/{name}", images=True)
     (data / "dataset.yaml").write_text(yaml.safe_dump(index), encoding="utf-8")
     skin = dome_skin(load_sensor("sensor_a").gel.outer_radius_m, SKIN_SPACING_M)
-    return read_pictures(data, skin=skin, indenters=data / "indenters")
+    return read_images(data, skin=skin, indenters=data / "indenters")
 
 
 def searched(
@@ -145,7 +145,7 @@ def searched(
     reference: Path | None = None,
     effects: tuple[Path, ...] = (),
 ) -> tuple[Findings, Overlay | None]:
-    return optical_find.find_gap_with_pictures(
+    return optical_find.find_gap_with_images(
         GapRequest(
             measured=data,
             sensor=sensor,
@@ -197,7 +197,7 @@ def vignetted(takes: Takes) -> np.ndarray:
     return LAWS["cosine_fourth"].change(takes, 0.12)
 
 
-def test_pictures_with_nothing_wrong_have_no_gap(
+def test_images_with_nothing_wrong_have_no_gap(
     tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification
 ) -> None:
     findings, overlay = searched(measure(unit, tmp_path), sensor, run)
@@ -222,13 +222,13 @@ def test_a_camera_that_changed_is_in_the_overlay(
     assert overlay is not None
     (active,) = active_effects(overlay, load_effects())
     assert active.values["edge_loss"] == pytest.approx(0.12, rel=0.2)
-    # With these pictures as the commissioning, nothing has changed since.
+    # With these images as the commissioning, nothing has changed since.
     again, _ = searched(data, sensor, run, reference=data)
     assert again.verdict is Verdict.NO_GAP
     assert again.mode == "differential"
 
 
-def test_another_unit_s_pictures_are_refused_and_the_gel_is_still_judged(
+def test_another_unit_s_images_are_refused_and_the_gel_is_still_judged(
     tmp_path: Path, unit: Unit, run: Path, sensor: SensorSpecification
 ) -> None:
     data = measure(unit, tmp_path, lambda takes: takes.pixels[:, :, ::-1])
@@ -277,7 +277,7 @@ def test_an_effect_of_the_user_is_found_with_a_reference_that_tells_its_limit(
     findings, _ = searched(data, sensor, run, reference=reference, **wanted)
     assert findings.optical is not None
     assert findings.optical.not_tried == ("dark_rim",)
-    assert any("2 trajectories with pictures are too few" in text for text in findings.warnings)
+    assert any("2 trajectories with images are too few" in text for text in findings.warnings)
     # The unit of these tests has two trajectories.
     monkeypatch.setattr(optical_find, "LEAST_TRAJECTORIES", 1)
     findings, overlay = searched(data, sensor, run, reference=reference, **wanted)

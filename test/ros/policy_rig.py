@@ -35,16 +35,16 @@ QUIET_S = 0.25
 _numbers = itertools.count()
 
 
-def idle_picture() -> np.ndarray[Any, Any]:
+def idle_crop() -> np.ndarray[Any, Any]:
     """Return (H, W, 3) what the sensor sees at rest."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     waves = [100.0 + 40.0 * np.sin(x / a) * np.cos(y / b) for a, b in ((9, 7), (6, 11), (13, 5))]
     return np.stack(waves, axis=-1).astype(np.uint8)
 
 
-def with_white_spot(picture: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return a picture with a spot in the middle that makes the network's root a NaN."""
-    spoilt = picture.copy()
+def with_white_spot(crop: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return a crop with a spot in the middle that makes the network's root a NaN."""
+    spoilt = crop.copy()
     spoilt[55:65, 75:85] = 255
     return spoilt
 
@@ -65,14 +65,14 @@ def write_network(folder: Path) -> Path:
             self.commands = nn.Linear(8, 6)
             self.followed = nn.Parameter(torch.tensor(FOLLOWED))
 
-        def forward(self, picture: Tensor) -> Tensor:
-            features = torch.tanh(self.features(picture)).mean(dim=(2, 3))
-            brightest = picture[:, :3].amax(dim=(1, 2, 3))
+        def forward(self, crop: Tensor) -> Tensor:
+            features = torch.tanh(self.features(crop)).mean(dim=(2, 3))
+            brightest = crop[:, :3].amax(dim=(1, 2, 3))
             small = 1e-5 * torch.tanh(self.commands(features)) * torch.sqrt(3.5 - brightest)
             return (self.followed + small)[:, None]
 
     torch.manual_seed(1)
-    idle = idle_picture()
+    idle = idle_crop()
     usual_mean = fingerprint(idle, idle)
     card = PolicyCard(
         version=FORMAT,
@@ -242,7 +242,7 @@ class Rig(Observer):
     """Images at 25 Hz, an arm that obeys at once at 100 Hz, and a force.
 
     Attributes:
-        picture: what the images show.
+        crop: what the images show.
         has_images, has_poses: cut a stream.
         image_lag_s: how long before now images are stamped.
         image_frame, pose_frame: frames of the messages.
@@ -256,8 +256,8 @@ class Rig(Observer):
         self, namespace: str, *, compressed: bool = False, along_tool: bool = True
     ) -> None:
         super().__init__(namespace)
-        self.idle = idle_picture()
-        self.picture = self.idle
+        self.idle = idle_crop()
+        self.crop = self.idle
         self.has_images = self.has_poses = True
         self.image_lag_s = 0.0
         self.image_frame = "densetact_optical_frame"
@@ -281,7 +281,7 @@ class Rig(Observer):
     def start(self) -> None:
         """Mend everything, enable, and wait until the arm moves."""
         self.enable(False)
-        self.picture = self.idle
+        self.crop = self.idle
         self.has_images = self.has_poses = True
         self.image_lag_s, self.force_n = 0.0, 0.0
         self.image_frame, self.pose_frame = "densetact_optical_frame", "link_base"
@@ -315,10 +315,10 @@ class Rig(Observer):
         stamp_ns = time.time_ns() - round(1e9 * self.image_lag_s)
         known = {"stamp_ns": stamp_ns, "frame_id": self.image_frame}
         message = (
-            msg_adapters.encode_compressed_image(self.picture, compression="png", **known)
+            msg_adapters.encode_compressed_image(self.crop, compression="png", **known)
             if self._compressed
             else msg_adapters.encode_image(
-                self.picture[..., :: -1 if self.encoding == "bgr8" else 1],
+                self.crop[..., :: -1 if self.encoding == "bgr8" else 1],
                 encoding=self.encoding,
                 **known,
             )

@@ -49,7 +49,7 @@ class WriteLog:
 
 @dataclass(frozen=True)
 class Scene:
-    """A node whose pictures take long, and a client that sees when it writes."""
+    """A node whose images take long, and a client that sees when it writes."""
 
     client: Client
     points: WriteLog
@@ -167,7 +167,7 @@ def test_no_frame_at_all_is_written_after_the_answer_to_a_disable(scene: Scene) 
     assert_nothing_stale_after(scene, answered_ns)
 
 
-def test_a_picture_that_takes_longer_than_a_frame_drops_frames_and_counts_them(
+def test_a_image_that_takes_longer_than_a_frame_drops_frames_and_counts_them(
     scene: Scene,
 ) -> None:
     client = scene.client
@@ -211,7 +211,7 @@ def test_a_bug_in_the_frames_ends_the_node_with_status_1(method: str) -> None:
     with running(code=BREAKS.format(method=method)) as node:
         client = Client()
         try:
-            # The gel is pressed for a pose only, the picture made for its reader only.
+            # The gel is pressed for a pose only, the image made for its reader only.
             while node.process.poll() is None:
                 client.send(START_M)
                 time.sleep(0.05)

@@ -1,4 +1,4 @@
-"""Pictures are rendered for whoever reads one, and for nobody else."""
+"""Images are rendered for whoever reads one, and for nobody else."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 
 import msg_adapters
 
-PICTURES = {
+IMAGES = {
     "image_raw": Image,
     "image_raw/compressed": CompressedImage,
     "depth/image": Image,
@@ -23,8 +23,8 @@ def is_rendered(client: Client) -> bool:
     return "depth_p95_ms" in values or "image_p95_ms" in values
 
 
-@pytest.mark.parametrize("topic", PICTURES)
-def test_frames_are_rendered_once_somebody_reads_a_picture_and_not_before(topic: str) -> None:
+@pytest.mark.parametrize("topic", IMAGES)
+def test_frames_are_rendered_once_somebody_reads_a_image_and_not_before(topic: str) -> None:
     with running(parameters={"diagnostics_period_s": 0.1}):
         client = Client(topics={"wrench": WrenchStamped, "points": PointCloud2})
         try:
@@ -43,11 +43,11 @@ def test_frames_are_rendered_once_somebody_reads_a_picture_and_not_before(topic:
             client.wait_for_state("frames", lambda state: int(state.values["frames"]) > count + 25)
             assert not is_rendered(client)
 
-            pictures = []
-            client.node.create_subscription(PICTURES[topic], topic, pictures.append, 5)
-            client.wait(lambda: len(pictures) > 3, f"{topic} for its first reader")
+            images = []
+            client.node.create_subscription(IMAGES[topic], topic, images.append, 5)
+            client.wait(lambda: len(images) > 3, f"{topic} for its first reader")
             client.wait(lambda: is_rendered(client), "time spent on the camera")
             if topic != "image_raw/compressed":
-                assert msg_adapters.decode_image(pictures[-1]).shape[:2] == (480, 640)
+                assert msg_adapters.decode_image(images[-1]).shape[:2] == (480, 640)
         finally:
             client.close()

@@ -113,11 +113,11 @@ def test_a_cut_stream_stops_the_arm_in_time_and_resumes(rig: Rig, stream: str, r
 def test_a_nan_of_the_network_is_never_commanded_and_latched(rig: Rig) -> None:
     rig.start()
     begun_s = time.time()
-    rig.picture = with_white_spot(rig.idle)
+    rig.crop = with_white_spot(rig.idle)
     assert rig.rest_s(begun_s) - begun_s < STOP_S + SLACK_S
     assert "nan" in rig.wait_for_reason("latched", "not_finite").message
     assert all(np.isfinite(command.twist).all() for command in rig.commands)
-    rig.picture = rig.idle
+    rig.crop = rig.idle
     time.sleep(0.5)
     assert not rig.newest().moves()
     assert rig.enable().success
@@ -127,7 +127,7 @@ def test_a_nan_of_the_network_is_never_commanded_and_latched(rig: Rig) -> None:
 def test_images_of_another_sensor_are_latched(rig: Rig) -> None:
     rig.start()
     begun_s = time.time()
-    rig.picture = 255 - rig.idle
+    rig.crop = 255 - rig.idle
     assert rig.rest_s(begun_s) - begun_s < STOP_S + SLACK_S
     assert "another sensor" in rig.wait_for_reason("latched", "wrong_sensor").message
 
@@ -256,7 +256,7 @@ def load_slow(folder, path):
 
     class Slow(type(policy)):
         def __call__(self, image, idle):
-            # A picture whose first pixel is white stands for an overload.
+            # A crop whose first pixel is white stands for an overload.
             if image[0, 0].min() == 255:
                 time.sleep(0.3)
             return ask(self, image, idle)
@@ -274,7 +274,7 @@ def test_a_policy_that_does_not_keep_up_stops_the_arm_and_is_told(network: Path)
         slow = rig.idle.copy()
         slow[0, 0] = 255
         begun_s = time.time()
-        rig.picture = slow
+        rig.crop = slow
         # The last command in time may answer an image that came before.
         assert rig.rest_s(begun_s) - begun_s < 0.04 + 0.04 + STOP_S + SLACK_S
         rig.wait_for_reason("stopped", "policy_late")
@@ -282,7 +282,7 @@ def test_a_policy_that_does_not_keep_up_stops_the_arm_and_is_told(network: Path)
         rig.wait(
             lambda: int(rig.state("inference").values["deadline_misses_over_40_ms"]) > 2, "misses"
         )
-        rig.picture = rig.idle
+        rig.crop = rig.idle
         rig.wait(lambda: rig.newest().moves(), "the motion to go on")
 
 
@@ -298,9 +298,9 @@ def cut_poses(rig: Rig) -> float:
     return rig.last_pose_s
 
 
-def show(picture: Callable[[Rig], np.ndarray]) -> Callable[[Rig], float]:
+def show(crop: Callable[[Rig], np.ndarray]) -> Callable[[Rig], float]:
     def spoil(rig: Rig) -> float:
-        rig.picture = picture(rig)
+        rig.crop = crop(rig)
         return rig.next_image_s()
 
     return spoil
@@ -309,7 +309,7 @@ def show(picture: Callable[[Rig], np.ndarray]) -> Callable[[Rig], float]:
 def overload(rig: Rig) -> float:
     slow = rig.idle.copy()
     slow[0, 0] = 255
-    rig.picture = slow
+    rig.crop = slow
     # The image before is the last one that is answered in time, a little after it came.
     return rig.next_image_s()
 
@@ -361,7 +361,7 @@ def test_many_faults_at_random_moments_all_stop_the_arm(network: Path) -> None:
 
 SENSOR = """
 import time, rclpy
-from policy_rig import idle_picture
+from policy_rig import idle_crop
 from sensor_msgs.msg import Image
 import msg_adapters
 rclpy.init()
@@ -370,7 +370,7 @@ images = node.create_publisher(Image, "image_raw", 5)
 print("ready:", flush=True)
 while True:
     images.publish(msg_adapters.encode_image(
-        idle_picture(), encoding="rgb8", stamp_ns=time.time_ns(), frame_id="sensor"))
+        idle_crop(), encoding="rgb8", stamp_ns=time.time_ns(), frame_id="sensor"))
     time.sleep(0.04)
 """
 
@@ -430,7 +430,7 @@ def test_poses_in_another_frame_are_refused_and_the_arm_stops(
 
 def test_images_of_another_shape_are_latched(rig: Rig) -> None:
     rig.start()
-    rig.picture = np.zeros((120, 200, 3), dtype=np.uint8)
+    rig.crop = np.zeros((120, 200, 3), dtype=np.uint8)
     assert "160x120" in rig.wait_for_reason("latched", "wrong_sensor").message
 
 

@@ -25,7 +25,7 @@ REFERENCES, NULLS = range(20, 28), 40
 
 
 def idle_frame():
-    """Return a speckled picture (H, W, 3) lit from three sides."""
+    """Return a speckled image (H, W, 3) lit from three sides."""
     random = np.random.default_rng(1)
     speckle = cv2.GaussianBlur(random.standard_normal((HEIGHT, WIDTH)), (0, 0), 1.0)
     level = 100.0 + 40.0 * np.tanh(4.0 * speckle)
@@ -44,7 +44,7 @@ IDLE = idle_frame()
 
 
 def film_of(number):
-    """Return a film of a contact that darkens a place of the picture."""
+    """Return a film of a contact that darkens a place of the image."""
     random = np.random.default_rng(100 + number)
     middle = random.uniform([25.0, 20.0], [55.0, 40.0])
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
@@ -117,7 +117,7 @@ def null_residual(seed):
 
 
 def vignetted(pixels):
-    # cos^4 and not r^2: 10 % at half the picture's height from the axis.
+    # cos^4 and not r^2: 10 % at half the image's height from the axis.
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     radius = np.hypot(x - CENTRE[0], y - CENTRE[1]) / (0.5 * HEIGHT)
     angle = np.arccos(0.9**0.25)

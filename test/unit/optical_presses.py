@@ -52,7 +52,7 @@ def film(*, width: int, press_count: int, frame_count: int = 4, seed: int = 0) -
         measured = []
         for view in views:
             turned = np.nan_to_num(np.linalg.norm(view.normal - rest.normal, axis=2))
-            image = hidden.carry(view) + GLOSS_LEVELS * (turned * rest.lit)[..., None] ** 2
+            image = hidden.warp(view) + GLOSS_LEVELS * (turned * rest.lit)[..., None] ** 2
             image = image + NOISE_LEVELS * random.standard_normal(image.shape)
             measured.append(np.clip(np.rint(image), 0, 255).astype(np.uint8))
         presses.append(
@@ -63,7 +63,7 @@ def film(*, width: int, press_count: int, frame_count: int = 4, seed: int = 0) -
                 np.stack(measured),
                 np.stack([view.depth_m for view in views]),
                 np.stack([view.normal for view in views]),
-                np.stack([known.carry(view) for view in views]),
+                np.stack([known.warp(view) for view in views]),
             )
         )
     return OpticalData(camera, rest, tuple(presses))

@@ -8,7 +8,7 @@ from pathlib import Path
 from calibration_result import calibration
 
 from dotsim_ros.calibration.report import figures, page_of, write_report
-from dotsim_ros.page import as_markdown, pictures_of
+from dotsim_ros.page import as_markdown, images_of
 
 
 def test_the_page_needs_nothing_beside_it(tmp_path: Path) -> None:
@@ -28,6 +28,6 @@ def test_the_page_says_what_the_figures_hold() -> None:
     assert f"E, Pa {numbers['parameters']['E']['joint']['value'] / 100:.0f}00 (" in page.lead
     assert "no message on /indenter/pose" in text
     assert "The data tell all parameters that were asked for." in text
-    alternatives = [picture.alt for picture in pictures_of(page)]
+    alternatives = [image.alt for image in images_of(page)]
     assert alternatives[0].startswith("E of single presses")
     assert "E from skin alone 1," in alternatives[3]

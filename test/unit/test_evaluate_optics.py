@@ -16,8 +16,8 @@ from dotsim_ros.cli.evaluate import LEVELS as COMMAND_LEVELS
 from dotsim_ros.cli.main import main
 from dotsim_ros.evaluation.optics import rows as optics_rows
 from dotsim_ros.evaluation.optics.judge import (
-    Carried,
     Idle,
+    WarpedIdle,
     ceilings,
     is_single_press,
     restricted,
@@ -59,10 +59,10 @@ REST = rest_of()
 
 
 def press(name: str, indenter: str) -> OpticalPress:
-    """Return a press that makes the gel brighter, of which the carried image knows half."""
+    """Return a press that makes the gel brighter, of which the warped image knows half."""
     frames = len(DEPTHS_M)
     measured = np.stack([REST.idle + np.uint8(10 * k) * REST.lit[..., None] for k in range(frames)])
-    carried = np.stack([REST.idle + np.uint8(5 * k) * REST.lit[..., None] for k in range(frames)])
+    warped = np.stack([REST.idle + np.uint8(5 * k) * REST.lit[..., None] for k in range(frames)])
     return OpticalPress(
         name=name,
         indenter=indenter,
@@ -70,7 +70,7 @@ def press(name: str, indenter: str) -> OpticalPress:
         measured=measured,
         depth_m=np.stack([REST.depth_m] * frames),
         normal=np.stack([REST.normal] * frames),
-        carried=carried,
+        warped=warped,
     )
 
 
@@ -104,7 +104,7 @@ def test_a_press_keeps_the_frames_named() -> None:
     part = with_frames(PRESSES["1_shape_0"], [3, 1])
     assert part.tip_depth_m == pytest.approx(DEPTHS_M[[3, 1]])
     assert np.array_equal(part.measured, PRESSES["1_shape_0"].measured[[3, 1]])
-    assert len(part.normal) == len(part.depth_m) == len(part.carried) == 2
+    assert len(part.normal) == len(part.depth_m) == len(part.warped) == 2
 
 
 def test_only_the_frames_to_fit_on_are_given() -> None:
@@ -136,7 +136,7 @@ def test_the_idle_image_scores_what_was_added() -> None:
 
 def test_summaries_by_depth() -> None:
     keys = [(name, k) for name in ("1_shape_0", "2_shape_0") for k in range(4)]
-    figures = summarize(score_frames(Carried(), PRESSES, keys, REST)[0])
+    figures = summarize(score_frames(WarpedIdle(), PRESSES, keys, REST)[0])
     assert (figures["frames"], figures["trajectories"]) == (8, 2)
     assert figures["full_depth"]["frames"] == 2
     assert figures["deep"]["frames"] == 4
@@ -208,11 +208,11 @@ def test_a_row_is_made_once(tmp_path: Path) -> None:
     lines: list[str] = []
     first = maker(tmp_path).make("carried", split, shown)
     again = replace(maker(tmp_path), progress=lines.append).make("carried", split, shown)
-    assert lines == [f"easy, by_trajectory, carried: made before, on {first.date}"]
+    assert lines == [f"easy, by_trajectory, warped: made before, on {first.date}"]
     assert again.scores == first.scores
     assert list(again.images) == list(first.images) == shown
     for key, image in first.images.items():
-        assert np.array_equal(image, PRESSES[key[0]].carried[key[1]])
+        assert np.array_equal(image, PRESSES[key[0]].warped[key[1]])
         assert np.array_equal(again.images[key], image)
 
 
@@ -236,7 +236,7 @@ def test_a_broken_row_is_made_anew(tmp_path: Path) -> None:
 def test_other_data_makes_another_row(tmp_path: Path) -> None:
     split = splits_of(DATA)["easy"]["by_frame"]
     maker(tmp_path).make("idle", split, [])
-    other = replace(DATA, presses=tuple(replace(p, carried=p.measured) for p in DATA.presses))
+    other = replace(DATA, presses=tuple(replace(p, warped=p.measured) for p in DATA.presses))
     RowMaker(other, no_clipping, brighter, tmp_path).make("idle", split, [])
     assert len(list(tmp_path.glob("*.json"))) == 2
 
@@ -316,10 +316,10 @@ def test_page_and_figures(tmp_path: Path) -> None:
     figures["provenance"] = {"data": "made_up", "commit": "abc"}
     for level in ("easy", "hard"):
         for way in ("by_frame", "by_trajectory"):
-            idle, carried = (figures[level][way][name] for name in ("idle", "carried"))
+            idle, warped = (figures[level][way][name] for name in ("idle", "carried"))
             assert set(idle) >= {"psnr_db", "mean_l2", "significant_l2", "ssim"}
-            assert carried["psnr_db"] > idle["psnr_db"]
-            assert carried["mean_l2"] < idle["mean_l2"]
+            assert warped["psnr_db"] > idle["psnr_db"]
+            assert warped["mean_l2"] < idle["mean_l2"]
     assert figures["failures"] == []
     sheets = write_sheets(tmp_path / "images", rows_of, rows, seen_from=tmp_path / "results")
     assert sheets == {
@@ -329,7 +329,7 @@ def test_page_and_figures(tmp_path: Path) -> None:
     assert (tmp_path / "images" / "optics_hard.jpg").stat().st_size > 1000
     page = optics_page(figures, sheets)
     assert "## Hard, by whole trajectories" in page
-    assert "| carried |" in page
+    assert "| warped |" in page
     assert "| ceiling: camera noise | 47.00 |" in page
     assert "../images/optics_easy.jpg" in page
     assert "| method | untouched | 0 to 1 mm |" in page

@@ -15,7 +15,7 @@ import msg_adapters
 from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
 from dotsim_ros.evaluation.trajectory.page import (
     drawn_places,
-    path_picture,
+    path_image,
     trajectory_page,
     trial_report,
     write_grid,
@@ -315,11 +315,11 @@ def test_the_shifted_sensor_is_stiffer_darker_and_tilted(tmp_path: Path) -> None
         * Rotation.from_quat(other.camera.quaternion_xyzw)
     ).magnitude()
     assert np.degrees(turn) == pytest.approx(1.0)
-    picture = pixels_of(other.camera.idle_image)
+    image = pixels_of(other.camera.idle_image)
     bright = pixels_of(str(parameter_path(own.camera.idle_image)))
-    assert picture.mean() == pytest.approx(0.6 * bright.mean(), rel=0.03)
+    assert image.mean() == pytest.approx(0.6 * bright.mean(), rel=0.03)
     # A camera that is tilted by a degree sees everything somewhere else.
-    assert np.abs(picture - 0.6 * bright).mean() > 2.0
+    assert np.abs(image - 0.6 * bright).mean() > 2.0
     again = setting_of("shifted", tmp_path / "elsewhere", trained_on="densetact2")
     assert again.content == shifted.content
     assert len({setting_of(n, tmp_path, trained_on="densetact2").content for n in SETTINGS}) == 3
@@ -367,9 +367,9 @@ def test_a_path_is_drawn_along_and_across(name: str) -> None:
 def test_the_report_of_a_trial_says_whether_it_kept_the_limits() -> None:
     recording = recording_of("press")
     row = judge(recording, reference_path("press"), LIMITS)
-    picture = path_picture("press", [recording], name="path")
+    image = path_image("press", [recording], name="path")
     given: dict[str, Any] = {"path": "press", "policy": "p", "sensor": "s", "origin": provenance()}
-    text = as_markdown(trial_report(row, LIMITS, picture, **given))
+    text = as_markdown(trial_report(row, LIMITS, image, **given))
     assert "within all limits" in text
-    bad = as_markdown(trial_report(row | {"exceeded": ["speed_mm_s"]}, LIMITS, picture, **given))
+    bad = as_markdown(trial_report(row | {"exceeded": ["speed_mm_s"]}, LIMITS, image, **given))
     assert "beyond a limit" in bad

@@ -35,8 +35,8 @@ from dotsim_ros.page import (
     as_html,
     as_markdown,
     block_markdown,
+    images_of,
     page_figure,
-    pictures_of,
 )
 
 VOID = {"meta", "link", "img", "br"}
@@ -78,7 +78,7 @@ def read(page: str) -> Reader:
 
 
 @pytest.mark.parametrize("name", EXAMPLES)
-def test_every_verdict_is_reported_with_pictures_that_are_whole(name: str, tmp_path: Path) -> None:
+def test_every_verdict_is_reported_with_images_that_are_whole(name: str, tmp_path: Path) -> None:
     findings = EXAMPLES[name]()
     path = write_report(tmp_path, findings, effects=load_effects())
 
@@ -90,15 +90,15 @@ def test_every_verdict_is_reported_with_pictures_that_are_whole(name: str, tmp_p
     for warning in findings.warnings:
         assert warning in page.text
 
-    pictures = sorted(tmp_path.glob("*.png"))
-    assert len(pictures) == len(page.alternatives)
-    for picture in pictures:
-        with Image.open(io.BytesIO(picture.read_bytes())) as image:
-            image.load()
-            assert min(image.size) > 100
+    images = sorted(tmp_path.glob("*.png"))
+    assert len(images) == len(page.alternatives)
+    for image in images:
+        with Image.open(io.BytesIO(image.read_bytes())) as opened:
+            opened.load()
+            assert min(opened.size) > 100
     markdown = (tmp_path / "report.md").read_text(encoding="utf-8")
     assert html.escape(findings.sentence, quote=False) in markdown.replace("\\[", "[")
-    assert all(f"]({picture.name})" in markdown for picture in pictures)
+    assert all(f"]({image.name})" in markdown for image in images)
     assert "http" not in path.read_text(encoding="utf-8")
 
 
@@ -142,7 +142,7 @@ def test_a_report_leaves_nothing_of_the_report_before(tmp_path: Path) -> None:
     left = files_below(again)
     assert set(left) == set(files_below(fresh)) | set(own)
     assert {name: left[name] for name in own} == own
-    assert old - set(left), "the second report has as many pictures as the first"
+    assert old - set(left), "the second report has as many images as the first"
 
 
 def test_files_that_no_report_wrote_are_left_alone(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_a_set_comes_with_what_would_separate_it() -> None:
 
 def test_nothing_named_has_no_after() -> None:
     page = page_of(unknown(), {}, {})
-    assert not [picture.name for picture in pictures_of(page) if "after" in picture.name]
+    assert not [image.name for image in images_of(page) if "after" in image.name]
     assert "No effect was added" in as_markdown(page)
 
 
@@ -223,7 +223,7 @@ def test_a_stated_sum_is_used_and_not_counted_again() -> None:
     assert by_trajectory(stated).before.ravel().tolist() == [1.0, 3.0]
 
 
-def test_many_regions_and_trajectories_are_summed_up_for_a_narrow_picture() -> None:
+def test_many_regions_and_trajectories_are_summed_up_for_a_narrow_image() -> None:
     def place(number: int, region: int) -> ResidualPlace:
         size = float(number)
         return ResidualPlace(
@@ -233,8 +233,8 @@ def test_many_regions_and_trajectories_are_summed_up_for_a_narrow_picture() -> N
     table = by_trajectory([place(number, region) for number in range(40) for region in range(9)])
     assert table.columns == ("image",)
     assert table.before[:, 0].tolist() == pytest.approx(list(range(40)))
-    picture = heatmap(table, "before", name="a", title="By trajectory")
-    assert picture.alt == "By trajectory: the 30 strongest of 40: largest 39 at t39, image"
+    image = heatmap(table, "before", name="a", title="By trajectory")
+    assert image.alt == "By trajectory: the 30 strongest of 40: largest 39 at t39, image"
 
 
 def test_many_warnings_are_counted_first_and_listed_later() -> None:

@@ -127,7 +127,7 @@ def still() -> PressProfiles:
 def test_a_pad_that_does_not_move_shows_the_idle_image() -> None:
     flat = scene()
     (press,) = gel_presses([ball_press()], flat, still())
-    assert np.array_equal(press.carried[0], flat.rest.idle)
+    assert np.array_equal(press.warped[0], flat.rest.idle)
     assert press.depth_m[0] == pytest.approx(flat.rest.depth_m)
     assert np.array_equal(press.measured[0], image(130))
 

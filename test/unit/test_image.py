@@ -89,9 +89,9 @@ def test_vignetting_stays_with_the_camera(camera, dome, renderer):
     plain = np.where(lit, level, 0.0)[..., None].repeat(3, axis=2).round().astype(np.uint8)
     view = renderer.render(dome.rest_position_m + np.array([0.002, 0.0, 0.0]))
     kept = ImageRenderer(camera, dome, plain, lighting=UNCHANGING, vignetting=vignetting)
-    carried = ImageRenderer(camera, dome, plain, lighting=UNCHANGING)
+    warped = ImageRenderer(camera, dome, plain, lighting=UNCHANGING)
     assert np.abs(kept.render(view).astype(int) - plain).max() <= 1
-    assert np.abs(carried.render(view).astype(int) - plain).max() > 5
+    assert np.abs(warped.render(view).astype(int) - plain).max() > 5
 
 
 def test_light_follows_the_inverse_square_and_the_cosine(camera, dome, renderer):
@@ -136,11 +136,11 @@ def test_kernels_of_a_cpu_colour_the_image_as_the_others_do(camera, dome, render
 
 
 def test_residual_is_added_and_clipped(camera, dome, renderer, idle):
-    def brighten(view, carried):
-        assert view.depth_m.shape == carried.shape[:2]
-        return np.full(carried.shape, 100.4, dtype=np.float32)
+    def brighten(view, warped):
+        assert view.depth_m.shape == warped.shape[:2]
+        return np.full(warped.shape, 100.4, dtype=np.float32)
 
-    images = ImageRenderer(camera, dome, idle.image, residual=brighten)
+    images = ImageRenderer(camera, dome, idle.image, completion=brighten)
     image = images.render(renderer.render(dome.rest_position_m))
     assert np.array_equal(image, np.minimum(idle.image.astype(int) + 100, 255))
 
@@ -247,7 +247,7 @@ def test_measured_skin_carries_the_measured_idle_frame():
             measured = trajectory.image.pixels[-1].astype(float)
             images = (idle.image, plain.render(view), shaded.render(view))
             scores.append([psnr_db(image, measured) for image in images])
-    untouched, carried, lit = np.mean(scores, axis=0)
+    untouched, warped, lit = np.mean(scores, axis=0)
     # By the nominal camera and a skin measured with 0.04 mm of noise.
-    assert carried > untouched + 5.0
-    assert lit > carried + 0.2
+    assert warped > untouched + 5.0
+    assert lit > warped + 0.2

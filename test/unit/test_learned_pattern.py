@@ -1,4 +1,4 @@
-"""The samples between an idle image's pixels: learned from presses, kept in a file, carried."""
+"""The samples between an idle image's pixels: learned from presses, kept in a file, warped."""
 
 from dataclasses import replace
 
@@ -74,7 +74,7 @@ def filmed(camera, dome, fine):
     presses = []
     for number in range(9):
         skin = press(dome, 0.7 * number, 0.002 + 1e-4 * number)
-        images = np.stack([noisy(scene.carry(renderer.render(s))) for s in skin])
+        images = np.stack([noisy(scene.warp(renderer.render(s))) for s in skin])
         depth_m = 1e-3 * np.arange(4.0)
         presses.append(
             FilmedPress(f"press_{number}", "ball", depth_m, images, skin, np.arange(4.0))
@@ -94,7 +94,7 @@ def judged_psnr_db(data, camera):
     """Return the PSNR of the last frame of the press that nothing was learned from."""
     data = replace(data, presses=data.presses[-1:])
     (seen,) = render_filmed(data, camera, lighting=LIGHTING, vignetting=VIGNETTING).presses
-    error = seen.carried[-1].astype(float) - seen.measured[-1]
+    error = seen.warped[-1].astype(float) - seen.measured[-1]
     return 10.0 * np.log10(255.0**2 / np.mean(error**2))
 
 
@@ -112,7 +112,7 @@ def test_the_image_at_rest_is_the_learned_idle_image(learned, camera, dome):
     image = ImageRenderer(
         camera, dome, learned.idle, lighting=LIGHTING, vignetting=VIGNETTING, fine=learned.fine
     )
-    at_rest = image.carry(SkinRenderer(camera, dome).render(dome.rest_position_m))
+    at_rest = image.warp(SkinRenderer(camera, dome).render(dome.rest_position_m))
     assert np.array_equal(at_rest, learned.idle)
 
 
@@ -144,7 +144,7 @@ def test_a_larger_camera_gets_a_sharper_image_that_is_whole_at_rest(
     frame = read_idle_frame(stored, larger)
     image = ImageRenderer(larger, dome, frame.image, fine=frame.fine)
     view = SkinRenderer(larger, dome).render(dome.rest_position_m)
-    assert np.array_equal(image.carry(view), frame.image)
+    assert np.array_equal(image.warp(view), frame.image)
     fine_path(stored).unlink()
     enlarged = read_idle_frame(stored, larger).image
     # Where a pixel of the camera lies in the true samples.

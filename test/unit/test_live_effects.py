@@ -178,7 +178,7 @@ def test_motion_blur_needs_a_motion(sensor: TactileSensor) -> None:
     assert change[2] <= 1.0
 
 
-def test_the_motion_of_the_picture_is_that_of_the_points_it_shows(sensor: TactileSensor) -> None:
+def test_the_motion_of_the_image_is_that_of_the_points_it_shows(sensor: TactileSensor) -> None:
     before_m = sensor.skin.rest_position_m
     after_m = before_m + np.array([2e-4, -1e-4, 0.0])
     motion_px = sensor.image_motion_px(before_m, after_m)

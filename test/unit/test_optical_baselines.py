@@ -54,7 +54,7 @@ def poses(direction: FloatArray) -> list[Pose]:
 
 
 def pressed(name: str, direction: FloatArray) -> OpticalPress:
-    """Return a clipped press; its measured and carried images are the idle one."""
+    """Return a clipped press; its measured and warped images are the idle one."""
     depth = clip_depths(SKIN, poses(direction), BALL)
     views = [RENDERER.render(position) for position in clipped_skin(SKIN, depth)]
     images = np.broadcast_to(REST.idle, (len(DEPTHS_M), *REST.idle.shape)).copy()
@@ -65,7 +65,7 @@ def pressed(name: str, direction: FloatArray) -> OpticalPress:
         measured=images,
         depth_m=np.stack([view.depth_m for view in views]),
         normal=np.stack([view.normal for view in views]),
-        carried=images,
+        warped=images,
     )
 
 

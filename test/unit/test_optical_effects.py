@@ -31,8 +31,8 @@ STATIC = (
 MOVING = ("motion_blur", "rolling_shutter")
 
 
-def picture(**changes):
-    """Return a smooth picture that fills the scale."""
+def seen_image(**changes):
+    """Return a smooth image that fills the scale."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     pixels = np.stack([100.0 + 60.0 * np.sin(0.3 * x + k) * np.cos(0.25 * y) for k in range(3)], 2)
     values = {
@@ -48,7 +48,7 @@ def picture(**changes):
 
 
 def seen_with(name, image, **values):
-    """Return what a fresh filter of one effect makes of a picture."""
+    """Return what a fresh filter of one effect makes of an image."""
     effect = EFFECTS[name]
     return image_filters([Active(effect, effect.checked(values))])(image)
 
@@ -75,7 +75,7 @@ def test_the_optical_half_of_the_library_is_complete():
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_an_effect_of_no_size_changes_nothing(name):
     nothing = {p.name: p.none for p in EFFECTS[name].parameters if p.none is not None}
-    image = picture()
+    image = seen_image()
     # What is resampled is so in single precision.
     np.testing.assert_allclose(seen_with(name, image, **nothing), image.pixels, rtol=1e-6)
 
@@ -83,7 +83,7 @@ def test_an_effect_of_no_size_changes_nothing(name):
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_every_probe_lies_in_range_and_stays_on_the_scale(name):
     effect = EFFECTS[name]
-    image = picture(pixels=np.linspace(0.0, 255.0, HEIGHT * WIDTH * 3).reshape(HEIGHT, WIDTH, 3))
+    image = seen_image(pixels=np.linspace(0.0, 255.0, HEIGHT * WIDTH * 3).reshape(HEIGHT, WIDTH, 3))
     for parameter in effect.parameters:
         assert parameter.probes
         for probe in parameter.probes:
@@ -97,7 +97,7 @@ def test_every_probe_lies_in_range_and_stays_on_the_scale(name):
 @pytest.mark.parametrize("name", sorted(EFFECTS))
 def test_a_filter_changes_no_input_and_repeats_itself(name):
     effect = EFFECTS[name]
-    image = picture(idle=np.full((HEIGHT, WIDTH, 3), 80.0))
+    image = seen_image(idle=np.full((HEIGHT, WIDTH, 3), 80.0))
     before = image.pixels.copy()
     one = effect.image(effect.checked({}))
     first, second = one(image), one(image)
@@ -117,17 +117,17 @@ def test_a_slope_is_looked_up_at_its_place(shift):
     np.testing.assert_allclose(found, slope[4:12, 4:16] + 5.0 * shift, atol=near)
 
 
-def test_a_resampling_follows_a_picture_of_another_size():
+def test_a_resampling_follows_a_image_of_another_size():
     effect = EFFECTS["camera_intrinsics"]
     one = effect.image(effect.checked({"focal_ratio": 1.02}))
-    large, small = picture(), picture(pixels=picture().pixels[:30, :40])
+    large, small = seen_image(), seen_image(pixels=seen_image().pixels[:30, :40])
     one(large)
     fresh = effect.image(effect.checked({"focal_ratio": 1.02}))(small)
     np.testing.assert_array_equal(one(small), fresh)
 
 
-def test_a_centre_that_moves_by_whole_pixels_shifts_the_picture():
-    image = picture()
+def test_a_centre_that_moves_by_whole_pixels_shifts_the_image():
+    image = seen_image()
     seen = seen_with(
         "camera_intrinsics",
         image,
@@ -141,7 +141,7 @@ def test_a_centre_that_moves_by_whole_pixels_shifts_the_picture():
 def test_a_longer_lens_enlarges_about_the_optical_axis():
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     cone = np.repeat(np.hypot(x - CENTRE[0], y - CENTRE[1])[..., None], 3, axis=2)
-    seen = seen_with("camera_intrinsics", picture(pixels=cone), focal_ratio=1.05)
+    seen = seen_with("camera_intrinsics", seen_image(pixels=cone), focal_ratio=1.05)
     inner = (slice(5, 40), slice(5, 55))
     far = cone[inner] > 3.0
     np.testing.assert_allclose(seen[inner][far], cone[inner][far] / 1.05, atol=0.1)
@@ -150,7 +150,7 @@ def test_a_longer_lens_enlarges_about_the_optical_axis():
 def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does():
     camera = FisheyeCamera(WIDTH, HEIGHT, FOCAL, CENTRE)
     rays, _ = camera.rays()
-    # A picture that is a smooth function of the ray: turning it has a closed form.
+    # An image that is a smooth function of the ray: turning it has a closed form.
     angle = 0.05
     turn = np.array(
         [
@@ -160,7 +160,7 @@ def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does():
         ]
     )
     pixels = 100.0 + 60.0 * rays
-    seen = seen_with("camera_extrinsics", picture(pixels=pixels), tilt_x_rad=angle)
+    seen = seen_with("camera_extrinsics", seen_image(pixels=pixels), tilt_x_rad=angle)
     expected = 100.0 + 60.0 * rays @ turn.T
     inner = (slice(5, 40), slice(10, 55))
     np.testing.assert_allclose(seen[inner], expected[inner], atol=0.3)
@@ -168,8 +168,8 @@ def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does():
 
 
 def test_vignetting_falls_with_the_square_of_the_radius():
-    seen = seen_with("vignetting", picture(), edge_loss=0.1)
-    ratio = seen / picture().pixels
+    seen = seen_with("vignetting", seen_image(), edge_loss=0.1)
+    ratio = seen / seen_image().pixels
     assert ratio[22, 33] == pytest.approx(1.0)
     # Half the height from the axis the loss is what it is called.
     assert ratio[22 + 24, 33] == pytest.approx(0.9)
@@ -178,48 +178,48 @@ def test_vignetting_falls_with_the_square_of_the_radius():
 
 def test_leds_dim_over_the_session_and_not_at_its_start():
     values = {"final_loss_share": 0.2, "time_s": 100.0}
-    start = picture(session_s=0.0)
+    start = seen_image(session_s=0.0)
     np.testing.assert_array_equal(seen_with("led_dimming", start, **values), start.pixels)
-    seen = seen_with("led_dimming", picture(session_s=100.0), **values)
-    expected = picture().pixels * (1.0 - 0.2 * (1.0 - np.exp(-1.0)))
+    seen = seen_with("led_dimming", seen_image(session_s=100.0), **values)
+    expected = seen_image().pixels * (1.0 - 0.2 * (1.0 - np.exp(-1.0)))
     np.testing.assert_allclose(seen, expected)
 
 
 @pytest.mark.parametrize(("colour", "channel"), [("red", 0), ("green", 1), ("blue", 2)])
 def test_leds_out_of_balance_change_their_colour_alone(colour, channel):
-    seen = seen_with(f"led_imbalance_{colour}", picture(), loss_share=0.1)
-    ratio = seen / picture().pixels
+    seen = seen_with(f"led_imbalance_{colour}", seen_image(), loss_share=0.1)
+    ratio = seen / seen_image().pixels
     for other in range(3):
         np.testing.assert_allclose(ratio[..., other], 0.9 if other == channel else 1.0)
 
 
 def test_auto_exposure_brings_the_mean_back_to_that_of_the_idle_frame():
-    image = picture(pixels=0.8 * picture().pixels)
+    image = seen_image(pixels=0.8 * seen_image().pixels)
     full = seen_with("auto_exposure", image, strength=1.0)
     assert full.mean() == pytest.approx(image.idle.mean())
     half = seen_with("auto_exposure", image, strength=0.5)
     np.testing.assert_allclose(half, image.pixels / np.sqrt(0.8))
-    still = picture()
+    still = seen_image()
     np.testing.assert_allclose(seen_with("auto_exposure", still, strength=1.0), still.pixels)
 
 
-def test_a_black_picture_does_not_drive_the_exposure_without_bound():
-    black = picture(pixels=np.zeros((HEIGHT, WIDTH, 3)))
+def test_a_black_image_does_not_drive_the_exposure_without_bound():
+    black = seen_image(pixels=np.zeros((HEIGHT, WIDTH, 3)))
     np.testing.assert_array_equal(seen_with("auto_exposure", black, strength=1.0), black.pixels)
 
 
 def test_gamma_keeps_black_and_white():
     pixels = np.zeros((HEIGHT, WIDTH, 3))
     pixels[0], pixels[1], pixels[2] = 255.0, 63.75, 0.0
-    seen = seen_with("gamma", picture(pixels=pixels), exponent=0.9)
+    seen = seen_with("gamma", seen_image(pixels=pixels), exponent=0.9)
     np.testing.assert_allclose(seen[0], 255.0)
     np.testing.assert_allclose(seen[1], 255.0 * 0.25**0.9)
     np.testing.assert_allclose(seen[2], 0.0)
 
 
 def test_ambient_light_adds_the_same_everywhere():
-    seen = seen_with("ambient_light", picture(), added_share=0.03)
-    np.testing.assert_allclose(seen - picture().pixels, 0.03 * 255.0)
+    seen = seen_with("ambient_light", seen_image(), added_share=0.03)
+    np.testing.assert_allclose(seen - seen_image().pixels, 0.03 * 255.0)
 
 
 def test_motion_blur_takes_the_mean_along_the_path():
@@ -229,7 +229,7 @@ def test_motion_blur_takes_the_mean_along_the_path():
     wave = np.sin(2.0 * np.pi * x / 20.0)
     pixels = np.broadcast_to((100.0 + 50.0 * wave)[None, :, None], (HEIGHT, WIDTH, 3))
     flow = np.broadcast_to([50.0, 0.0], (HEIGHT, WIDTH, 2))
-    seen = seen_with("motion_blur", picture(pixels=pixels, flow_px_s=flow), exposure_s=0.2)
+    seen = seen_with("motion_blur", seen_image(pixels=pixels, flow_px_s=flow), exposure_s=0.2)
     inner = slice(10, -10)
     expected = 100.0 + 50.0 * (2.0 / np.pi) * wave
     np.testing.assert_allclose(seen[:, inner, 0], np.tile(expected[inner], (HEIGHT, 1)), atol=0.5)
@@ -240,7 +240,7 @@ def test_a_rolling_shutter_skews_by_row():
     x = np.arange(WIDTH, dtype=float)
     pixels = np.broadcast_to((3.0 * x)[None, :, None], (HEIGHT, WIDTH, 3))
     flow = np.broadcast_to([100.0, 0.0], (HEIGHT, WIDTH, 2))
-    seen = seen_with("rolling_shutter", picture(pixels=pixels, flow_px_s=flow), readout_s=0.03)
+    seen = seen_with("rolling_shutter", seen_image(pixels=pixels, flow_px_s=flow), readout_s=0.03)
     row = np.arange(HEIGHT) / (HEIGHT - 1) - 0.5
     expected = 3.0 * (x[None, :] - 100.0 * 0.03 * row[:, None])
     # OpenCV's cubic is no exact ramp.
@@ -249,18 +249,18 @@ def test_a_rolling_shutter_skews_by_row():
 
 @pytest.mark.parametrize("name", MOVING)
 def test_what_stands_still_is_neither_blurred_nor_skewed(name):
-    still = picture(flow_px_s=np.zeros((HEIGHT, WIDTH, 2)))
+    still = seen_image(flow_px_s=np.zeros((HEIGHT, WIDTH, 2)))
     np.testing.assert_array_equal(seen_with(name, still), still.pixels)
 
 
 def test_saturation_clips_what_is_above_its_level_alone():
-    seen = seen_with("saturation", picture(), clip_share=0.5)
-    np.testing.assert_array_equal(seen, np.minimum(picture().pixels, 127.5))
+    seen = seen_with("saturation", seen_image(), clip_share=0.5)
+    np.testing.assert_array_equal(seen, np.minimum(seen_image().pixels, 127.5))
 
 
 def test_a_worn_spot_is_darkest_at_its_place():
     values = {"loss_share": 0.4, "x_rad": 0.5, "y_rad": -0.5, "radius_rad": 0.25}
-    ratio = seen_with("worn_coat", picture(), **values) / picture().pixels
+    ratio = seen_with("worn_coat", seen_image(), **values) / seen_image().pixels
     row, column = 22 - 8, 33 + 8
     assert ratio[row, column] == pytest.approx(np.full(3, 0.6))
     assert ratio[row, column + 4] == pytest.approx(np.full(3, 1.0 - 0.4 * np.exp(-0.5)))
@@ -291,7 +291,7 @@ def test_effects_follow_one_another():
         Active(EFFECTS["led_imbalance_red"], {"loss_share": 0.5}),
         Active(EFFECTS["ambient_light"], {"added_share": 0.1}),
     ]
-    seen = image_filters(actives)(picture())
-    np.testing.assert_allclose(seen[..., 0], 0.5 * picture().pixels[..., 0] + 25.5)
-    back = image_filters(actives[::-1])(picture())
-    np.testing.assert_allclose(back[..., 0], 0.5 * (picture().pixels[..., 0] + 25.5))
+    seen = image_filters(actives)(seen_image())
+    np.testing.assert_allclose(seen[..., 0], 0.5 * seen_image().pixels[..., 0] + 25.5)
+    back = image_filters(actives[::-1])(seen_image())
+    np.testing.assert_allclose(back[..., 0], 0.5 * (seen_image().pixels[..., 0] + 25.5))

@@ -1,4 +1,4 @@
-"""The pictures' part of a search: its rule, its noise file, whose camera it is, what is said."""
+"""The images' part of a search: its rule, its noise file, whose camera it is, what is said."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def residuals_with(law, seed):
     ]
 
 
-def test_pictures_with_nothing_wrong_have_no_gap(searched):
+def test_images_with_nothing_wrong_have_no_gap(searched):
     for seed in range(6):
         answer = searched.answer(null_residual(seed))
         assert answer.verdict is Verdict.NO_GAP
@@ -142,7 +142,7 @@ def test_a_lens_out_of_focus_is_unknown(searched):
     assert answer.excess > answer.largest_excess
 
 
-def test_the_noise_of_pictures_comes_back_from_its_file(null, signatures, tmp_path):
+def test_the_noise_of_images_comes_back_from_its_file(null, signatures, tmp_path):
     path = tmp_path / "noise.npz"
     save_optical_null(null, path)
     again = load_optical_null(path)
@@ -270,7 +270,7 @@ def test_images_are_used_where_bags_and_idle_images_are_there(tmp_path):
 
 
 def optical(verdict):
-    """Return a part of the pictures with a verdict."""
+    """Return a part of the images with a verdict."""
     found = verdict in (Verdict.NAMED, Verdict.SET)
     loss = Estimate("edge_loss", "", 0.1, 0.08, 0.12)
     vignetting = Candidate(
@@ -298,7 +298,7 @@ def optical(verdict):
 
 
 @pytest.mark.parametrize(
-    ("gel", "pictures", "expected"),
+    ("gel", "images", "expected"),
     [
         (no_gap, Verdict.NO_GAP, Verdict.NO_GAP),
         (no_gap, Verdict.NAMED, Verdict.NAMED),
@@ -313,23 +313,23 @@ def optical(verdict):
         (named, Verdict.UNUSABLE, Verdict.NAMED),
     ],
 )
-def test_both_parts_make_one_verdict(gel, pictures, expected):
-    both = combined(gel(), optical(pictures))
+def test_both_parts_make_one_verdict(gel, images, expected):
+    both = combined(gel(), optical(images))
     assert both.verdict is expected
     assert both.sentence.startswith(gel().sentence)
-    assert both.sentence.endswith(f"Images: {pictures.value}.")
-    assert both.named == gel().named + optical(pictures).named
+    assert both.sentence.endswith(f"Images: {images.value}.")
+    assert both.named == gel().named + optical(images).named
     assert "2 trajectories with images are few" in both.warnings
 
 
-def test_pictures_alone_give_the_verdict():
+def test_images_alone_give_the_verdict():
     alone = replace(no_gap(), sentence="")
     assert combined(alone, optical(Verdict.UNUSABLE)).verdict is Verdict.UNUSABLE
     assert combined(alone, optical(Verdict.NAMED)).sentence == "Images: named."
 
 
 @pytest.mark.parametrize("verdict", list(Verdict))
-def test_findings_with_pictures_come_back_from_their_record(verdict):
+def test_findings_with_images_come_back_from_their_record(verdict):
     both = combined(named(), optical(verdict))
     assert findings_of(as_record(both)) == both
     assert as_record(both)["optical"]["verdict"] == verdict.value
@@ -343,7 +343,7 @@ def test_the_report_keeps_the_parts_apart(tmp_path: Path):
     assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
     assert "19 trajectories of sensor_a" in text
     assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
-    # What no picture excites stands beside what no press does.
+    # What no image excites stands beside what no press does.
     assert "| Motion blur |" in text
     refused = as_markdown(page_of(combined(no_gap(), optical(Verdict.UNUSABLE)), {}, LIBRARY))
     assert "Images: unusable." in refused

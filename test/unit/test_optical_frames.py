@@ -118,12 +118,12 @@ def test_model_lies_beside_what_was_measured(data_set, sensor, cache):
     press, count = data.presses[0], len(DEPTHS_M)
     assert press.indenter == "ball"
     assert press.tip_depth_m == pytest.approx(DEPTHS_M, abs=0.1e-3)
-    assert press.measured.shape == press.carried.shape == (count, HEIGHT, WIDTH, 3)
+    assert press.measured.shape == press.warped.shape == (count, HEIGHT, WIDTH, 3)
     assert press.depth_m.shape == (count, HEIGHT, WIDTH)
     assert press.normal.shape == (count, HEIGHT, WIDTH, 3)
     seen = np.isfinite(data.rest.depth_m)
     assert np.array_equal(np.isfinite(data.rest.normal[..., 0]), seen)
-    assert np.array_equal(press.carried[0], data.rest.idle)
+    assert np.array_equal(press.warped[0], data.rest.idle)
     # The ball comes towards the camera in the middle of the image, and nothing moves at its rim.
     nearer = data.rest.depth_m - press.depth_m[-1]
     assert np.nanmax(nearer) > 0.5e-3

@@ -1,4 +1,4 @@
-"""The twin's pictures: made from its own idle frame, with what effects need to know of them."""
+"""The twin's images: made from its own idle frame, with what effects need to know of them."""
 
 import numpy as np
 import pytest
@@ -43,7 +43,7 @@ def test_a_skin_at_rest_shows_the_twin_s_own_idle_frame(model, film):
     np.testing.assert_array_equal(model.idle_film().pixels[0], model.idle)
 
 
-def test_a_contact_changes_the_picture_where_it_is(film):
+def test_a_contact_changes_the_image_where_it_is(film):
     change = np.abs(film.pixels[1] - film.pixels[0]).max(axis=2)
     x, y = np.rint(film.centre_px).astype(int)
     assert change[y - 5 : y + 6, x - 5 : x + 6].max() > 5.0
@@ -100,6 +100,6 @@ def test_the_unit_s_own_idle_frame_takes_the_twin_s_place(sensor, model):
     np.testing.assert_allclose(film.pixels[0], darker, atol=0.5)
 
 
-def test_a_picture_of_another_shape_is_refused(sensor):
+def test_a_image_of_another_shape_is_refused(sensor):
     with pytest.raises(ValueError, match="aspect ratio"):
         TwinCamera(sensor, width=80, height=80)

@@ -81,12 +81,12 @@ def search(signatures, noise, nuisances, spurious):
 
 
 def with_law(law, seed):
-    """Return a residual of pictures that a law (H, W, 3) -> (H, W, 3) changed."""
+    """Return a residual of images that a law (H, W, 3) -> (H, W, 3) changed."""
     noise = null_residual(seed)
     changed = [np.stack([law(p.astype(np.float64)) for p in film.pixels]) for film in FILMS]
     return [
-        METER.difference(picture, film.pixels) + one
-        for picture, film, one in zip(changed, FILMS, noise, strict=True)
+        METER.difference(image, film.pixels) + one
+        for image, film, one in zip(changed, FILMS, noise, strict=True)
     ]
 
 

@@ -53,10 +53,10 @@ def test_a_tiny_model_beats_the_idle_and_the_carried_frame_on_presses_held_out()
     touched = slice(1, None)
     measured = np.stack([press.measured[touched] for press in held_out])
     images = np.stack([fitted.predict(press, data.rest)[touched] for press in held_out])
-    carried = np.stack([press.carried[touched] for press in held_out])
+    warped = np.stack([press.warped[touched] for press in held_out])
     idle = np.broadcast_to(data.rest.idle, measured.shape)
     assert fitted.name == "ours"
-    assert psnr_db(images, measured) > psnr_db(carried, measured) + 2.0
+    assert psnr_db(images, measured) > psnr_db(warped, measured) + 2.0
     assert psnr_db(images, measured) > psnr_db(idle, measured) + 6.0
 
 
@@ -66,7 +66,7 @@ def test_an_untouched_sensor_shows_the_idle_frame_bit_for_bit(data):
     for press in data.presses:
         images = fitted.predict(press, data.rest)
         assert np.array_equal(images[0], data.rest.idle)
-        assert not np.array_equal(images[-1], press.carried[-1])
+        assert not np.array_equal(images[-1], press.warped[-1])
 
 
 def test_nothing_is_added_outside_the_lit_disc(data):
@@ -74,7 +74,7 @@ def test_nothing_is_added_outside_the_lit_disc(data):
     images = fitted.predict(data.presses[0], data.rest)
     dark = ~data.rest.lit
     assert dark.any()
-    assert np.array_equal(images[:, dark], data.presses[0].carried[:, dark])
+    assert np.array_equal(images[:, dark], data.presses[0].warped[:, dark])
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -87,7 +87,7 @@ def test_every_kind_trains_and_predicts_images_of_the_measured_size(data, kind):
         measured=press.measured[:1],
         depth_m=press.depth_m[:1],
         normal=press.normal[:1],
-        carried=press.carried[:1],
+        warped=press.warped[:1],
     )
     train = [*data.presses[:3], shorter]
     recipe = replace(RECIPES[kind], epochs=1, batch=4)
@@ -215,7 +215,7 @@ def test_lone_frames_join_the_batch_before():
 
 
 def test_the_local_model_is_linear_in_what_it_is_given_to_change(data):
-    """A gain alone brightens the carried image in proportion."""
+    """A gain alone brightens the warped image in proportion."""
     examples = make_examples("ours", data.presses, data.rest, data.camera, (64, 48))
     model = LocalModel().eval()
     with torch.no_grad():
@@ -231,7 +231,7 @@ def test_the_local_model_is_linear_in_what_it_is_given_to_change(data):
 
 
 def test_the_preview_shows_a_row_for_each_press(data, tmp_path):
-    write_preview(tmp_path / "preview.png", data.presses, [p.carried for p in data.presses], rows=3)
+    write_preview(tmp_path / "preview.png", data.presses, [p.warped for p in data.presses], rows=3)
     import cv2
 
     sheet = cv2.imread(str(tmp_path / "preview.png"))

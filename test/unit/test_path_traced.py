@@ -1,4 +1,4 @@
-"""Path-traced pictures: light and lens against what is known of them, and what is hidden there."""
+"""Path-traced images: light and lens against what is known of them, and what is hidden there."""
 
 from __future__ import annotations
 
@@ -85,9 +85,9 @@ def spot(direction, width_rad):
     return (map_directions() @ direction > np.cos(width_rad)).astype(np.float64)
 
 
-def centre_of(picture):
-    """Return x and y of where the light of a picture (H, W, 3) is, px."""
-    light = picture.mean(axis=2)
+def centre_of(image):
+    """Return x and y of where the light of an image (H, W, 3) is, px."""
+    light = image.mean(axis=2)
     y, x = np.mgrid[0 : light.shape[0], 0 : light.shape[1]]
     return np.array([np.average(x, weights=light), np.average(y, weights=light)])
 
@@ -136,13 +136,13 @@ def test_a_spot_lands_at_its_equidistant_pixel(renderer_of, azimuth_deg):
     way = np.array([np.sin(0.7) * np.cos(azimuth), np.sin(0.7) * np.sin(azimuth), np.cos(0.7)])
     inside = Inside(np.zeros_like(GREY), DARKNESS, glow=spot(way, 0.08))
     eye = Eye()
-    picture = renderer_of(inside, size=(64, 48), samples=9, edges=1).radiance(REST_M, eye, seed=4)
+    image = renderer_of(inside, size=(64, 48), samples=9, edges=1).radiance(REST_M, eye, seed=4)
     seen = RADIUS_M * way - eye.position_m
     angle = np.arctan2(np.hypot(seen[0], seen[1]), seen[2])
     focal = 24.0 / eye.half_height_angle_rad
     # x grows to the right along +x, y downwards along +y; the first pixel's centre is (0, 0).
     expected = focal * angle * np.array([np.cos(azimuth), np.sin(azimuth)]) + [31.5, 23.5]
-    np.testing.assert_allclose(centre_of(picture), expected, atol=0.25)
+    np.testing.assert_allclose(centre_of(image), expected, atol=0.25)
 
 
 def test_a_camera_that_turns_or_moves_sees_a_spot_elsewhere(renderer_of):
@@ -247,7 +247,7 @@ def test_a_worn_spot_is_darker_there(studio):
 @pytest.mark.parametrize(
     "name", ["moved_camera", "turned_camera", "dark_edge", "out_of_focus", "dusty"]
 )
-def test_what_is_wrong_with_the_camera_changes_the_picture(studio, name):
+def test_what_is_wrong_with_the_camera_changes_the_image(studio, name):
     change, light, _ = difference_of(studio, name)
     assert np.sqrt(np.mean(change**2)) > 0.01 * np.sqrt(np.mean(light**2))
     if name in ("dark_edge", "dusty"):
@@ -257,8 +257,8 @@ def test_what_is_wrong_with_the_camera_changes_the_picture(studio, name):
 def test_an_exposure_that_follows_keeps_the_metered_mean(studio):
     unit = LAWS["metering"].change(studio.unit, 1.0, studio.white)
     bright = replace(unit, inside=replace(unit.inside, led_power=np.full(9, 2.0)))
-    as_it_was = studio.picture(studio.unit, None, 0.0, np.random.default_rng(0)).astype(float)
-    followed = studio.picture(bright, None, 0.0, np.random.default_rng(0)).astype(float)
+    as_it_was = studio.image(studio.unit, None, 0.0, np.random.default_rng(0)).astype(float)
+    followed = studio.image(bright, None, 0.0, np.random.default_rng(0)).astype(float)
     assert np.abs(followed - as_it_was).mean() < 1.0
 
 

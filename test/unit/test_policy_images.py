@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.tasks.policy.examples import moved_picture, moved_position
+from dotsim_ros.tasks.policy.examples import moved_crop, moved_position
 from dotsim_ros.tasks.policy.images import (
     CHANNEL_COUNT,
     PolicyInput,
@@ -26,14 +26,14 @@ def spotted(x: int, y: int) -> np.ndarray:
     return image
 
 
-def test_the_picture_is_the_middle_square():
+def test_the_crop_is_the_middle_square():
     view = PolicyView((480, 640), share=0.7, side_px=112)
     image = np.zeros((480, 640, 3), dtype=np.uint8)
     # The square reaches from row 72 to 408 and from column 152 to 488.
     image[72:408, 152:488] = 200
-    assert np.all(view.picture(image) == 200)
+    assert np.all(view.crop(image) == 200)
     image[73:407, 153:487] = 0
-    edge = view.picture(image)
+    edge = view.crop(image)
     assert np.all(edge[1:-1, 1:-1] == 0)
     assert edge[0].min() > 50
 
@@ -41,7 +41,7 @@ def test_the_picture_is_the_middle_square():
 def test_images_of_another_size_but_the_same_view_show_the_same():
     view = PolicyView((480, 640), side_px=96)
     half = cv2.resize(IDLE, (320, 240), interpolation=cv2.INTER_AREA)
-    difference = view.picture(IDLE).astype(int) - view.picture(half)
+    difference = view.crop(IDLE).astype(int) - view.crop(half)
     assert np.abs(difference).mean() < 2.0
 
 
@@ -67,18 +67,18 @@ def test_numbers_out_of_range_are_refused():
 
 def test_the_change_of_an_untouched_sensor_is_zero_and_does_not_depend_on_the_light():
     view = PolicyView(side_px=96)
-    bright = PolicyInput(view.picture(IDLE))
-    assert bright(view.picture(IDLE)).shape == (CHANNEL_COUNT, 96, 96)
-    assert np.all(bright(view.picture(IDLE))[:3] == 0.0)
+    bright = PolicyInput(view.crop(IDLE))
+    assert bright(view.crop(IDLE)).shape == (CHANNEL_COUNT, 96, 96)
+    assert np.all(bright(view.crop(IDLE))[:3] == 0.0)
     dim = (0.6 * IDLE).astype(np.uint8)
     dim_spot = (0.6 * spotted(320, 240)).astype(np.uint8)
-    change = bright(view.picture(spotted(320, 240)))[:3]
-    dimmed = PolicyInput(view.picture(dim))(view.picture(dim_spot))[:3]
+    change = bright(view.crop(spotted(320, 240)))[:3]
+    dimmed = PolicyInput(view.crop(dim))(view.crop(dim_spot))[:3]
     assert np.abs(change).max() > 1.0
     assert np.abs(change - dimmed).max() < 0.15 * np.abs(change).max()
 
 
-def test_a_turned_or_mirrored_picture_shows_the_place_turned_or_mirrored():
+def test_a_turned_or_mirrored_crop_shows_the_place_turned_or_mirrored():
     view = PolicyView((480, 480), share=1.0, side_px=96)
     idle = IDLE[:, 80:560]
     spot = idle.copy()
@@ -86,8 +86,8 @@ def test_a_turned_or_mirrored_picture_shows_the_place_turned_or_mirrored():
     centre = 239.5
     cv2.circle(spot, (int(centre + place[0]), int(centre + place[1])), 12, (255, 255, 255), -1)
     for symmetry in range(8):
-        before = moved_picture(view.picture(idle), symmetry).astype(int)
-        now = moved_picture(view.picture(spot), symmetry).astype(int)
+        before = moved_crop(view.crop(idle), symmetry).astype(int)
+        now = moved_crop(view.crop(spot), symmetry).astype(int)
         weight = np.abs(now - before).sum(axis=2)
         rows, columns = np.mgrid[0:96, 0:96]
         found = 5.0 * np.array(

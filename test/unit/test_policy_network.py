@@ -75,7 +75,7 @@ def written(tmp_path_factory):
 
 def test_a_loaded_policy_answers_as_the_network(written):
     network, folder = written
-    given = PolicyInput(DRAWN.view.picture(IDLE))(DRAWN.view.picture(IMAGE))
+    given = PolicyInput(DRAWN.view.crop(IDLE))(DRAWN.view.crop(IMAGE))
     with torch.inference_mode():
         expected = network(torch.from_numpy(given)[None])[0].numpy()
     for row, name in enumerate(PATHS):
@@ -116,7 +116,7 @@ def test_a_new_idle_image_is_noticed_even_in_the_same_array(written):
     np.testing.assert_array_equal(second, load_policy(written[1], thread_count=1)(IMAGE, idle))
 
 
-def test_the_distance_is_of_the_picture_from_the_usual(written):
+def test_the_distance_is_of_the_crop_from_the_usual(written):
     policy = load_policy(written[1], thread_count=1)
     lit_alone = policy.image_distance(IDLE, IDLE)
     assert lit_alone == pytest.approx(np.sqrt(0.5))

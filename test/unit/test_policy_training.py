@@ -37,20 +37,20 @@ SIDE = 48
 
 
 def drawn_episode(seed: int, count: int = 12) -> Episode:
-    """Return an episode whose pictures show a spot where the contact is."""
+    """Return an episode whose crops show a spot where the contact is."""
     random = np.random.default_rng(seed)
     tilt = random.uniform(-0.35, 0.35, (count, 2))
     depth = random.uniform(0.5e-3, 2.0e-3, count)
     position = CONTACT.position_m(tilt, depth)
     idle = random.integers(60, 160, (1, SIDE, SIDE, 3), dtype=np.uint8)
-    pictures = []
+    crops = []
     for place, deep in zip(tilt, depth, strict=True):
         x, y = np.rint(SIDE / 2 + SIDE * place).astype(int)
-        picture = idle[0].copy()
-        cv2.circle(picture, (int(x), int(y)), 1 + round(2e3 * deep), (250, 250, 250), -1)
-        pictures.append(picture)
+        crop = idle[0].copy()
+        cv2.circle(crop, (int(x), int(y)), 1 + round(2e3 * deep), (250, 250, 250), -1)
+        crops.append(crop)
     return Episode(
-        np.array([pictures]),
+        np.array([crops]),
         idle,
         random.standard_normal((1, count, 96), dtype=np.float32),
         position,
@@ -81,7 +81,7 @@ def test_an_episode_is_read_as_it_was_written(tmp_path):
     path = episode_file(tmp_path, 3)
     write_episode(path, episode)
     read = read_episode(path)
-    np.testing.assert_array_equal(read.picture, episode.picture)
+    np.testing.assert_array_equal(read.crop, episode.crop)
     np.testing.assert_array_equal(read.command, episode.command)
     assert read.paths == PATHS
     path.write_bytes(path.read_bytes()[:500])
@@ -119,14 +119,14 @@ def test_answers_are_the_experts_and_count_where_the_path_is_near():
     assert place.shape == (2, 3)
 
 
-def test_a_batch_turns_pictures_and_answers_together():
+def test_a_batch_turns_crops_and_answers_together():
     """The spot in each input lies where its answer's place says."""
     examples = PolicyExamples(frames_of([drawn_episode(1, count=40)]), PATHS, CONTACT, SIDE)
     random = np.random.default_rng(0)
-    pictures, commands, weight, place = examples.batch(np.arange(40), random)
+    crops, commands, weight, place = examples.batch(np.arange(40), random)
     assert commands.shape == (40, 2, 6)
     assert weight.shape == (40, 2)
-    change = np.clip(pictures[:, :3].sum(axis=1), 0.0, None) ** 2
+    change = np.clip(crops[:, :3].sum(axis=1), 0.0, None) ** 2
     line = np.arange(SIDE) - SIDE / 2 + 0.5
     total = change.sum(axis=(1, 2))
     found = np.stack(
@@ -136,7 +136,7 @@ def test_a_batch_turns_pictures_and_answers_together():
     assert np.median(np.abs(error)) < 1.0
 
 
-def test_a_new_exposure_changes_both_pictures_alike():
+def test_a_new_exposure_changes_both_crops_alike():
     random = np.random.default_rng(1)
     idle = np.full((32, 32, 3), 120, dtype=np.uint8)
     now, before = exposed(idle, idle, random)

@@ -1,4 +1,4 @@
-"""The tiles of pictures: what they compare, with sign and place, and their noise."""
+"""The tiles of images: what they compare, with sign and place, and their noise."""
 
 import cv2
 import numpy as np
@@ -40,31 +40,31 @@ def test_tiles_lie_inside_the_lit_disc_and_know_their_place():
     assert grid.centre_px[0, 1] < grid.centre_px[-1, 1]
 
 
-def test_a_fully_lit_picture_is_covered_by_the_whole_grid():
+def test_a_fully_lit_image_is_covered_by_the_whole_grid():
     grid = tile_grid(np.ones((HEIGHT, WIDTH), dtype=bool), columns=4, rows=3)
     np.testing.assert_array_equal(grid.count, np.full(12, HEIGHT * WIDTH // 12))
 
 
-def test_a_dark_picture_has_no_tiles():
+def test_a_dark_image_has_no_tiles():
     with pytest.raises(ValueError, match="no tile of 8 x 6 lies in the lit disc of 0 pixels"):
         tile_grid(np.zeros((HEIGHT, WIDTH), dtype=bool))
 
 
 def test_the_mean_over_tiles_is_that_of_their_pixels():
     grid = tile_grid(LIT)
-    picture = pattern()
-    found = grid.mean(picture)
+    image = pattern()
+    found = grid.mean(image)
     assert found.shape == (len(grid), 3)
-    np.testing.assert_allclose(found[5], picture[grid.tile == 5].mean(axis=0))
-    np.testing.assert_allclose(grid.mean(picture[..., 0])[5], found[5, 0])
+    np.testing.assert_allclose(found[5], image[grid.tile == 5].mean(axis=0))
+    np.testing.assert_allclose(grid.mean(image[..., 0])[5], found[5, 0])
 
 
-def test_equal_pictures_do_not_differ(meter):
-    pictures = np.stack([pattern(), pattern(shift_x=1.0)])
+def test_equal_images_do_not_differ(meter):
+    images = np.stack([pattern(), pattern(shift_x=1.0)])
     np.testing.assert_array_equal(
-        meter.difference(pictures, pictures), np.zeros((2, len(meter.grid), len(NAMES)))
+        meter.difference(images, images), np.zeros((2, len(meter.grid), len(NAMES)))
     )
-    np.testing.assert_allclose(meter.sharpness(pictures[:1]), 1.0)
+    np.testing.assert_allclose(meter.sharpness(images[:1]), 1.0)
 
 
 def test_an_offset_shows_in_colour_alone(meter):
@@ -129,7 +129,7 @@ def test_a_tile_without_texture_stays_finite():
     np.testing.assert_allclose(found[..., SHIFTS], 0.0, atol=1e-6)
 
 
-def test_noise_is_that_of_single_pictures(meter):
+def test_noise_is_that_of_single_images(meter):
     random = np.random.default_rng(0)
     clean = pattern()
     deviation = 2.0
@@ -143,11 +143,11 @@ def test_noise_is_that_of_single_pictures(meter):
 
 
 def test_noise_takes_repeats(meter):
-    with pytest.raises(ValueError, match="noise from 1 pictures, expected two at least"):
+    with pytest.raises(ValueError, match="noise from 1 images, expected two at least"):
         meter.noise(pattern()[None])
 
 
-def test_pictures_of_another_size_are_refused(meter):
+def test_images_of_another_size_are_refused(meter):
     with pytest.raises(ValueError, match=r"expected \(F, 120, 160, 3\) of both"):
         meter.difference(np.zeros((1, 60, 80, 3)), np.zeros((1, 60, 80, 3)))
     with pytest.raises(ValueError, match="idle frame of shape"):

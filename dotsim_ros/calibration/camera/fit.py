@@ -1,4 +1,4 @@
-"""The fit of camera and lights: the idle image, carried by the skin, against what was measured.
+"""The fit of camera and lights: the idle image, warped by the skin, against what was measured.
 
 Least squares over pixels of training presses, by turns for the lens (pixels that the skin moves
 across) and for the lights (every lit pixel, blurred more). Errors of the skin are shared by whole
@@ -294,7 +294,7 @@ def _priors(
 
 
 class _Problem:
-    """Differences between carried and measured images at chosen pixels."""
+    """Differences between warped and measured images at chosen pixels."""
 
     def __init__(
         self,
@@ -344,7 +344,7 @@ class _Problem:
         return views, renderer.render(self._filmed.skin.rest_position_m)
 
     def residual(self, model: CameraModel) -> Float32Array:
-        """Return (N,) grey levels by which the carried images differ."""
+        """Return (N,) grey levels by which the warped images differ."""
         if self._lens is not model.camera:
             self._views, _ = self._render(model)
             self._lens = model.camera
@@ -355,11 +355,11 @@ class _Problem:
             lighting=model.lights.lighting(),
             vignetting=model.vignetting,
         )
-        carried = [
-            self._blurred(image.carry(view))[mask].ravel()
+        warped = [
+            self._blurred(image.warp(view))[mask].ravel()
             for view, mask in zip(self._views, self._masks, strict=True)
         ]
-        return np.concatenate(carried) - self._measured
+        return np.concatenate(warped) - self._measured
 
 
 def _blur(image: Float32Array, size_px: float) -> Float32Array:

@@ -72,14 +72,14 @@ def summary_lines(figures: Mapping[str, Any]) -> list[str]:
             some = next(iter(found.values()))
             pixels = " -> ".join(f"{row['reprojection_rms_px']:.2f}" for row in found.values())
             lines.append(
-                f"{name}, {rows} ({some['frames']} frames): idle {some['idle_db']:.2f} dB, carried "
+                f"{name}, {rows} ({some['frames']} frames): idle {some['idle_db']:.2f} dB, warped "
                 f"{way} dB, reprojection {pixels} px"
             )
     return lines
 
 
 def draw_sheet(filmed: FilmedData, model: CameraModel) -> ImageArray:
-    """Return measured, carried and their difference, side by side, for the deepest frame of one
+    """Return measured, warped and their difference, side by side, for the deepest frame of one
     press of each indenter."""
     renderer = SkinRenderer(model.camera, filmed.skin)
     image = ImageRenderer(
@@ -96,14 +96,14 @@ def draw_sheet(filmed: FilmedData, model: CameraModel) -> ImageArray:
         shown.add(press.indenter)
         deepest = int(np.argmax(press.tip_depth_m))
         measured = press.measured[deepest]
-        carried = image.carry(renderer.render(press.skin_position_m[deepest]))
-        change = carried.astype(np.int32) - measured
+        warped = image.warp(renderer.render(press.skin_position_m[deepest]))
+        change = warped.astype(np.int32) - measured
         enlarged = np.clip(128 + CONTRAST * change, 0, 255).astype(np.uint8)
         rows.append(
             np.hstack(
                 [
                     _titled(measured, f"{press.name} measured"),
-                    _titled(carried, f"carried {image_psnr_db(carried, measured):.1f} dB"),
+                    _titled(warped, f"warped {image_psnr_db(warped, measured):.1f} dB"),
                     _titled(enlarged, f"difference x{CONTRAST}"),
                 ]
             )

@@ -1,11 +1,11 @@
-"""How well carried images meet measured ones: in grey levels, and in pixels.
+"""How well warped images meet measured ones: in grey levels, and in pixels.
 
 The reprojection error is measured, not modelled: the optical flow (dense inverse search, Kroeger et
-al., "Fast optical flow using dense inverse search", 2016) from the carried to the measured image,
+al., "Fast optical flow using dense inverse search", 2016) from the warped to the measured image,
 both with the brightness of each neighbourhood taken out, is averaged over patches of 12 pixels (at
 240 of height) that the skin moved across by at least half a pixel and that hold texture. Its length
 is how far from its place the model puts a piece of the pattern; it holds the error of the skin as
-well as that of the camera. Untouched frames, where the carried image is the idle image, tell how
+well as that of the camera. Untouched frames, where the warped image is the idle image, tell how
 much of it is the measure's own noise.
 """
 
@@ -47,9 +47,9 @@ class CameraFrameScore:
         frame: its number.
         depth_m: of the tip.
         deepest: whether no frame of the press is deeper.
-        idle_db, unshaded_db, carried_db: PSNR of the idle image, of the carried one without and
+        idle_db, unshaded_db, carried_db: PSNR of the idle image, of the warped one without and
             with shading, over the whole frame.
-        lit_db: of the carried one within the lit disc.
+        lit_db: of the warped one within the lit disc.
         errors_px: (N,) reprojection errors of its patches; of an untouched frame, of all patches
             with texture.
     """
@@ -98,7 +98,7 @@ def score_frames(
         for frame, depth_m in enumerate(press.tip_depth_m.tolist()):
             view = renderer.render(press.skin_position_m[frame])
             measured = press.measured[frame]
-            carried = images["shaded"].carry(view)
+            warped = images["shaded"].warp(view)
             scores.append(
                 CameraFrameScore(
                     press=press.name,
@@ -107,11 +107,11 @@ def score_frames(
                     depth_m=depth_m,
                     deepest=frame == deepest,
                     idle_db=image_psnr_db(filmed.idle, measured),
-                    unshaded_db=image_psnr_db(images["unshaded"].carry(view), measured),
-                    carried_db=image_psnr_db(carried, measured),
-                    lit_db=image_psnr_db(carried[lit], measured[lit]),
+                    unshaded_db=image_psnr_db(images["unshaded"].warp(view), measured),
+                    carried_db=image_psnr_db(warped, measured),
+                    lit_db=image_psnr_db(warped[lit], measured[lit]),
                     errors_px=_errors_px(
-                        carried,
+                        warped,
                         measured,
                         _judged(view, rest, lit, filmed.skin.triangles, depth_m < 0.0),
                     ),
@@ -142,10 +142,10 @@ def _even(grey: Float32Array, size_px: float) -> ImageArray:
     return np.clip(128.0 + 50.0 * (grey - mean) / (spread + 2.0), 0.0, 255.0).astype(np.uint8)
 
 
-def _errors_px(carried: ImageArray, measured: ImageArray, judged: BoolArray) -> FloatArray:
+def _errors_px(warped: ImageArray, measured: ImageArray, judged: BoolArray) -> FloatArray:
     """Return the lengths of the mean flow in the patches that are judged by more than half."""
-    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (carried, measured)]
-    scale = len(carried) / REFERENCE_HEIGHT_PX
+    grey = [cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (warped, measured)]
+    scale = len(warped) / REFERENCE_HEIGHT_PX
     even = [_even(image.astype(np.float32), NEIGHBOURHOOD_PX * scale) for image in grey]
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     flow = search.calc(even[0], even[1], np.zeros((*judged.shape, 2), dtype=np.float32))

@@ -1,4 +1,4 @@
-"""Ambient light: a veil over the whole picture that no contact changes."""
+"""Ambient light: a veil over the whole image that no contact changes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ EFFECT = Effect(
     # Of the full scale. Less light than when the twin was made is as likely as more.
     parameters=(EffectParameter("added_share", "", 0.0, -0.05, 0.05, (0.02, -0.02)),),
     channels=(IMAGE,),
-    protocol="pictures with the LEDs off",
+    protocol="images with the LEDs off",
     excited_by=any_frame,
     taken_for=("gamma",),
     image=_image,

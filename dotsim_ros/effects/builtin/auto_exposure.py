@@ -27,10 +27,10 @@ def _image(values: Values) -> ImageFilter:
 EFFECT = Effect(
     name="auto_exposure",
     title="Auto-exposure",
-    # At 1 the mean of every picture is that of the idle frame.
+    # At 1 the mean of every image is that of the idle frame.
     parameters=(EffectParameter("strength", "", 0.0, 0.0, 1.0, (0.5, 1.0)),),
     channels=(IMAGE,),
-    protocol="a deep press, which changes the picture's mean",
+    protocol="a deep press, which changes the image's mean",
     excited_by=lambda recording: recording.has(Phase.LOAD),
     taken_for=("led_dimming",),
     image=_image,

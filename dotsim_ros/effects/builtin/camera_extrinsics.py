@@ -1,7 +1,7 @@
 """Camera extrinsics: the camera is turned about its own place.
 
 A camera that turns without moving sees the same rays elsewhere, whatever their depth, so the
-picture is resampled exactly but for the lens's radial distortion, which a picture does not tell. A
+image is resampled exactly but for the lens's radial distortion, which an image does not tell. A
 camera that has moved sees a parallax that depends on depth: that is left out.
 """
 
@@ -42,7 +42,7 @@ EFFECT = Effect(
         EffectParameter("roll_rad", "rad", 0.0, -0.07, 0.07, (0.0, 0.01)),
     ),
     channels=(IMAGE,),
-    protocol="pictures of the idle pattern",
+    protocol="images of the idle pattern",
     excited_by=any_frame,
     taken_for=("camera_intrinsics", "pose_offset"),
     image=_image,

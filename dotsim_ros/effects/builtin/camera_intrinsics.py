@@ -1,7 +1,7 @@
-"""Camera intrinsics: another focal length, or another place of the optical axis in the picture.
+"""Camera intrinsics: another focal length, or another place of the optical axis in the image.
 
-With an equidistant lens and any radial distortion, focal length and centre act on the picture
-linearly: a new pixel p looks where the old picture has c + (p - c') / k, with k the ratio of the
+With an equidistant lens and any radial distortion, focal length and centre act on the image
+linearly: a new pixel p looks where the old image has c + (p - c') / k, with k the ratio of the
 focal lengths and c' the new centre.
 """
 
@@ -30,14 +30,14 @@ def _image(values: Values) -> ImageFilter:
 EFFECT = Effect(
     name="camera_intrinsics",
     title="Another focal length or centre of the camera",
-    # The shift is given over the focal length: 0.06 rad are 5 px of a picture 240 px high.
+    # The shift is given over the focal length: 0.06 rad are 5 px of an image 240 px high.
     parameters=(
         EffectParameter("focal_ratio", "", 1.0, 0.95, 1.05, (1.01, 0.99)),
         EffectParameter("shift_x_rad", "rad", 0.0, -0.06, 0.06, (0.0, 0.012)),
         EffectParameter("shift_y_rad", "rad", 0.0, -0.06, 0.06, (0.0, 0.012)),
     ),
     channels=(IMAGE,),
-    protocol="pictures of the idle pattern",
+    protocol="images of the idle pattern",
     excited_by=any_frame,
     taken_for=("camera_extrinsics", "pose_offset"),
     image=_image,

@@ -1,7 +1,7 @@
 """LED dimming: all LEDs lose brightness as they warm up over a session.
 
 The loss approaches its final share exponentially, as that of a junction that warms up under a
-constant current does. Dimming that came before the session is a gain of all pictures alike, which
+constant current does. Dimming that came before the session is a gain of all images alike, which
 the camera's gain takes.
 """
 
@@ -32,7 +32,7 @@ EFFECT = Effect(
         EffectParameter("time_s", "s", None, 1.0, 3600.0, (20.0, 300.0)),
     ),
     channels=(IMAGE,),
-    protocol="pictures without contact, at the start and at the end of a session of minutes",
+    protocol="images without contact, at the start and at the end of a session of minutes",
     excited_by=lambda recording: recording.session_s > 0.0,
     taken_for=("auto_exposure", "ambient_light"),
     image=_image,

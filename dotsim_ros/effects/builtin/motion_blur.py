@@ -1,7 +1,7 @@
-"""Motion blur: the picture moves while the camera exposes.
+"""Motion blur: the image moves while the camera exposes.
 
-The picture is the mean of what was seen at even times over the exposure, which is centred on the
-frame's stamp, so that the blur is not a latency too. Each instant is the frame's picture, moved by
+The image is the mean of what was seen at even times over the exposure, which is centred on the
+frame's stamp, so that the blur is not a latency too. Each instant is the frame's image, moved by
 its flow.
 """
 

@@ -1,6 +1,6 @@
 """Rolling shutter: rows are read one after the other, so what moves is skewed.
 
-The frame's stamp is that of the middle row. A row that is read later shows the picture moved on
+The frame's stamp is that of the middle row. A row that is read later shows the image moved on
 along its flow.
 """
 

@@ -24,7 +24,7 @@ EFFECT = Effect(
     # Lower than the table's 0.85, so that a sensor that is not lit to the full has it in range.
     parameters=(EffectParameter("clip_share", "", 1.0, 0.5, 1.0, (0.85, 0.65)),),
     channels=(IMAGE,),
-    protocol="pictures that come near to white: bright LEDs, a glossy contact",
+    protocol="images that come near to white: bright LEDs, a glossy contact",
     excited_by=any_frame,
     taken_for=("gamma", "auto_exposure"),
     image=_image,

@@ -19,10 +19,10 @@ def _image(values: Values) -> ImageFilter:
 EFFECT = Effect(
     name="vignetting",
     title="Vignetting",
-    # The loss at half the picture's height from the axis, over that at the axis.
+    # The loss at half the image's height from the axis, over that at the axis.
     parameters=(EffectParameter("edge_loss", "", 0.0, 0.0, 0.3, (0.05, 0.2)),),
     channels=(IMAGE,),
-    protocol="any pictures, also without contact",
+    protocol="any images, also without contact",
     excited_by=any_frame,
     taken_for=("gamma",),
     image=_image,

@@ -1,6 +1,6 @@
-"""Worn coat: a smooth spot of the picture that scatters less light than it did.
+"""Worn coat: a smooth spot of the image that scatters less light than it did.
 
-The spot is a Gaussian at a fixed place of the picture. A spot of the coat moves with the skin under
+The spot is a Gaussian at a fixed place of the image. A spot of the coat moves with the skin under
 contact; as long as that is less than its radius this makes little difference.
 """
 
@@ -37,7 +37,7 @@ EFFECT = Effect(
         EffectParameter("radius_rad", "rad", None, 0.1, 0.6, (0.3,)),
     ),
     channels=(IMAGE,),
-    protocol="pictures without contact, at commissioning and after wear",
+    protocol="images without contact, at commissioning and after wear",
     excited_by=any_frame,
     taken_for=("dust", "vignetting"),
     image=_image,

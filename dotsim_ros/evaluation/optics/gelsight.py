@@ -277,7 +277,7 @@ def gel_presses(
                 measured=press.image[None],
                 depth_m=view.depth_m[None],
                 normal=view.normal[None],
-                carried=image.carry(view)[None],
+                warped=image.warp(view)[None],
             )
         )
     return seen

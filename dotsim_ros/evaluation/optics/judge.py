@@ -32,7 +32,7 @@ class ImageModel(Protocol):
         """Return the images (F, H, W, 3) of a press; its measured ones are not read.
 
         Args:
-            press: depth, normals and carried images of the frames.
+            press: depth, normals and warped images of the frames.
             rest: of the gel untouched.
         """
 
@@ -49,18 +49,18 @@ class Idle:
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `ImageModel`."""
-        return np.broadcast_to(rest.idle, press.carried.shape).copy()
+        return np.broadcast_to(rest.idle, press.warped.shape).copy()
 
 
 @dataclass(frozen=True)
-class Carried:
-    """The idle image carried by the skin and shaded to first order, without anything learned."""
+class WarpedIdle:
+    """The idle image warped by the skin and shaded to first order, without anything learned."""
 
     name: str = "carried"
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `ImageModel`."""
-        return press.carried
+        return press.warped
 
 
 @dataclass(frozen=True)

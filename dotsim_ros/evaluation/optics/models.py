@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
 from dotsim_ros.code_version import version_of
-from dotsim_ros.evaluation.optics.judge import Carried, Factory, Idle, ImageModel
+from dotsim_ros.evaluation.optics.judge import Factory, Idle, ImageModel, WarpedIdle
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
@@ -113,7 +113,7 @@ def factory_of(
         case "idle" | "idle_refined":
             return lambda _train, _rest, _camera: Idle(name)
         case "carried":
-            return lambda _train, _rest, _camera: Carried()
+            return lambda _train, _rest, _camera: WarpedIdle()
         case "tacto" | "tacto_refined":
             return lambda t, r, c: tacto.fit(t, r, c, seed=settings.seed)
         case "taxim":

@@ -230,8 +230,8 @@ def evaluate_real_pair(
 ) -> dict[str, Any]:
     """Return the figures of the idle image and of the images of the presses that fit best.
 
-    Rows: `idle`; `carried_by_pattern`, the motion alone of the press whose pattern is most like the
-    measured one; `carried`, the motion alone of the press of least squared error of the image;
+    Rows: `idle`; `warped_by_pattern`, the motion alone of the press whose pattern is most like the
+    measured one; `warped`, the motion alone of the press of least squared error of the image;
     `shaded_by_pattern`, the first press with first-order shading; `shaded`, motion and shading of
     the press of least squared error.
 
@@ -264,14 +264,14 @@ def evaluate_real_pair(
     grid = search.grid()
     progress("fitting the press to the pattern")
     ball, view = search.best(
-        grid, lambda v: -pattern_likeness(search.carrying.carry(v), pair.pressed, inner)
+        grid, lambda v: -pattern_likeness(search.carrying.warp(v), pair.pressed, inner)
     )
-    rows["carried_by_pattern"] = row(search.carrying.carry(view), ball)
-    rows["shaded_by_pattern"] = row(search.shading.carry(view), ball)
+    rows["carried_by_pattern"] = row(search.carrying.warp(view), ball)
+    rows["shaded_by_pattern"] = row(search.shading.warp(view), ball)
     for name, renderer in (("carried", search.carrying), ("shaded", search.shading)):
         progress(f"fitting the press to the image, {name}")
-        ball, view = search.best(grid, lambda v, r=renderer: squared(r.carry(v)))  # type: ignore[misc]
-        rows[name] = row(renderer.carry(view), ball)
+        ball, view = search.best(grid, lambda v, r=renderer: squared(r.warp(v)))  # type: ignore[misc]
+        rows[name] = row(renderer.warp(view), ball)
     return {"rows": rows, "ball_radius_mm": 1e3 * BALL_RADIUS_M}
 
 

@@ -175,7 +175,7 @@ def optics_page(figures: Mapping[str, Any], sheets: Mapping[str, str]) -> str:
 
     Args:
         figures: of `evaluate_optics`, with ceiling and provenance.
-        sheets: path of the picture of a level, seen from the page.
+        sheets: path of the image of a level, seen from the page.
     """
     origin = figures["provenance"]
     parts = [f"# Images of {origin['data']}\n"]

@@ -134,7 +134,7 @@ class RowMaker:
         digest = hashlib.sha256(self.data.rest.idle.tobytes())
         for press in self.data.presses:
             digest.update(press.name.encode())
-            for array in (press.tip_depth_m, press.measured, press.depth_m, press.carried):
+            for array in (press.tip_depth_m, press.measured, press.depth_m, press.warped):
                 digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 

@@ -1,4 +1,4 @@
-"""The trajectories' table, its pictures, and what its figures mean."""
+"""The trajectories' table, its images, and what its figures mean."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from dotsim_ros.page import (
     Bullets,
     Gallery,
     Page,
-    Picture,
+    ReportImage,
     Section,
     Table,
+    image_of,
     page_figure,
-    picture_of,
 )
 from dotsim_ros.tasks.control.loop_recording import LoopRecording
 from dotsim_ros.tasks.control.safety import SafetyLimits
@@ -116,17 +116,17 @@ def draw_path(axes: Axes, path: str, recordings: Sequence[LoopRecording]) -> Non
         axes.set_aspect("equal", adjustable="datalim")
 
 
-def path_picture(path: str, recordings: Sequence[LoopRecording], *, name: str) -> Picture:
-    """Return the picture of a path for a report."""
+def path_image(path: str, recordings: Sequence[LoopRecording], *, name: str) -> ReportImage:
+    """Return the image of a path for a report."""
     with page_figure(*PANEL_INCHES) as figure:
         axes = figure.add_subplot()
         draw_path(axes, path, recordings)
         axes.set_title(path.replace("_", " "))
-        return picture_of(figure, name=name, alt=f"The path {path}: executed and reference")
+        return image_of(figure, name=name, alt=f"The path {path}: executed and reference")
 
 
 def write_grid(file: Path, recordings: Mapping[tuple[str, str], Sequence[LoopRecording]]) -> None:
-    """Write a picture of all paths in all settings, whole or not at all.
+    """Write an image of all paths in all settings, whole or not at all.
 
     Args:
         file: PNG.
@@ -147,12 +147,12 @@ def write_grid(file: Path, recordings: Mapping[tuple[str, str], Sequence[LoopRec
             figure.savefig(part, dpi=DOTS_PER_INCH)
 
 
-def trajectory_page(figures: Mapping[str, Any], picture: str) -> str:
+def trajectory_page(figures: Mapping[str, Any], image: str) -> str:
     """Return the page of the figures.
 
     Args:
         figures: as `trajectory_figures` gives them, with `provenance` and `plan`.
-        picture: of the paths, seen from the page.
+        image: of the paths, seen from the page.
     """
     settings = [name for name in SETTINGS if name in figures]
     rows = [
@@ -169,7 +169,7 @@ def trajectory_page(figures: Mapping[str, Any], picture: str) -> str:
         "the same places in every setting.",
         "\n".join(f"- **{setting}**: {SAYS[setting]}." for setting in settings),
         markdown_table(("setting", "path"), rows, COLUMNS),
-        f"![executed paths on the reference]({picture})",
+        f"![executed paths on the reference]({image})",
         "Grey: the path; yellow: the approach of the first "
         f"{APPROACH_S:g} s, which is not judged; coloured: the trials.",
         "## The motion against its limits",
@@ -205,7 +205,7 @@ def trajectory_page(figures: Mapping[str, Any], picture: str) -> str:
 def trial_report(
     row: Mapping[str, Any],
     limits: SafetyLimits,
-    picture: Picture,
+    image: ReportImage,
     *,
     path: str,
     policy: str,
@@ -217,11 +217,11 @@ def trial_report(
     Args:
         row: its figures, from `judge`.
         limits: that the motion is held against.
-        picture: of the path.
+        image: of the path.
         path, policy, sensor: names.
         origin: where it comes from.
     """
-    sections = [Section("Path", (Gallery((picture,)),), is_half=True)]
+    sections = [Section("Path", (Gallery((image,)),), is_half=True)]
     is_judged = "mean_error_mm" in row
     lead = f"Not judged: {row['ended']}."
     if is_judged:

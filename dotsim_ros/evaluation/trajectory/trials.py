@@ -177,11 +177,11 @@ def write_shifted(folder: Path, source: str) -> Path:
     x, y, z, w = camera["quaternion_xyzw"]
     tilted = FisheyeCamera.from_specification(replace(sensor.camera, quaternion_xyzw=(x, y, z, w)))
     seen = resample(read_idle_frame(idle, own).image, own, tilted)
-    picture = folder.absolute() / "shifted_idle.png"
-    write_image(picture, np.rint(DIMMED * seen).astype(np.uint8))
+    idle_file = folder.absolute() / "shifted_idle.png"
+    write_image(idle_file, np.rint(DIMMED * seen).astype(np.uint8))
     if idle.with_suffix(".yaml").is_file():
-        shutil.copyfile(idle.with_suffix(".yaml"), picture.with_suffix(".yaml"))
-    camera["idle_image"] = str(picture)
+        shutil.copyfile(idle.with_suffix(".yaml"), idle_file.with_suffix(".yaml"))
+    camera["idle_image"] = str(idle_file)
     path = folder / "shifted.yaml"
     with whole_file(path) as part:
         part.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")

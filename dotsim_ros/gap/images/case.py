@@ -1,4 +1,4 @@
-"""Measured pictures beside the twin's: the residuals and films of a set of trajectories."""
+"""Measured images beside the twin's: the residuals and films of a set of trajectories."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Active, Effect
-from dotsim_ros.gap.images.model import Film, TwinCamera, resized, resized_picture
+from dotsim_ros.gap.images.model import Film, TwinCamera, resized, resized_image
 from dotsim_ros.gap.images.reading import MeasuredImages
 from dotsim_ros.gap.images.tile_noise import contact_change
 from dotsim_ros.gap.images.tiles import TileMeter, tile_grid
@@ -25,7 +25,7 @@ WIDTH, HEIGHT = 320, 240
 
 @dataclass(frozen=True)
 class Shot:
-    """A trajectory's pictures beside the twin's, at the size of the tiles.
+    """A trajectory's images beside the twin's, at the size of the tiles.
 
     Attributes:
         name: of the trajectory.
@@ -44,7 +44,7 @@ class Shot:
     change: FloatArray
 
     def of_frames(self, frames: NDArray[np.integer]) -> Shot:
-        """Return some of the frames; the films keep how fast the picture moved there."""
+        """Return some of the frames; the films keep how fast the image moved there."""
         film = replace(
             self.film,
             stamp_s=self.film.stamp_s[frames],
@@ -63,7 +63,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class OpticalCase:
-    """All pictures of a data set beside the twin's.
+    """All images of a data set beside the twin's.
 
     Attributes:
         shots: `IDLE` first.
@@ -97,17 +97,17 @@ class OpticalCase:
 
 
 def optical_case(
-    pictures: MeasuredImages,
+    images: MeasuredImages,
     model: TwinCamera,
     skins: Mapping[str, FloatArray],
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> OpticalCase:
-    """Return measured pictures beside those of a model.
+    """Return measured images beside those of a model.
 
     Args:
-        pictures: as measured.
-        model: of the twin's pictures, at their size.
+        images: as measured.
+        model: of the twin's images, at their size.
         skins: (F, V, 3) of the sensor's skin by name of the trajectory; those that it lacks are
             left out.
         progress: told the trajectories.
@@ -115,18 +115,18 @@ def optical_case(
     # Loaded on use: it starts Warp.
     from dotsim_ros.optics.idle import lit_region
 
-    rest = resized_picture(model.idle.astype(np.float64), WIDTH, HEIGHT)
+    rest = resized_image(model.idle.astype(np.float64), WIDTH, HEIGHT)
     meter = TileMeter(tile_grid(lit_region(np.rint(rest).astype(np.uint8))), rest)
-    idles = np.stack([resized_picture(one, WIDTH, HEIGHT) for one in pictures.idle_images])
+    idles = np.stack([resized_image(one, WIDTH, HEIGHT) for one in images.idle_images])
     mean = idles.mean(axis=0, dtype=np.float64)[None]
     shots = [_shot(IDLE, None, mean, resized(model.idle_film(), WIDTH, HEIGHT), meter)]
-    known = [one for one in pictures.trajectories if one.recording.name in skins]
+    known = [one for one in images.trajectories if one.recording.name in skins]
     for number, one in enumerate(known):
         recording = one.recording
         film = model.film(
             skins[recording.name], recording.press.stamp_s, start_s=recording.session_s
         )
-        measured = np.stack([resized_picture(image, WIDTH, HEIGHT) for image in one.measured])
+        measured = np.stack([resized_image(image, WIDTH, HEIGHT) for image in one.measured])
         film = resized(film, WIDTH, HEIGHT)
         shots.append(_shot(recording.name, recording, measured, film, meter))
         if progress is not None:
@@ -149,8 +149,8 @@ def _shot(
 
 
 def excited(effects: Mapping[str, Effect], shots: Sequence[Shot]) -> tuple[list[Effect], list[str]]:
-    """Return the effects that act on pictures and that these excite, and the names of the others
-    that act on pictures."""
+    """Return the effects that act on images and that these excite, and the names of the others
+    that act on images."""
     optical = [effect for effect in effects.values() if effect.image is not None]
     recordings = [shot.recording for shot in shots if shot.recording is not None]
     found = [e for e in optical if any(e.excited_by(recording) for recording in recordings)]

@@ -1,4 +1,4 @@
-"""The rule of the pictures: which optical effects are named, how large they are, what is unknown.
+"""The rule of the images: which optical effects are named, how large they are, what is unknown.
 
 The best effect's signature is made anew at the size found (a secant instead of the probe's), its
 shape searched about the best probe. A second effect enters past the threshold and with a share of
@@ -63,7 +63,7 @@ class Fitted:
 
 @dataclass(frozen=True)
 class OpticalAnswer:
-    """What the rule makes of pictures.
+    """What the rule makes of images.
 
     Attributes:
         verdict: the answer.
@@ -95,10 +95,10 @@ class ImageSearch:
     """Looks for optical effects in some trajectories of a case.
 
     Args:
-        case: of all pictures.
+        case: of all images.
         shots: those to search.
         effects: to look for; all known to the null.
-        null: what pictures show where nothing is missing.
+        null: what images show where nothing is missing.
         alpha: probability of a name on data without any effect.
         seed: of the draws.
         signatures: of the effects on these shots, where they were made before.

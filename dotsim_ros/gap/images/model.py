@@ -1,9 +1,9 @@
 """What the twin's camera should see of measured trajectories, and what it did see.
 
-The picture of the calibrated gel is made by the frozen network from the twin's own idle frame, or
+The image of the calibrated gel is made by the frozen network from the twin's own idle frame, or
 from that of the unit's commissioning where there is one. The idle images that are searched are not
-used for it: whatever changed since then would be carried into every prediction and be seen no more.
-Optical effects act on these pictures.
+used for it: whatever changed since then would be warped into every prediction and be seen no more.
+Optical effects act on these images.
 
 Importing this loads neither Warp nor ONNX Runtime.
 """
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Film:
-    """Pictures of one trajectory, as the twin has them.
+    """Images of one trajectory, as the twin has them.
 
     Attributes:
         stamp_s: (F,) times of the frames, within the trajectory.
         session_s: (F,) times since the session's start.
         pixels: (F, H, W, 3) linear to the sensor's numbers, 0 to 255, not rounded.
-        flow_px_s: (F, H, W, 2) how fast the picture moves.
-        idle: (H, W, 3) the same camera's picture without contact.
+        flow_px_s: (F, H, W, 2) how fast the image moves.
+        idle: (H, W, 3) the same camera's image without contact.
         centre_px: (2,) x and y of the optical axis.
         focal_px: pixels a radian.
     """
@@ -76,28 +76,28 @@ def resized(film: Film, width: int, height: int) -> Film:
     return Film(
         film.stamp_s,
         film.session_s,
-        np.stack([resized_picture(one, width, height) for one in film.pixels]),
-        np.stack([np.float32(scale) * resized_picture(f, width, height) for f in film.flow_px_s]),
-        resized_picture(film.idle, width, height),
+        np.stack([resized_image(one, width, height) for one in film.pixels]),
+        np.stack([np.float32(scale) * resized_image(f, width, height) for f in film.flow_px_s]),
+        resized_image(film.idle, width, height),
         # The centre of the first pixel is (0, 0).
         scale * (film.centre_px + 0.5) - 0.5,
         scale * film.focal_px,
     )
 
 
-def resized_picture(picture: NDArray[Any], width: int, height: int) -> NDArray[Any]:
-    """Return a picture (H, W, C) of another size; each new pixel is the mean of what it covers."""
-    smaller = width < picture.shape[1]
+def resized_image(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
+    """Return an image (H, W, C) of another size; each new pixel is the mean of what it covers."""
+    smaller = width < image.shape[1]
     way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(picture, (width, height), interpolation=way))
+    return np.asarray(cv2.resize(image, (width, height), interpolation=way))
 
 
 class TwinCamera:
-    """Makes the pictures of skins with a sensor's calibrated camera and its frozen network.
+    """Makes the images of skins with a sensor's calibrated camera and its frozen network.
 
     Args:
-        sensor: the twin; without a network its picture is the carried one.
-        width, height: of the pictures.
+        sensor: the twin; without a network its image is the warped one.
+        width, height: of the images.
         idle: (H, W, 3) uint8 of that size, the unit's idle frame at its commissioning; None for the
             twin's own.
 
@@ -135,11 +135,11 @@ class TwinCamera:
         self._triangles = skin.triangles
         self._renderer = SkinRenderer(self.camera, skin)
         network = completion_network(sensor, self.camera)
-        residual = None
+        completion = None
         if network is not None:
             untouched = self._renderer.render(skin.rest_position_m)
-            residual = network.at_rest(untouched, self.idle)
-        self._residual = residual
+            completion = network.at_rest(untouched, self.idle)
+        self._completion = completion
         self._image = ImageRenderer(
             self.camera,
             skin,
@@ -159,11 +159,11 @@ class TwinCamera:
             stamp_s: (F,) times of the frames.
             start_s: time of the first frame since the session's start.
         """
-        pictures, flows = [], []
+        images, flows = [], []
         before: View | None = None
         for frame, position in enumerate(skin_position_m):
             view = self._renderer.render(position)
-            pictures.append(self._picture(view))
+            images.append(self._seen(view))
             if before is None:
                 flows.append(np.zeros((*view.triangle.shape, 2), dtype=np.float32))
             else:
@@ -171,7 +171,7 @@ class TwinCamera:
                 flows.append(flow_of(before, view, self._triangles) / np.float32(lapse_s))
             before = view
         return self._film(
-            stamp_s, start_s + (stamp_s - stamp_s[0]), np.stack(pictures), np.stack(flows)
+            stamp_s, start_s + (stamp_s - stamp_s[0]), np.stack(images), np.stack(flows)
         )
 
     def idle_film(self) -> Film:
@@ -197,12 +197,12 @@ class TwinCamera:
             self.camera.focal_px,
         )
 
-    def _picture(self, view: View) -> Float32Array:
-        carried = self._image.carry(view)
-        picture = carried.astype(np.float32)
-        if self._residual is not None:
-            picture = picture + self._residual(view, carried)
-        return np.clip(picture, np.float32(0.0), np.float32(255.0))
+    def _seen(self, view: View) -> Float32Array:
+        warped = self._image.warp(view)
+        image = warped.astype(np.float32)
+        if self._completion is not None:
+            image = image + self._completion(view, warped)
+        return np.clip(image, np.float32(0.0), np.float32(255.0))
 
 
 def flow_of(before: View, view: View, triangles: NDArray[np.integer]) -> Float32Array:

@@ -1,9 +1,9 @@
-"""What pictures show where nothing is missing: the file that thresholds of the images come from.
+"""What images show where nothing is missing: the file that thresholds of the images come from.
 
 It holds the covariance of the tiles, the sizes that the model's own error gives each effect, and
-how far whole trajectories lie from what the covariance says. It is made from pictures in which
+how far whole trajectories lie from what the covariance says. It is made from images in which
 nothing is wrong (`dotsim_ros find-gap --fit-optical-noise`); a file made with one sensor serves
-another's pictures as a guess, each of whose tiles takes the deviations of the nearest one.
+another's images as a guess, each of whose tiles takes the deviations of the nearest one.
 """
 
 from __future__ import annotations
@@ -54,14 +54,14 @@ class SpuriousSize:
 
 @dataclass(frozen=True)
 class OpticalNull:
-    """What pictures show where nothing is missing.
+    """What images show where nothing is missing.
 
     Attributes:
         noise: covariance of the tiles.
         spurious: of the effects' sizes.
         excess: (J,) mean square of the whitened residual of each trajectory, by the covariance of
             the others.
-        sensor: whose pictures it was told from.
+        sensor: whose images it was told from.
         source: which ones, in words.
     """
 
@@ -111,7 +111,7 @@ class OpticalNull:
 
         Args:
             effects: with an image hook.
-            case: pictures in which nothing is wrong.
+            case: images in which nothing is wrong.
         """
         shots = [shot for shot in case.shots if shot.name != IDLE]
         signatures = signatures_of(effects, [shot.film for shot in shots], case.meter)
@@ -189,13 +189,13 @@ def fit_optical_null(
     signatures: Mapping[str, Sequence[Signature]] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> OpticalNull:
-    """Return what pictures show in which nothing is wrong.
+    """Return what images show in which nothing is wrong.
 
     Args:
-        case: the pictures; the idle images give the camera's noise alone.
+        case: the images; the idle images give the camera's noise alone.
         effects: those with an image hook are fitted.
         sensor: name of the sensor.
-        source: what the pictures are, in words.
+        source: what the images are, in words.
         signatures: of the effects on the trajectories, where they were made before.
         progress: told the trajectories.
 

@@ -1,4 +1,4 @@
-"""Reads the pictures of a data set for the gap finder, and says what of them cannot be used."""
+"""Reads the images of a data set for the gap finder, and says what of them cannot be used."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.gap.images.model import resized_picture
+from dotsim_ros.gap.images.model import resized_image
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
@@ -21,7 +21,7 @@ from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, PoseChannel, Topics, read_trajectory
 
-MOST_PICTURES = 300
+MOST_IMAGES = 300
 """Of a data set; trajectories are thinned evenly to come to no more."""
 LEAST_FRAMES = 4
 """Of a trajectory that is thinned."""
@@ -30,19 +30,19 @@ ALIKE = 0.5
 """Correlation of the pattern of two idle frames of one unit; those of two units have 0.2 to 0.3 at
 the best shift, those of one 0.9 and more, and a camera that has moved, dimmed or worn keeps it."""
 TILES = (8, 6)
-"""Columns and rows of the pieces of a picture whose patterns are compared."""
+"""Columns and rows of the pieces of an image whose patterns are compared."""
 REACH_SHARE = 0.04
-"""How far pieces may have moved, of the picture's height: a tilt of 3 degrees."""
+"""How far pieces may have moved, of the image's height: a tilt of 3 degrees."""
 FINE_PX = 6.0
-"""The pattern is what is finer than this blur, in a picture 240 px high."""
+"""The pattern is what is finer than this blur, in an image 240 px high."""
 
 
 @dataclass(frozen=True)
 class ImageTrajectory:
-    """A trajectory with pictures.
+    """A trajectory with images.
 
     Attributes:
-        recording: the motion at the pictures' times; force as far as it was measured, no skin.
+        recording: the motion at the images' times; force as far as it was measured, no skin.
         measured: (F, H, W, 3) uint8.
     """
 
@@ -57,7 +57,7 @@ class MeasuredImages:
     Attributes:
         directory: of the data set.
         idle_images: (N, H, W, 3) uint8 without contact.
-        trajectories: with pictures of the same size, in the order of the index.
+        trajectories: with images of the same size, in the order of the index.
         warnings: what was left out, and why.
         digest: of all that was read.
     """
@@ -74,7 +74,7 @@ class MeasuredImages:
         return np.rint(self.idle_images.mean(axis=0)).astype(np.uint8)
 
 
-def has_pictures(directory: str | Path) -> tuple[bool, bool]:
+def holds_images(directory: str | Path) -> tuple[bool, bool]:
     """Return whether a data set says that its bags hold images, and whether it has idle images.
 
     Raises:
@@ -84,7 +84,7 @@ def has_pictures(directory: str | Path) -> tuple[bool, bool]:
     return any(entry.has_images for entry in data_set.entries), bool(data_set.idle_images())
 
 
-def read_pictures(
+def read_images(
     directory: str | Path,
     *,
     skin: SkinMesh,
@@ -92,18 +92,18 @@ def read_pictures(
     names: Sequence[str] | None = None,
     topics: Topics = MEASURED_TOPICS,
 ) -> MeasuredImages:
-    """Read the pictures of a data set.
+    """Read the images of a data set.
 
     Args:
         directory: the folder that holds dataset.yaml.
         skin: of the twin, at rest.
         indenters: folder of the indenters' meshes; None as `find_indenter`.
-        names: of the trajectories to read; None for all with pictures.
+        names: of the trajectories to read; None for all with images.
         topics: where the channels lie.
 
     Raises:
         FileNotFoundError: no data set there.
-        ValueError: no idle image, one that shows a contact, or no trajectory with pictures.
+        ValueError: no idle image, one that shows a contact, or no trajectory with images.
     """
     # Loaded on use: they start Warp.
     from dotsim_ros.optics.idle_check import mean_idle_image, read_idle_images
@@ -126,10 +126,10 @@ def read_pictures(
                 digest.update(one.measured.tobytes())
             session_s += _duration_s(entry, topics)
         except (FileNotFoundError, ValueError) as error:
-            warnings.append(f"the pictures of {entry.name} were left out: {error}")
+            warnings.append(f"the images of {entry.name} were left out: {error}")
     if not found:
         raise ValueError(
-            f"no trajectory of {data_set.directory} has pictures that can be used; record the "
+            f"no trajectory of {data_set.directory} has images that can be used; record the "
             "camera's images beside the poses, and say 'images: true' in the index"
             + "".join(f"; {text}" for text in warnings)
         )
@@ -138,22 +138,22 @@ def read_pictures(
     )
 
 
-def resized_pictures(pictures: MeasuredImages, width: int, height: int) -> MeasuredImages:
-    """Return the same pictures at another size."""
-    if pictures.idle_images.shape[1:3] == (height, width):
-        return pictures
+def resized_images(images: MeasuredImages, width: int, height: int) -> MeasuredImages:
+    """Return the same images at another size."""
+    if images.idle_images.shape[1:3] == (height, width):
+        return images
     return replace(
-        pictures,
-        idle_images=_resized(pictures.idle_images, width, height),
+        images,
+        idle_images=_resized(images.idle_images, width, height),
         trajectories=tuple(
             replace(one, measured=_resized(one.measured, width, height))
-            for one in pictures.trajectories
+            for one in images.trajectories
         ),
     )
 
 
 def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> None:
-    """Refuse pictures of another unit: the pattern of the coat is each unit's own.
+    """Refuse images of another unit: the pattern of the coat is each unit's own.
 
     Args:
         idle: (H, W, 3) of the twin or of the commissioning.
@@ -178,8 +178,8 @@ def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> No
 
 
 def pattern_likeness(one: ImageArray, other: ImageArray) -> float:
-    """Return how alike the patterns of two pictures (H, W, 3) are: the median, over pieces of the
-    picture, of their correlation at the best shift."""
+    """Return how alike the patterns of two images (H, W, 3) are: the median, over pieces of the
+    image, of their correlation at the best shift."""
     first, second = _fine(one), _fine(other)
     height, width = first.shape
     reach = max(1, round(REACH_SHARE * height))
@@ -198,10 +198,10 @@ def pattern_likeness(one: ImageArray, other: ImageArray) -> float:
     return float(np.median(found)) if found else 0.0
 
 
-def _fine(picture: ImageArray) -> NDArray[np.float32]:
-    """Return (H, W) what is fine in a picture, relative to its brightness; 0 where it is dark."""
-    grey = picture.mean(axis=2).astype(np.float32)
-    size_px = FINE_PX * picture.shape[0] / 240.0
+def _fine(image: ImageArray) -> NDArray[np.float32]:
+    """Return (H, W) what is fine in an image, relative to its brightness; 0 where it is dark."""
+    grey = image.mean(axis=2).astype(np.float32)
+    size_px = FINE_PX * image.shape[0] / 240.0
     level = cv2.GaussianBlur(grey, (0, 0), size_px)
     fine = grey - level
     fine[level < 0.1 * level.max()] = 0.0
@@ -211,13 +211,13 @@ def _fine(picture: ImageArray) -> NDArray[np.float32]:
 def _most_frames(counts: Sequence[int]) -> int:
     """Return to how many frames each trajectory is thinned; 0 stands for a count that is not
     known."""
-    if all(counts) and sum(counts) <= MOST_PICTURES:
-        return MOST_PICTURES
-    return max(LEAST_FRAMES, MOST_PICTURES // max(len(counts), 1))
+    if all(counts) and sum(counts) <= MOST_IMAGES:
+        return MOST_IMAGES
+    return max(LEAST_FRAMES, MOST_IMAGES // max(len(counts), 1))
 
 
-def _resized(pictures: ImageArray, width: int, height: int) -> ImageArray:
-    return np.stack([resized_picture(one, width, height) for one in pictures])
+def _resized(images: ImageArray, width: int, height: int) -> ImageArray:
+    return np.stack([resized_image(one, width, height) for one in images])
 
 
 def _duration_s(entry: DataSetEntry, topics: Topics) -> float:

@@ -1,4 +1,4 @@
-"""Which optical effect explains how measured pictures differ from the twin's: a score of each.
+"""Which optical effect explains how measured images differ from the twin's: a score of each.
 
 Observables, signatures and nuisances are whitened by the covariance of tiles (`TileNoise`) and
 freed from the nuisances: those without a prior are projected out, those with one weigh as a normal
@@ -181,7 +181,7 @@ def signature_blocks(effect: Effect, film: Film, meter: TileMeter) -> list[Float
 
     Args:
         effect: with an image hook.
-        film: the twin's pictures.
+        film: the twin's images.
         meter: that compares.
     """
     probes = probes_of(effect)
@@ -202,7 +202,7 @@ def signatures_of(
 
     Args:
         effects: those without an image hook are left out.
-        films: the twin's pictures of the trajectories.
+        films: the twin's images of the trajectories.
         meter: that compares.
     """
     optical = [effect for effect in effects if effect.image is not None]
@@ -241,7 +241,7 @@ def camera_nuisances(films: Iterable[Film], meter: TileMeter) -> tuple[CameraNui
 
 
 class OpticalSearch:
-    """Scores optical effects on the pictures of one set of trajectories.
+    """Scores optical effects on the images of one set of trajectories.
 
     What the residual does not enter is worked out once.
 

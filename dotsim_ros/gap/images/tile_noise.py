@@ -1,6 +1,6 @@
-"""How far tiles of measured pictures lie from the twin's where no effect is missing.
+"""How far tiles of measured images lie from the twin's where no effect is missing.
 
-Two parts: the camera's noise, told from repeats, and the model's own error, told from pictures of
+Two parts: the camera's noise, told from repeats, and the model's own error, told from images of
 trajectories that nothing was fitted to and in which nothing is wrong. An observable's deviation is
 that of its tile at rest, and grows with what the contact changes there: a model errs where there
 is something to predict. Errors of one channel are partly white, partly shared by neighbouring tiles
@@ -108,7 +108,7 @@ def contact_change(change: FloatArray) -> FloatArray:
     shifts, that of the two shifts.
 
     Args:
-        change: (F, T, 6) observables of predicted pictures against the idle frame.
+        change: (F, T, 6) observables of predicted images against the idle frame.
     """
     result = np.empty_like(change)
     result[..., : SHIFTS.start] = _rms(change[..., COLOURS])

@@ -1,11 +1,11 @@
-"""What of two pictures is compared: the tiles of a grid inside the lit disc, with sign and place.
+"""What of two images is compared: the tiles of a grid inside the lit disc, with sign and place.
 
 Of each tile six numbers: the difference of the mean red, green and blue, that of the sharpness, and
 the way in x and y that the pattern has moved. The way is the least-squares answer of the difference
 to the reference's gradient (Lucas and Kanade, "An iterative image registration technique with an
 application to stereo vision", 1981), fitted together with a gain and an offset of the tile, so that
 brightness is not taken for motion. All but the sharpness are linear in the difference of the
-pictures.
+images.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ SHARPNESS = 3
 SHIFTS = slice(4, 6)
 
 RIM_PX = 4
-"""Pixels closer to the rim of the lit disc belong to no tile, in a picture up to 240 px high: what
+"""Pixels closer to the rim of the lit disc belong to no tile, in an image up to 240 px high: what
 is beyond the rim is dark, and the blur reaches it. In larger ones in proportion."""
 REFERENCE_HEIGHT = 240
 LEAST_SHARE = 0.5
 """A tile of which less is inside has no place in the grid."""
 SMOOTHING_PX = 1.0
 """Deviation of the blur before anything is differentiated, against the noise of single pixels."""
-NOISE_PRIOR_PICTURES = 4.0
-"""Weight, in pictures, of the noise of all tiles in that of one."""
+NOISE_PRIOR_IMAGES = 4.0
+"""Weight, in images, of the noise of all tiles in that of one."""
 
 
 @dataclass(frozen=True)
@@ -57,12 +57,12 @@ class TileGrid:
         """Return T."""
         return len(self.count)
 
-    def mean(self, picture: NDArray[np.generic]) -> FloatArray:
-        """Return (T, ...) the mean over each tile of a picture (H, W, ...)."""
-        values = picture.reshape(self.tile.size, -1)[self._order].astype(np.float64)
+    def mean(self, image: NDArray[np.generic]) -> FloatArray:
+        """Return (T, ...) the mean over each tile of an image (H, W, ...)."""
+        values = image.reshape(self.tile.size, -1)[self._order].astype(np.float64)
         first = np.concatenate([[0], np.cumsum(self.count[:-1])])
         means = np.add.reduceat(values, first, axis=0) / self.count[:, None]
-        return np.asarray(means.reshape(len(self), *picture.shape[2:]))
+        return np.asarray(means.reshape(len(self), *image.shape[2:]))
 
     @cached_property
     def _order(self) -> IntArray:
@@ -72,7 +72,7 @@ class TileGrid:
 
 
 def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
-    """Return the tiles of an even grid over a picture, as far as they lie in the lit disc.
+    """Return the tiles of an even grid over an image, as far as they lie in the lit disc.
 
     Args:
         lit: (H, W) the lit disc.
@@ -83,7 +83,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
     """
     height, width = lit.shape
     rim = RIM_PX * max(height / REFERENCE_HEIGHT, 1.0)
-    # Beyond the picture's edge the disc goes on.
+    # Beyond the image's edge the disc goes on.
     padded = cv2.copyMakeBorder(lit.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     inside = distance > rim
@@ -95,7 +95,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
     if not kept.any():
         raise ValueError(
             f"no tile of {columns} x {rows} lies in the lit disc of {int(lit.sum())} pixels of "
-            f"{width}x{height}; expected pictures of the lit gel"
+            f"{width}x{height}; expected images of the lit gel"
         )
     new = np.where(kept, np.cumsum(kept) - 1, -1)
     tile = np.where(inside, new[number], -1).astype(np.int64)
@@ -106,7 +106,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
 
 @dataclass(frozen=True)
 class _Reference:
-    """What comparing with one reference takes that the picture does not enter.
+    """What comparing with one reference takes that the image does not enter.
 
     Attributes:
         colour: (T, 3) mean of each tile.
@@ -125,7 +125,7 @@ class _Reference:
 
 @dataclass(frozen=True)
 class TileMeter:
-    """Compares pictures tile by tile, all against one idle frame.
+    """Compares images tile by tile, all against one idle frame.
 
     Args:
         grid: the tiles.
@@ -145,28 +145,28 @@ class TileMeter:
                 "the tiles"
             )
 
-    def colour(self, pictures: NDArray[np.generic]) -> FloatArray:
-        """Return (F, T, 3) mean colours, levels, of pictures (F, H, W, 3)."""
-        return np.stack([self.grid.mean(picture) for picture in pictures])
+    def colour(self, images: NDArray[np.generic]) -> FloatArray:
+        """Return (F, T, 3) mean colours, levels, of images (F, H, W, 3)."""
+        return np.stack([self.grid.mean(image) for image in images])
 
-    def sharpness(self, pictures: NDArray[np.generic]) -> FloatArray:
-        """Return (F, T) the deviation of the Laplacian of pictures (F, H, W, 3), over the idle
+    def sharpness(self, images: NDArray[np.generic]) -> FloatArray:
+        """Return (F, T) the deviation of the Laplacian of images (F, H, W, 3), over the idle
         frame's."""
         rest = self._detail(_smooth_grey(self.idle))
-        return np.stack([self._detail(_smooth_grey(picture)) / rest for picture in pictures])
+        return np.stack([self._detail(_smooth_grey(image)) / rest for image in images])
 
     def difference(
-        self, pictures: NDArray[np.generic], references: NDArray[np.generic]
+        self, images: NDArray[np.generic], references: NDArray[np.generic]
     ) -> FloatArray:
-        """Return (F, T, 6) the observables `NAMES` of pictures against references.
+        """Return (F, T, 6) the observables `NAMES` of images against references.
 
         Args:
-            pictures, references: (F, H, W, 3).
+            images, references: (F, H, W, 3).
 
         Raises:
             ValueError: their shapes differ from each other or from the grid.
         """
-        return self.differences([pictures], references)[0]
+        return self.differences([images], references)[0]
 
     def differences(
         self, several: Sequence[NDArray[np.generic]], references: NDArray[np.generic]
@@ -180,70 +180,70 @@ class TileMeter:
         Raises:
             ValueError: as `difference`.
         """
-        for pictures in several:
-            if pictures.shape != references.shape or pictures.shape[1:] != self.idle.shape:
+        for images in several:
+            if images.shape != references.shape or images.shape[1:] != self.idle.shape:
                 raise ValueError(
-                    f"pictures of shape {pictures.shape} against {references.shape}, expected (F, "
+                    f"images of shape {images.shape} against {references.shape}, expected (F, "
                     f"{', '.join(map(str, self.idle.shape))}) of both"
                 )
         rest = self._detail(_smooth_grey(self.idle))
         results = [np.empty((len(references), len(self.grid), len(NAMES))) for _ in several]
-        for frame, picture in enumerate(references):
-            reference = self._reference(picture)
-            for pictures, result in zip(several, results, strict=True):
-                grey = _smooth_grey(pictures[frame])
+        for frame, image in enumerate(references):
+            reference = self._reference(image)
+            for images, result in zip(several, results, strict=True):
+                grey = _smooth_grey(images[frame])
                 products = reference.terms * (grey - reference.grey)[..., None]
                 motion = np.einsum("tij,tj->ti", reference.solve, self.grid.mean(products))
-                result[frame, :, COLOURS] = self.grid.mean(pictures[frame]) - reference.colour
+                result[frame, :, COLOURS] = self.grid.mean(images[frame]) - reference.colour
                 result[frame, :, SHARPNESS] = (self._detail(grey) - reference.detail) / rest
                 result[frame, :, SHIFTS] = motion
         return results
 
-    def _reference(self, picture: NDArray[np.generic]) -> _Reference:
-        grey = _smooth_grey(picture)
+    def _reference(self, image: NDArray[np.generic]) -> _Reference:
+        grey = _smooth_grey(image)
         slope_y, slope_x = np.gradient(grey)
         # What moves by d looks at x - d: the difference is -d . gradient.
         terms = np.stack([-slope_x, -slope_y, grey, np.ones_like(grey)], axis=-1)
         normal = self.grid.mean(terms[..., :, None] * terms[..., None, :])
         # A tile without texture tells no motion: none is found there.
         inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-9), dtype=np.float64)
-        return _Reference(self.grid.mean(picture), grey, self._detail(grey), terms, inverse[:, :2])
+        return _Reference(self.grid.mean(image), grey, self._detail(grey), terms, inverse[:, :2])
 
     def _detail(self, smooth_grey: FloatArray) -> FloatArray:
-        """Return (T,) the deviation of the Laplacian of a smoothed grey picture (H, W)."""
+        """Return (T,) the deviation of the Laplacian of a smoothed grey image (H, W)."""
         laplacian = cv2.Laplacian(smooth_grey, cv2.CV_64F)
         mean, square = self.grid.mean(np.stack([laplacian, laplacian**2], axis=-1)).T
         # A tile without any texture keeps a finite ratio.
         return np.sqrt(np.maximum(square - mean**2, 1e-6))
 
     def noise(self, repeats: NDArray[np.generic]) -> FloatArray:
-        """Return (T, 6) the deviation of the observables of one picture by the camera's noise.
+        """Return (T, 6) the deviation of the observables of one image by the camera's noise.
 
         Each tile's is estimated together with that of all tiles, which weigh as much as
-        `NOISE_PRIOR_PICTURES` pictures: of a few pictures alone it would be off by a third.
+        `NOISE_PRIOR_IMAGES` images: of a few images alone it would be off by a third.
 
         Args:
             repeats: (N, H, W, 3) of one scene.
 
         Raises:
-            ValueError: fewer than two pictures.
+            ValueError: fewer than two images.
         """
         if len(repeats) < 2:
             raise ValueError(
-                f"noise from {len(repeats)} pictures, expected two at least of the same scene; "
+                f"noise from {len(repeats)} images, expected two at least of the same scene; "
                 "record several idle images"
             )
         mean = repeats.mean(axis=0, dtype=np.float64)
         found = self.difference(repeats, np.broadcast_to(mean, repeats.shape))
-        # A mean of noisy pictures has less detail than any of them: spread, not distance.
+        # A mean of noisy images has less detail than any of them: spread, not distance.
         spread = np.sum((found - found.mean(axis=0)) ** 2, axis=0)
         freedom = len(repeats) - 1.0
         pooled = (spread / freedom).mean(axis=0)
-        prior = NOISE_PRIOR_PICTURES
+        prior = NOISE_PRIOR_IMAGES
         return np.sqrt((spread + prior * pooled) / (freedom + prior))
 
 
-def _smooth_grey(picture: NDArray[np.generic]) -> FloatArray:
-    """Return the mean of a picture's colours (H, W), smoothed."""
-    grey = picture.astype(np.float64) @ np.full(3, 1.0 / 3.0)
+def _smooth_grey(image: NDArray[np.generic]) -> FloatArray:
+    """Return the mean of an image's colours (H, W), smoothed."""
+    grey = image.astype(np.float64) @ np.full(3, 1.0 / 3.0)
     return np.asarray(cv2.GaussianBlur(grey, (0, 0), SMOOTHING_PX), dtype=np.float64)

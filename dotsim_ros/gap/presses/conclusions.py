@@ -185,7 +185,7 @@ def _skins(
     try:
         without, with_effects = search.case.solver.run(requests)
     except SolveError as error:
-        search.warnings.append(f"no picture of {recording.name}: {error}")
+        search.warnings.append(f"no image of {recording.name}: {error}")
         return None
     return without.skin_position_m, with_effects.skin_position_m
 

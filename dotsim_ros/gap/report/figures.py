@@ -1,4 +1,4 @@
-"""Pictures of a gap's report, each narrow enough for a phone."""
+"""Images of a gap's report, each narrow enough for a phone."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.findings import ChannelGap, Findings, WorstFrame
 from dotsim_ros.gap.report.places import PlaceTable, strongest
 from dotsim_ros.gap.report.text import shown, shown_unit
-from dotsim_ros.page import LARGEST_WIDTH_INCHES, Picture, page_figure, picture_of
-from dotsim_ros.view.pictures import SKIN_COLOURS
+from dotsim_ros.page import LARGEST_WIDTH_INCHES, ReportImage, image_of, page_figure
+from dotsim_ros.view.panels import SKIN_COLOURS
 from dotsim_ros.view.skin_map import SkinMap
 
 STAGE_COLOURS = {
@@ -31,7 +31,7 @@ _MAP_INCHES = (1.75, 2.3)
 _LONGEST_LABEL = 22
 
 
-def gap_bars(gap: ChannelGap, stages: tuple[str, ...]) -> Picture:
+def gap_bars(gap: ChannelGap, stages: tuple[str, ...]) -> ReportImage:
     """Return a channel's RMS at some stages, keys of `STAGE_COLOURS`."""
     values = [shown(getattr(gap, stage), gap.unit) for stage in stages]
     with page_figure(LARGEST_WIDTH_INCHES, 0.6 + 0.24 * len(stages)) as figure:
@@ -45,10 +45,10 @@ def gap_bars(gap: ChannelGap, stages: tuple[str, ...]) -> Picture:
         alt = f"{gap.channel}, RMS in {shown_unit(gap.unit)}: " + ", ".join(
             f"{stage} {value:.3g}" for stage, value in zip(stages, values, strict=True)
         )
-        return picture_of(figure, name=f"gap_{gap.channel}", alt=alt)
+        return image_of(figure, name=f"gap_{gap.channel}", alt=alt)
 
 
-def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> Picture:
+def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportImage:
     """Return a table of residuals as colours and numbers.
 
     Args:
@@ -80,10 +80,10 @@ def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> Picture:
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
         figure.suptitle(title)
-        return picture_of(figure, name=name, alt=f"{title}: {_strongest(table, values)}")
+        return image_of(figure, name=name, alt=f"{title}: {_strongest(table, values)}")
 
 
-def ranking(findings: Findings) -> Picture | None:
+def ranking(findings: Findings) -> ReportImage | None:
     """Return scores of the candidates over the threshold, or None where none was scored."""
     scored = [c for c in findings.candidates if c.is_excited][:MOST_CANDIDATES]
     if not scored:
@@ -113,10 +113,10 @@ def ranking(findings: Findings) -> Picture | None:
         alt = f"Scores against the threshold {findings.threshold:.3g}: " + ", ".join(
             f"{candidate.name} {candidate.score:.3g}" for candidate in scored
         )
-        return picture_of(figure, name="ranking", alt=alt)
+        return image_of(figure, name="ranking", alt=alt)
 
 
-def worst_frame(worst: WorstFrame, *, with_after: bool) -> tuple[Picture, ...]:
+def worst_frame(worst: WorstFrame, *, with_after: bool) -> tuple[ReportImage, ...]:
     """Return the skin of the worst frame seen from above, and where each model misses it.
 
     Args:
@@ -132,23 +132,23 @@ def worst_frame(worst: WorstFrame, *, with_after: bool) -> tuple[Picture, ...]:
     motion |= {name: _distance_mm(skin, rest) for name, skin in models.items()}
     miss = {name: _distance_mm(skin, measured) for name, skin in models.items()}
     largest_motion, largest_miss = _largest(motion), _largest(miss)
-    pictures = [
+    images = [
         _skin(skin_map, values, largest_motion, SKIN_COLOURS, name, f"Motion, {name}")
         for name, values in motion.items()
     ]
-    pictures += [
+    images += [
         _skin(skin_map, values, largest_miss, MISFIT_COLOURS, f"misfit_{name}", f"Misfit, {name}")
         for name, values in miss.items()
     ]
-    return tuple(pictures)
+    return tuple(images)
 
 
 def _skin(
     skin_map: SkinMap, values_mm: FloatArray, largest_mm: float, colours: str, name: str, title: str
-) -> Picture:
+) -> ReportImage:
     with page_figure(*_MAP_INCHES) as figure:
         axes = figure.add_subplot()
-        picture = axes.imshow(
+        image = axes.imshow(
             skin_map.raster(values_mm),
             vmin=0.0,
             vmax=largest_mm,
@@ -156,12 +156,12 @@ def _skin(
         )
         axes.set_axis_off()
         axes.set_title(title)
-        figure.colorbar(picture, ax=axes, orientation="horizontal", label="mm", shrink=0.9)
+        figure.colorbar(image, ax=axes, orientation="horizontal", label="mm", shrink=0.9)
         alt = (
             f"{title} of the skin seen from above: up to {np.nanmax(values_mm):.3g} mm, RMS "
             f"{np.sqrt(np.nanmean(values_mm**2)):.3g} mm"
         )
-        return picture_of(figure, name=f"worst_{name}", alt=alt)
+        return image_of(figure, name=f"worst_{name}", alt=alt)
 
 
 def _distance_mm(one_m: ArrayLike, other_m: ArrayLike) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The sections of a gap's report on the pictures."""
+"""The sections of a gap's report on the images."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from dotsim_ros.page import (
     Bullets,
     Gallery,
     Paragraph,
-    Picture,
+    ReportImage,
     Section,
     Table,
+    image_of,
     page_figure,
-    picture_of,
 )
 
 STAGES = ("before", "recalibrated", "after", "floor")
@@ -35,31 +35,31 @@ _MARKER = 330.0
 """Area of a tile's square, square points: tiles of an 8 x 6 grid touch each other."""
 
 
-def picture_sections(f: OpticalFindings, effects: Mapping[str, Effect]) -> tuple[Section, ...]:
-    """Return the sections on the pictures: what they told, where, and the effects that were tried.
+def image_sections(f: OpticalFindings, effects: Mapping[str, Effect]) -> tuple[Section, ...]:
+    """Return the sections on the images: what they told, where, and the effects that were tried.
 
     Args:
-        f: what was found in the pictures.
+        f: what was found in the images.
         effects: the library, by name.
     """
     if f.verdict is Verdict.UNUSABLE:
         return (Section("Images", (Paragraph(f.sentence),)),)
     blocks: list[Block] = [Bullets(tuple(_items(f)))]
-    pictures = []
+    images = []
     if f.gap is not None:
         stages = STAGES if f.named else tuple(stage for stage in STAGES if stage != "after")
-        pictures.append(gap_bars(f.gap, stages))
+        images.append(gap_bars(f.gap, stages))
     if f.tiles:
-        pictures.append(tile_map(f.tiles, "before"))
+        images.append(tile_map(f.tiles, "before"))
         if f.named:
-            pictures.append(tile_map(f.tiles, "after"))
-    if pictures:
+            images.append(tile_map(f.tiles, "after"))
+    if images:
         text = (
             "Colours of the tiles, measured minus simulated; recalibrated: with one gain and one "
             "black level of the camera. The maps show the RMS of colours, sharpness and shift of "
             "each tile in expected deviations, +x to the right and +y down."
         )
-        blocks += [Gallery(tuple(pictures)), Paragraph(text)]
+        blocks += [Gallery(tuple(images)), Paragraph(text)]
     sections = [Section("Images", tuple(blocks))]
     tried = [c for c in f.candidates if c.is_excited]
     if tried:
@@ -83,8 +83,8 @@ def picture_sections(f: OpticalFindings, effects: Mapping[str, Effect]) -> tuple
     return tuple(sections)
 
 
-def tile_map(tiles: tuple[TileGap, ...], stage: str) -> Picture:
-    """Return the tiles of the picture in colours and numbers, at "before" or "after"."""
+def tile_map(tiles: tuple[TileGap, ...], stage: str) -> ReportImage:
+    """Return the tiles of the image in colours and numbers, at "before" or "after"."""
     values = [getattr(tile, stage) for tile in tiles]
     largest = max(4.0, *(tile.before for tile in tiles))
     with page_figure(LARGEST_WIDTH_INCHES, _MAP_INCHES) as figure:
@@ -117,7 +117,7 @@ def tile_map(tiles: tuple[TileGap, ...], stage: str) -> Picture:
         axes.set_title(f"Tiles, {stage}")
         strongest = max(values)
         alt = f"RMS of the tiles of the image, {stage}: {min(values):.2g} to {strongest:.2g}"
-        return picture_of(figure, name=f"tiles_{stage}", alt=alt)
+        return image_of(figure, name=f"tiles_{stage}", alt=alt)
 
 
 def _items(f: OpticalFindings) -> list[str]:
@@ -126,7 +126,7 @@ def _items(f: OpticalFindings) -> list[str]:
         f"Largest score {f.statistic:.3g} against a threshold of {f.threshold:.3g}; mean square "
         f"of the residual {f.excess:.3g} of what is expected, with up to {f.largest_excess:.3g} "
         "where nothing is missing.",
-        f"{f.frame_count} pictures; thresholds from {f.noise_source}.",
+        f"{f.frame_count} images; thresholds from {f.noise_source}.",
     ]
     if f.share_closed is not None:
         low, high = percent(f.share_closed_low), percent(f.share_closed_high)

@@ -45,7 +45,7 @@ def by_phase(places: Sequence[ResidualPlace]) -> PlaceTable:
 
 def by_trajectory(places: Sequence[ResidualPlace]) -> PlaceTable:
     """Return residuals of each trajectory, by channel and region; by channel alone where there are
-    more regions than a narrow picture can show."""
+    more regions than a narrow image can show."""
     where = _wheres(places)
     if len(where) > MOST_COLUMNS:
         where = [(channel, ALL) for channel in dict.fromkeys(channel for channel, _ in where)]

@@ -9,7 +9,7 @@ from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, Findings, ResidualPlace, Verdict
 from dotsim_ros.gap.report.figures import gap_bars, heatmap, ranking, worst_frame
-from dotsim_ros.gap.report.images import picture_sections
+from dotsim_ros.gap.report.images import image_sections
 from dotsim_ros.gap.report.places import ALL, by_phase, by_trajectory
 from dotsim_ros.gap.report.text import (
     duration,
@@ -50,11 +50,11 @@ def page_of(
     label, colour = LABELS[findings.verdict]
     # Many warnings would push what was found off the first screen, which then counts them.
     warns_first = len(findings.warnings) <= _MOST_WARNINGS_FIRST or not findings.candidates
-    gel = _without_pictures(findings)
+    gel = _without_images(findings)
     sections = [
         _at_a_glance(gel, warns_first),
         _warnings(findings) if warns_first else None,
-        *(() if findings.optical is None else picture_sections(findings.optical, effects)),
+        *(() if findings.optical is None else image_sections(findings.optical, effects)),
         _gaps(gel),
         _where_and_when(gel),
         _worst(gel),
@@ -75,7 +75,7 @@ def page_of(
     )
 
 
-def _without_pictures(f: Findings) -> Findings:
+def _without_images(f: Findings) -> Findings:
     """Return findings whose names are those of skin and force alone."""
     if f.optical is None:
         return f
@@ -158,20 +158,20 @@ def _gaps(f: Findings) -> Section | None:
 
 def _where_and_when(f: Findings) -> Section | None:
     phases, trajectories = by_phase(f.places), by_trajectory(f.places)
-    pictures = []
+    images = []
     if phases.rows and phases.columns:
-        pictures.append(heatmap(phases, "before", name="phases", title="By phase"))
+        images.append(heatmap(phases, "before", name="phases", title="By phase"))
         if f.named:
             title = "By phase, with the effect"
-            pictures.append(heatmap(phases, "after", name="phases_after", title=title))
+            images.append(heatmap(phases, "after", name="phases_after", title=title))
     if trajectories.rows and trajectories.columns:
         title = "By trajectory"
-        pictures.append(heatmap(trajectories, "before", name="trajectories", title=title))
-    if not pictures:
+        images.append(heatmap(trajectories, "before", name="trajectories", title=title))
+    if not images:
         return None
     text = "RMS of the residuals in units of their expected deviation: 1 is noise and "
     text += "discretisation alone. Blank: nothing measured there."
-    return Section("Where and when", (Gallery(tuple(pictures)), Paragraph(text)))
+    return Section("Where and when", (Gallery(tuple(images)), Paragraph(text)))
 
 
 def _worst(f: Findings) -> Section | None:
@@ -210,7 +210,7 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
     tried = [candidate for candidate in f.candidates if candidate.is_excited]
     if not tried:
         return None
-    picture = ranking(f)
+    image = ranking(f)
     head = (
         "effect",
         "score / limit",
@@ -231,7 +231,7 @@ def _candidates(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
         for rank, c in enumerate(tried, start=1)
     )
     blocks = (
-        *((Gallery((picture,)),) if picture is not None else ()),
+        *((Gallery((image,)),) if image is not None else ()),
         Table(head, rows),
         Paragraph(
             "A score counts from the effect's own limit: what the model's error imitates has a "

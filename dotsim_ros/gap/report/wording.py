@@ -131,10 +131,10 @@ def optical_sentence(
     *,
     nearest: Effect | None,
 ) -> str:
-    """Return what the pictures told, in one or two sentences.
+    """Return what the images told, in one or two sentences.
 
     Args:
-        verdict: of the pictures.
+        verdict: of the images.
         named: effects that are added, with their estimates.
         alternatives: effects that the first is not told from.
         gap: of the tiles' colours.
@@ -162,19 +162,19 @@ def optical_sentence(
     return text
 
 
-def picture_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
-    """Return what pictures cannot tell.
+def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
+    """Return what images cannot tell.
 
     Args:
-        noise_sensor, noise_source: whose pictures the thresholds come from, and which.
+        noise_sensor, noise_source: whose images the thresholds come from, and which.
         sensor: name of the twin.
-        count: of the trajectories with pictures.
+        count: of the trajectories with images.
     """
     texts = []
     if noise_sensor != sensor:
         texts.append(
             f"the images' thresholds come from {noise_source}, not from {sensor}: its twin may err "
-            "more; make your own from pictures in which nothing is wrong, with find-gap "
+            "more; make your own from images in which nothing is wrong, with find-gap "
             "--fit-optical-noise"
         )
     if count < FEW:

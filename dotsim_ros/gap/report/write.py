@@ -1,4 +1,4 @@
-"""The report of a search for a gap: a page, the same as Markdown, pictures, and the figures."""
+"""The report of a search for a gap: a page, the same as Markdown, images, and the figures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def write_report(
     """Write findings into a folder, each file whole or not at all.
 
     The folder gets `findings.json` (as `findings_of` reads it), `provenance.json`, `report.html`,
-    which needs none of the others, `report.md`, and the pictures of the latter; those of the report
+    which needs none of the others, `report.md`, and the images of the latter; those of the report
     before go.
 
     Args:

@@ -30,7 +30,7 @@ def policy_folder(text: str) -> Path:
     return parameter_path(f"policies/{text}")
 
 
-def read_picture(path: Path) -> NDArray[np.uint8]:
+def read_image(path: Path) -> NDArray[np.uint8]:
     """Return the (H, W, 3) uint8 pixels of an image file, red, green, blue.
 
     Raises:
@@ -40,7 +40,7 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
     if not path.is_file():
         raise FileNotFoundError(f"no idle image {path}")
     try:
-        with Image.open(path) as picture:
-            return np.asarray(picture.convert("RGB"), dtype=np.uint8)
+        with Image.open(path) as crop:
+            return np.asarray(crop.convert("RGB"), dtype=np.uint8)
     except OSError as error:
         raise ValueError(f"{path} is no image that can be read: {error}") from error

@@ -26,7 +26,7 @@ from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.priority import take_priority
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
-from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_picture
+from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
 from dotsim_ros.nodes.tactile_policy.health import statuses
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
 from dotsim_ros.nodes.tactile_policy.loops import ControlLoop, InferenceLoop
@@ -108,7 +108,7 @@ class TactilePolicy(WorkingNode):
             tell=self._tell_miss,
         )
         if self._settings.idle_image:
-            idle = read_picture(Path(self._settings.idle_image))
+            idle = read_image(Path(self._settings.idle_image))
             # Refuses one that the policy cannot use.
             self._policy(idle, idle)
             self._inference.idle = idle
@@ -224,14 +224,14 @@ class TactilePolicy(WorkingNode):
 
     def _on_calibrate_idle(self, _request: Any, response: Any) -> Any:
         try:
-            self._inference.idle = self._picture_at_rest()
+            self._inference.idle = self._image_at_rest()
         except ValueError as error:
             response.success, response.message = False, f"no idle image taken: {error}"
         else:
             response.success, response.message = True, "the newest image is the idle image now"
         return response
 
-    def _picture_at_rest(self) -> NDArray[np.uint8]:
+    def _image_at_rest(self) -> NDArray[np.uint8]:
         if self._control.wants_commands():
             raise ValueError("the arm may be moving: disable first")
         readings, image = self._inputs.readings(time.monotonic()), self._inputs.newest_image()
@@ -243,9 +243,9 @@ class TactilePolicy(WorkingNode):
             raise ValueError(
                 f"the force is {readings.force_n:.2f} N: lift the sensor, or tare its force"
             )
-        picture = image.pixels().copy()
-        self._policy(picture, picture)
-        return picture
+        crop = image.pixels().copy()
+        self._policy(crop, crop)
+        return crop
 
 
 def main() -> int:

@@ -4,7 +4,7 @@ An indenter's pose or velocity goes in; images, depth, the skin and the wrench c
 
 The real-time clock has one thread that presses, renders and publishes. Two, one for the gel and one
 for the camera, were measured: on two cores, which the readers of the images need as well, they slow
-each other down, and every picture comes later.
+each other down, and every image comes later.
 """
 
 from __future__ import annotations
@@ -182,7 +182,7 @@ class TactileSim(WorkingNode):
                 self._publish(self._session.follow(motion), motion.stamp_ns)
 
     def _publish(self, moment: SensorMoment, stamp_ns: int) -> None:
-        if self._outputs.shows_picture():
+        if self._outputs.shows_image():
             moment.render()
         begun_s = time.monotonic()
         self._outputs.publish(moment, stamp_ns)

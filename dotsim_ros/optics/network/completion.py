@@ -1,4 +1,4 @@
-"""A trained network as the image's residual, run by ONNX Runtime: no torch at run time."""
+"""A trained network as the image's completion, run by ONNX Runtime: no torch at run time."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class CompletionNetwork:
         self._inputs = {entry.name for entry in self._session.get_inputs()}
 
     def at_rest(self, view: View, idle: ImageArray) -> LearnedCompletion:
-        """Return the residual for one idle frame.
+        """Return the completion for one idle frame.
 
         Args:
             view: of the gel untouched.
@@ -86,7 +86,7 @@ class CompletionNetwork:
 
 
 class LearnedCompletion:
-    """What a network adds to the carried image, for one idle frame; see `image.Residual`.
+    """What a network adds to the warped image, for one idle frame; see `image.Residual`.
 
     Args:
         network: that is run.
@@ -99,15 +99,15 @@ class LearnedCompletion:
     ) -> None:
         self._network, self._given, self._idle = network, given, idle
 
-    def __call__(self, view: View, carried: ImageArray) -> Float32Array:
-        """Return grey levels (H, W, 3) to add to the carried image (H, W, 3)."""
-        frame = self._given.frame(view.depth_m, view.normal, carried)
-        added = self._network.added(frame, self._given.rest, self._given.image(carried))
-        residual = resized(cv2.merge(list(255.0 * added)), (carried.shape[1], carried.shape[0]))
+    def __call__(self, view: View, warped: ImageArray) -> Float32Array:
+        """Return grey levels (H, W, 3) to add to the warped image (H, W, 3)."""
+        frame = self._given.frame(view.depth_m, view.normal, warped)
+        added = self._network.added(frame, self._given.rest, self._given.image(warped))
+        completion = resized(cv2.merge(list(255.0 * added)), (warped.shape[1], warped.shape[0]))
         match BASES[self._network.card.kind]:
             case "carried":
-                return residual
+                return completion
             case "idle":
-                return residual + self._idle.astype(np.float32) - carried.astype(np.float32)
+                return completion + self._idle.astype(np.float32) - warped.astype(np.float32)
             case _:
-                return residual - carried.astype(np.float32)
+                return completion - warped.astype(np.float32)

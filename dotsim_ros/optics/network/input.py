@@ -1,13 +1,13 @@
-"""What a network of images is given: geometry and carried image of a frame, beside those at rest.
+"""What a network of images is given: geometry and warped image of a frame, beside those at rest.
 
 Three arrays, channels first, all values of order one:
 
 - `frame` (7, h, w): unit normal mapped from [-1, 1] to [0, 1] (3), distance along the ray over the
-  largest at rest (1), carried image over 255 (3);
-- `rest` (10, h, w): the same of the gel untouched, with the idle frame in place of the carried
+  largest at rest (1), warped image over 255 (3);
+- `rest` (10, h, w): the same of the gel untouched, with the idle frame in place of the warped
   image (7), the pixel's place x and y from the principal point over half the height (2), and a
   weight that fades from 1 inside the lit disc to 0 before its rim (1);
-- `image` (3, f h, f w): the carried image over 255 at the resolution of what is added, which may be
+- `image` (3, f h, f w): the warped image over 255 at the resolution of what is added, which may be
   finer than the geometry's by a factor f.
 
 Where no skin is seen the geometry is 0 in both. At rest `frame` equals the first seven channels of
@@ -107,14 +107,14 @@ class CompletionInput:
         ).astype(np.float32)
 
     def frame(
-        self, depth_m: Float32Array, normal: Float32Array, carried: ImageArray
+        self, depth_m: Float32Array, normal: Float32Array, warped: ImageArray
     ) -> Float32Array:
         """Return the input (7, h, w) of one frame.
 
         Args:
             depth_m: (H, W) distance along the ray; NaN where no skin is seen.
             normal: (H, W, 3) unit normal in the optical frame.
-            carried: (H, W, 3) uint8.
+            warped: (H, W, 3) uint8.
         """
         width, height = self.size
         frame = np.empty((FRAME.stop, height, width), dtype=np.float32)
@@ -125,12 +125,12 @@ class CompletionInput:
         np.multiply(resized(depth_m, self.size), self._depth_scale, out=frame[3])
         # cv2 does it in place, on two dimensions.
         cv2.patchNaNs(frame[:4].reshape(4 * height, width), 0.0)
-        frame[CARRIED] = self._planes(carried, self.size)
+        frame[CARRIED] = self._planes(warped, self.size)
         return frame
 
-    def image(self, carried: ImageArray) -> Float32Array:
-        """Return a carried image (H, W, 3) uint8 as input (3, f h, f w)."""
-        return self._planes(carried, self._image_size)
+    def image(self, warped: ImageArray) -> Float32Array:
+        """Return a warped image (H, W, 3) uint8 as input (3, f h, f w)."""
+        return self._planes(warped, self._image_size)
 
     @staticmethod
     def _planes(image: ImageArray, size: tuple[int, int]) -> Float32Array:

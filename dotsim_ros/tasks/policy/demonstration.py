@@ -94,7 +94,7 @@ class Episode:
     """What was seen of one motion.
 
     Attributes:
-        picture: (L, F, side, side, 3) uint8 middles of the images of each look.
+        crop: (L, F, side, side, 3) uint8 middles of the images of each look.
         idle: (L, side, side, 3) uint8 the same without contact.
         fingerprint: (L, F, 96) of the whole images.
         position_m: (F, 3) places of the indenter in the sensor's frame.
@@ -102,7 +102,7 @@ class Episode:
         paths: (P,) their names.
     """
 
-    picture: NDArray[np.uint8]
+    crop: NDArray[np.uint8]
     idle: NDArray[np.uint8]
     fingerprint: NDArray[np.float32]
     position_m: FloatArray
@@ -290,8 +290,8 @@ class Demonstrator:
         if not len(position):
             raise GelFailureError(f"the gel could not be solved for the start of episode {number}")
         return Episode(
-            np.array(record.pictures, dtype=np.uint8),
-            np.array([self.view.picture(look.idle) for look in looks]),
+            np.array(record.crops, dtype=np.uint8),
+            np.array([self.view.crop(look.idle) for look in looks]),
             np.array(record.fingerprints, dtype=np.float32),
             position,
             labels(self.plan.paths, self.contact, position),
@@ -304,7 +304,7 @@ class _Record:
 
     def __init__(self, gel: TactileSensor, looks: Sequence[Look], view: PolicyView) -> None:
         self._gel, self._looks, self._view = gel, looks, view
-        self.pictures: list[list[ImageArray]] = [[] for _ in looks]
+        self.crops: list[list[ImageArray]] = [[] for _ in looks]
         self.fingerprints: list[list[NDArray[np.float32]]] = [[] for _ in looks]
         self.position_m: list[FloatArray] = []
 
@@ -313,7 +313,7 @@ class _Record:
         skin = self._gel.press(pose, 1.0 / RATE_HZ).skin_position_m
         images = [look.image(skin) for look in self._looks]
         for number, (look, image) in enumerate(zip(self._looks, images, strict=True)):
-            self.pictures[number].append(self._view.picture(image))
+            self.crops[number].append(self._view.crop(image))
             self.fingerprints[number].append(fingerprint(image, look.idle))
         self.position_m.append(pose.position_m)
         return images[0]
@@ -400,7 +400,7 @@ def demonstrate(
         path = episode_file(folder, number)
         if not path.is_file():
             write_episode(path, demonstrator.episode(number))
-        frames += int(np.prod(read_episode(path).picture.shape[:2]))
+        frames += int(np.prod(read_episode(path).crop.shape[:2]))
         progress(number + 1, plan.episode_count)
     return frames
 

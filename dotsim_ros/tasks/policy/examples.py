@@ -33,14 +33,14 @@ class Frames:
     """Images of some episodes, one after the other.
 
     Attributes:
-        picture: (N, side, side, 3) uint8.
+        crop: (N, side, side, 3) uint8.
         idle: (I, side, side, 3) uint8.
-        idle_of: (N,) which idle picture goes with each.
+        idle_of: (N,) which idle crop goes with each.
         position_m: (N, 3) places of the indenter.
         fingerprint: (N, 96).
     """
 
-    picture: NDArray[np.uint8]
+    crop: NDArray[np.uint8]
     idle: NDArray[np.uint8]
     idle_of: NDArray[np.int64]
     position_m: FloatArray
@@ -55,11 +55,11 @@ def frames_of(episodes: Sequence[Episode]) -> Frames:
     look_count = [len(episode.idle) for episode in episodes]
     first = np.concatenate([[0], np.cumsum(look_count)])
     idle_of = [
-        np.repeat(np.arange(number, number + looks), episode.picture.shape[1])
+        np.repeat(np.arange(number, number + looks), episode.crop.shape[1])
         for number, looks, episode in zip(first, look_count, episodes, strict=False)
     ]
     return Frames(
-        np.concatenate([e.picture.reshape(-1, *e.picture.shape[2:]) for e in episodes]),
+        np.concatenate([e.crop.reshape(-1, *e.crop.shape[2:]) for e in episodes]),
         np.concatenate([e.idle for e in episodes]),
         np.concatenate(idle_of),
         np.concatenate([np.tile(e.position_m, (len(e.idle), 1)) for e in episodes]),
@@ -118,15 +118,15 @@ def read_split(folders: Sequence[Path]) -> tuple[Frames, Frames]:
     )
 
 
-def moved_picture(picture: ImageArray, symmetry: int) -> ImageArray:
-    """Return the picture turned by a quarter as often as `symmetry % 4`, then, for 4 and more,
+def moved_crop(crop: ImageArray, symmetry: int) -> ImageArray:
+    """Return the crop turned by a quarter as often as `symmetry % 4`, then, for 4 and more,
     mirrored from left to right."""
-    turned = np.rot90(picture, symmetry % 4)
+    turned = np.rot90(crop, symmetry % 4)
     return np.ascontiguousarray(turned[:, ::-1] if symmetry >= 4 else turned)
 
 
 def moved_position(position_m: FloatArray, symmetry: int) -> FloatArray:
-    """Return a place (3,) where a picture turned and mirrored likewise shows it.
+    """Return a place (3,) where a crop turned and mirrored likewise shows it.
 
     The camera looks along +z with x to the right and y down, as the base frame's axes lie.
     """
@@ -144,7 +144,7 @@ class PolicyExamples:
         frames: to draw from.
         paths: names of the paths.
         contact: of which ball on which dome.
-        side_px: of the network's pictures.
+        side_px: of the network's crops.
     """
 
     def __init__(
@@ -172,17 +172,17 @@ class PolicyExamples:
 
         Args:
             number: of the image.
-            symmetry: as for `moved_picture`.
+            symmetry: as for `moved_crop`.
             random: draws brightness, colour, blur and noise; None leaves them.
         """
         size = (self._side_px, self._side_px)
-        picture = moved_picture(self.frames.picture[number], symmetry)
-        idle = moved_picture(self.frames.idle[self.frames.idle_of[number]], symmetry)
-        picture = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+        crop = moved_crop(self.frames.crop[number], symmetry)
+        idle = moved_crop(self.frames.idle[self.frames.idle_of[number]], symmetry)
+        crop = np.asarray(cv2.resize(crop, size, interpolation=cv2.INTER_AREA), np.uint8)
         idle = np.asarray(cv2.resize(idle, size, interpolation=cv2.INTER_AREA), np.uint8)
         if random is not None:
-            picture, idle = exposed(picture, idle, random)
-        return PolicyInput(idle)(picture)
+            crop, idle = exposed(crop, idle, random)
+        return PolicyInput(idle)(crop)
 
     def batch(
         self, numbers: NDArray[np.int64], random: np.random.Generator
@@ -201,15 +201,15 @@ class PolicyExamples:
 
 
 def exposed(
-    picture: ImageArray, idle: ImageArray, random: np.random.Generator
+    crop: ImageArray, idle: ImageArray, random: np.random.Generator
 ) -> tuple[ImageArray, ImageArray]:
-    """Return a picture and its idle picture under other lights, with noise in the first."""
+    """Return a crop and its idle crop under other lights, with noise in the first."""
     gain = random.uniform(0.75, 1.2) * random.uniform(0.9, 1.1, 3)
     drift = 1.0 + 0.01 * random.standard_normal()
-    both = np.concatenate([picture * (gain * drift), idle * gain], axis=2).astype(np.float32)
+    both = np.concatenate([crop * (gain * drift), idle * gain], axis=2).astype(np.float32)
     if random.uniform() < 0.3:
         both = np.asarray(cv2.GaussianBlur(both, (0, 0), random.uniform(0.3, 0.7)), np.float32)
-    noise = random.standard_normal(picture.shape, dtype=np.float32)
+    noise = random.standard_normal(crop.shape, dtype=np.float32)
     both[..., :3] += np.float32(random.uniform(0.0, 1.0)) * noise
     levels = np.clip(np.rint(both), 0.0, 255.0).astype(np.uint8)
     return levels[..., :3], levels[..., 3:]

@@ -31,13 +31,13 @@ Arrays = dict[str, NDArray[Any]]
 
 
 def graph_of(network: nn.Module, side_px: int) -> onnx.ModelProto:
-    """Return a network in evaluation mode as an ONNX model for one picture."""
-    picture = torch.zeros(1, CHANNEL_COUNT, side_px, side_px)
+    """Return a network in evaluation mode as an ONNX model for one crop."""
+    crop = torch.zeros(1, CHANNEL_COUNT, side_px, side_px)
     with warnings.catch_warnings(), redirect_stdout(io.StringIO()):
         warnings.simplefilter("ignore")
         program = torch.onnx.export(
             network,
-            (picture,),
+            (crop,),
             input_names=[INPUT],
             output_names=[OUTPUT],
             opset_version=OPSET,

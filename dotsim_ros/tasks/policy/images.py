@@ -1,4 +1,4 @@
-"""What a policy sees of a camera's image: the middle of the picture and its change against idle.
+"""What a policy sees of a camera's image: the middle of the crop and its change against idle.
 
 The change is divided by the local brightness of the idle image, so that neither the strength nor
 the colour of the lights matters much. Pure functions of images; nothing here is learned.
@@ -68,7 +68,7 @@ class PolicyView:
                 "another size of the same aspect ratio, showing the same view"
             )
 
-    def picture(self, image: ImageArray) -> ImageArray:
+    def crop(self, image: ImageArray) -> ImageArray:
         """Return the middle (side, side, 3) of an image (h, w, 3)."""
         height, width = image.shape[:2]
         half = 0.5 * self.share * height
@@ -82,7 +82,7 @@ class PolicyView:
 
 
 def local_brightness(idle: Float32Array) -> Float32Array:
-    """Return (h, w, 3) what changes of an idle picture (h, w, 3), grey levels, are divided by."""
+    """Return (h, w, 3) what changes of an idle crop (h, w, 3), grey levels, are divided by."""
     blur = cv2.GaussianBlur(idle, (0, 0), 0.06 * idle.shape[0], borderType=cv2.BORDER_REPLICATE)
     return np.asarray(blur + np.float32(DARK_LEVELS), dtype=np.float32)
 
@@ -94,10 +94,10 @@ def place_channels(side_px: int) -> Float32Array:
 
 
 class PolicyInput:
-    """Makes a network's input from pictures of one idle picture.
+    """Makes a network's input from crops of one idle crop.
 
     Args:
-        idle: (side, side, 3) uint8 picture of `PolicyView.picture`.
+        idle: (side, side, 3) uint8 crop of `PolicyView.crop`.
     """
 
     def __init__(self, idle: ImageArray) -> None:
@@ -105,9 +105,9 @@ class PolicyInput:
         self._brightness = local_brightness(self._idle)
         self._place = place_channels(idle.shape[0])
 
-    def __call__(self, picture: ImageArray) -> Float32Array:
-        """Return (CHANNEL_COUNT, side, side): change (3), picture (3), place (2); each about 1."""
-        now = picture.astype(np.float32)
+    def __call__(self, crop: ImageArray) -> Float32Array:
+        """Return (CHANNEL_COUNT, side, side): change (3), crop (3), place (2); each about 1."""
+        now = crop.astype(np.float32)
         change = 4.0 * (now - self._idle) / self._brightness
         relative = 2.0 * (now / self._brightness - 0.7)
         return np.concatenate(

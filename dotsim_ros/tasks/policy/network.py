@@ -80,7 +80,7 @@ class Policy:
     def _input_for(self, idle: ImageArray) -> PolicyInput:
         if self._input is None or self._idle is None or not np.array_equal(idle, self._idle):
             self._idle = idle.copy()
-            self._input = PolicyInput(self._view.picture(idle))
+            self._input = PolicyInput(self._view.crop(idle))
         return self._input
 
     def __call__(self, image: ImageArray, idle: ImageArray) -> FloatArray:
@@ -99,7 +99,7 @@ class Policy:
                 two are not of one size.
         """
         self._check(image, idle)
-        given = self._input_for(idle)(self._view.picture(image))
+        given = self._input_for(idle)(self._view.crop(image))
         commands = self._session.run(None, {"picture": given[None]})[0]
         return np.asarray(commands[0, self._row], dtype=np.float64)
 

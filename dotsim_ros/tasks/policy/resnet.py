@@ -23,7 +23,7 @@ PLACE_SIZE = 3
 
 
 class PolicyResNet(nn.Module):
-    """Maps pictures (N, CHANNEL_COUNT, side, side) to commands (N, path_count, 6), m/s and rad/s.
+    """Maps crops (N, CHANNEL_COUNT, side, side) to commands (N, path_count, 6), m/s and rad/s.
 
     Args:
         path_count: how many paths.
@@ -50,15 +50,15 @@ class PolicyResNet(nn.Module):
         unit = [LINEAR_UNIT_M_S] * 3 + [ANGULAR_UNIT_RAD_S] * 3
         self.register_buffer("unit", torch.tensor(unit))
 
-    def with_place(self, picture: Tensor) -> tuple[Tensor, Tensor]:
+    def with_place(self, crop: Tensor) -> tuple[Tensor, Tensor]:
         """Return commands (N, path_count, 6) in units of `unit`, and the place (N, PLACE_SIZE)."""
-        features = self.trunk(picture)
+        features = self.trunk(crop)
         commands = self.commands(features).reshape(-1, self.path_count, COMMAND_SIZE)
         return commands, self.place(features)
 
-    def forward(self, picture: Tensor) -> Tensor:
+    def forward(self, crop: Tensor) -> Tensor:
         """Return the commands."""
-        return self.with_place(picture)[0] * self.unit
+        return self.with_place(crop)[0] * self.unit
 
 
 def without_normalisation(network: PolicyResNet) -> PolicyResNet:

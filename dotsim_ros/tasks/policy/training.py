@@ -65,7 +65,7 @@ class PolicyRecipe:
         learning_rate: of AdamW, the highest of one cycle.
         weight_decay: of AdamW.
         averaging: share of the running mean of the weights that stays in each step.
-        side_px: of the network's pictures.
+        side_px: of the network's crops.
     """
 
     example_count: int = 80_000
@@ -162,8 +162,8 @@ class PolicyTraining:
         """Take a step; return the mean square errors of commands and place, in their units."""
         random = np.random.default_rng([self._seed, self._step])
         numbers = random.integers(len(self._examples.frames), size=self._recipe.batch)
-        picture, commands, weight, place = self._examples.batch(numbers, random)
-        given = torch.from_numpy(picture).to(memory_format=torch.channels_last)
+        crop, commands, weight, place = self._examples.batch(numbers, random)
+        given = torch.from_numpy(crop).to(memory_format=torch.channels_last)
         wanted = torch.from_numpy(commands).float() / self.network.unit
         share = torch.from_numpy(weight).float()[..., None]
         # Half of the width of single precision's numbers takes half of the time.

@@ -1,6 +1,6 @@
 """Hidden effects of the camera and its lights, with other laws than those that are looked for.
 
-They act on measured pictures: vignetting falls with the fourth power of a cosine (a thin lens), the
+They act on measured images: vignetting falls with the fourth power of a cosine (a thin lens), the
 camera answers by a logarithm instead of a power, LEDs dim with two time constants, a colour's LEDs
 leak into the other channels, the exposure lags behind what it follows, a turned camera is resampled
 by splines, a worn spot has a ragged edge. Two are of no library: a lens out of focus, and bands of
@@ -26,7 +26,7 @@ LEAK = 0.06
 
 @dataclass(frozen=True)
 class Takes:
-    """Pictures of one trajectory.
+    """Images of one trajectory.
 
     Attributes:
         pixels: (F, H, W, 3), 0 to 255.
@@ -48,7 +48,7 @@ class ImageLaw:
         library: name of the effect that the library knows it by; empty for one of no library.
         sizes: from hardly to be seen to obvious.
         unit: of the size.
-        change: from pictures and the size to the pictures (F, H, W, 3) as they are taken.
+        change: from images and the size to the images (F, H, W, 3) as they are taken.
     """
 
     name: str
@@ -59,12 +59,12 @@ class ImageLaw:
 
 
 def taken(takes: Takes, law: ImageLaw, size: float) -> NDArray[np.uint8]:
-    """Return the pictures (F, H, W, 3) as a camera gives them."""
+    """Return the images (F, H, W, 3) as a camera gives them."""
     return np.clip(np.rint(law.change(takes, size)), 0.0, FULL_SCALE).astype(np.uint8)
 
 
 def _radius(pixels: FloatArray) -> FloatArray:
-    """Return (H, W) the distance from the picture's centre over half its height."""
+    """Return (H, W) the distance from the image's centre over half its height."""
     height, width = pixels.shape[1:3]
     y, x = np.mgrid[0:height, 0:width]
     return np.asarray(np.hypot(x - 0.5 * (width - 1), y - 0.5 * (height - 1)) / (0.5 * height))
@@ -93,9 +93,9 @@ def _leaking(takes: Takes, size: float) -> FloatArray:
 def _lagging(takes: Takes, size: float) -> FloatArray:
     wanted = float(takes.idle.mean())
     followed, result = wanted, []
-    for picture in takes.pixels:
-        followed += 0.7 * (float(picture.mean()) - followed)
-        result.append(picture * (wanted / followed) ** size)
+    for image in takes.pixels:
+        followed += 0.7 * (float(image.mean()) - followed)
+        result.append(image * (wanted / followed) ** size)
     return np.stack(result)
 
 
@@ -107,7 +107,7 @@ def _veil(takes: Takes, size: float) -> FloatArray:
 
 
 def _shifted(takes: Takes, size: float) -> FloatArray:
-    # The size is in pixels of a picture 240 px high.
+    # The size is in pixels of an image 240 px high.
     moved = size * takes.pixels.shape[1] / 240.0
     shift = (0.0, 0.4 * moved, moved, 0.0)
     return np.asarray(ndimage.shift(takes.pixels, shift, order=3, mode="nearest"))
@@ -125,7 +125,7 @@ def _ragged_spot(takes: Takes, size: float) -> FloatArray:
 
 def _defocused(takes: Takes, size: float) -> FloatArray:
     blur = size * takes.pixels.shape[1] / 240.0
-    return np.stack([cv2.GaussianBlur(picture, (0, 0), blur) for picture in takes.pixels])
+    return np.stack([cv2.GaussianBlur(image, (0, 0), blur) for image in takes.pixels])
 
 
 def _banded(takes: Takes, size: float) -> FloatArray:

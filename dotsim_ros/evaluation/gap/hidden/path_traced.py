@@ -1,7 +1,7 @@
 """The sensor's inside by an independent renderer: Mitsuba 3, a path tracer.
 
 Mitsuba (Jakob et al., "Mitsuba 3 renderer", 2022, mitsuba-renderer.org) shares nothing with this
-project's pictures: light goes between the parts of the dome as often as it likes, LEDs have a size,
+project's images: light goes between the parts of the dome as often as it likes, LEDs have a size,
 the indenter's dent throws shadows. The scene is the outer skin as a mesh with a diffuse coat seen
 from within, a dark base, and nine LEDs on it; the gel is clear and the camera inside of it, so
 there is no refraction. The camera's rays are made here: an equidistant fisheye at any place and
@@ -128,7 +128,7 @@ class Eye:
     Attributes:
         position_m: of its pupil.
         turn_rad: rotation vector from looking along +z with x to the right and y down.
-        half_height_angle_rad: from the axis, seen at half the picture's height.
+        half_height_angle_rad: from the axis, seen at half the image's height.
         edge_loss: of brightness there, by the fourth power of a cosine.
         pupil_m: radius of the pupil; 0 for a pinhole.
         focus_m: distance at which a pupil sees sharp.
@@ -231,7 +231,7 @@ class InsideRenderer:
         rest_position_m: (V, 3) the skin at rest, base frame, its base at z = 0.
         triangles: (T, 3) of it, counter-clockwise from outside.
         inside: what there is to see.
-        width, height: of the pictures.
+        width, height: of the images.
         sample_count: rays a pixel and colour.
         most_edges: longest path that light is followed along; 2 is direct light.
         mitsuba: as `open_mitsuba` returns it.
@@ -278,7 +278,7 @@ class InsideRenderer:
             skin_position_m: (V, 3) of the skin.
             eye: the camera.
             led_share: of the LEDs' power that they have.
-            seed: of all samples; pictures of one scene by different seeds differ by noise.
+            seed: of all samples; images of one scene by different seeds differ by noise.
         """
         found = np.empty((len(self._scenes), self.height, self.width))
         for number, parameters in enumerate(self._parameters):

@@ -1,7 +1,7 @@
 """Hidden effects of a path-traced unit: each is wrong in its scene or in its camera.
 
 LEDs shine weaker, light comes through the coat, the coat scatters less, the camera stands or looks
-elsewhere or is out of focus, grains lie in the gel. None is an operator on pictures.
+elsewhere or is out of focus, grains lie in the gel. None is an operator on images.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A unit of a sensor whose pictures are path-traced, and the data sets that it is measured in.
+"""A unit of a sensor whose photographs are path-traced, and the data sets that it is measured in.
 
 Skins are those of a measured data set, so neither the gel nor the light is this project's.
 """
@@ -39,7 +39,7 @@ from dotsim_ros.reference.data_set import ReferenceDataSet
 FULL_SCALE = 255.0
 NOISE_LEVELS = 1.2
 WHITE_LEVEL = 215.0
-"""Grey level of the brightest hundredth of the idle picture at commissioning."""
+"""Grey level of the brightest hundredth of the idle photograph at commissioning."""
 LEAK = 0.06
 """Share of a colour's light that each of the other channels sees."""
 IDLE_COUNT = 5
@@ -52,7 +52,7 @@ SMOOTHING = 4
 """How often each vertex of a measured skin takes half of its neighbours' mean: noise of 0.04 mm
 falls to 0.01 mm."""
 METERING_WIDTH = 0.35
-"""Deviation of the bell that a metering camera weighs its picture with, of the height."""
+"""Deviation of the bell that a metering camera weighs its photograph with, of the height."""
 FADING_S = 4.0
 
 
@@ -64,7 +64,7 @@ class RenderedUnit:
         inside: what its camera looks at.
         eye: the camera.
         fading: share of the LEDs' power that is lost in the end, as t / (t + `FADING_S`).
-        metering: how far the exposure follows the picture: 1 keeps its metered mean.
+        metering: how far the exposure follows the photograph: 1 keeps its metered mean.
     """
 
     inside: Inside
@@ -74,18 +74,18 @@ class RenderedUnit:
 
 
 class Studio:
-    """Takes pictures of one make of sensor.
+    """Takes photographs of one make of sensor.
 
     Args:
         source: a measured data set, whose skins are rendered.
         mitsuba: as `open_mitsuba` returns it.
-        width, height: of the pictures.
+        width, height: of the photographs.
         sample_count: rays a pixel and colour.
 
     Attributes:
         unit: the sensor at its commissioning.
         white: radiance that is white then.
-        metered: metered mean of its idle picture, of white.
+        metered: metered mean of its idle photograph, of white.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class Studio:
         seed: int,
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Write a data set of a unit: idle pictures and bags.
+        """Write a data set of a unit: idle photographs and bags.
 
         Args:
             directory: of the data set, which must not exist.
@@ -139,9 +139,9 @@ class Studio:
         data_set = ReferenceDataSet(directory, self.skin)
         random = np.random.default_rng([seed, 1])
         for number in range(IDLE_COUNT):
-            picture = self.picture(unit, None, 0.0, random)
+            photograph = self.photograph(unit, None, 0.0, random)
             cv2.imwrite(
-                str(directory / f"idle_{number}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)
+                str(directory / f"idle_{number}.png"), cv2.cvtColor(photograph, cv2.COLOR_RGB2BGR)
             )
         session_s = 0.0
         for number, name in enumerate(names):
@@ -150,13 +150,13 @@ class Studio:
             stamp_ns = trajectory.skin.stamp_ns
             times = session_s + 1e-9 * (stamp_ns - stamp_ns[0])
             skins = self.smooth_skins(trajectory.skin.position_m)
-            pictures = [
-                self.picture(unit, skin, float(t), random)
+            photographs = [
+                self.photograph(unit, skin, float(t), random)
                 for skin, t in zip(skins, times, strict=True)
             ]
             session_s = float(times[-1])
             measured = replace(
-                trajectory, image=ImageChannel(stamp_ns, np.stack(pictures)), name=name
+                trajectory, image=ImageChannel(stamp_ns, np.stack(photographs)), name=name
             )
             mesh = directory / "indenters" / f"{self._entries[name].indenter}.stl"
             data_set.add(measured, load_indenter(mesh), {"images": True})
@@ -202,7 +202,7 @@ class Studio:
         )
         return radiance @ (LEAK + (1.0 - 3.0 * LEAK) * np.eye(3)) / self.white
 
-    def picture(
+    def photograph(
         self,
         unit: RenderedUnit,
         skin_m: FloatArray | None,
@@ -258,7 +258,7 @@ def _smoothing(skin: SkinMesh) -> csr_matrix:
 
 
 def _metered(light: FloatArray) -> float:
-    """Return the mean of a picture (H, W, 3), most of it from the middle."""
+    """Return the mean of a photograph (H, W, 3), most of it from the middle."""
     height, width = light.shape[:2]
     y, x = np.mgrid[0:height, 0:width]
     square = (x - 0.5 * (width - 1)) ** 2 + (y - 0.5 * (height - 1)) ** 2

@@ -145,14 +145,14 @@ def test_an_untouched_sensor_shows_the_idle_frame_bit_for_bit(
     made, camera, dome, renderer, idle, pressed
 ):
     untouched = renderer.render(dome.rest_position_m)
-    residual = open_network(made[0], camera).at_rest(untouched, idle)
-    images = ImageRenderer(camera, dome, idle, residual=residual)
-    assert not residual(untouched, idle).any()
+    completion = open_network(made[0], camera).at_rest(untouched, idle)
+    images = ImageRenderer(camera, dome, idle, completion=completion)
+    assert not completion(untouched, idle).any()
     assert np.array_equal(images.render(untouched), idle)
-    carried = images.carry(pressed)
+    warped = images.warp(pressed)
     shown = images.render(pressed)
-    assert not np.array_equal(shown, carried)
-    added = carried + residual(pressed, carried)
+    assert not np.array_equal(shown, warped)
+    added = warped + completion(pressed, warped)
     expected = np.clip(np.rint(added), 0.0, 255.0)
     assert np.abs(shown - expected).max() <= 1.0
     assert np.mean(shown != expected) < 1e-4
@@ -160,8 +160,8 @@ def test_an_untouched_sensor_shows_the_idle_frame_bit_for_bit(
 
 def test_nothing_is_added_outside_the_lit_disc(made, camera, dome, renderer, idle, pressed):
     untouched = renderer.render(dome.rest_position_m)
-    residual = open_network(made[0], camera).at_rest(untouched, idle)
-    added = residual(pressed, ImageRenderer(camera, dome, idle).carry(pressed))
+    completion = open_network(made[0], camera).at_rest(untouched, idle)
+    added = completion(pressed, ImageRenderer(camera, dome, idle).warp(pressed))
     assert added.shape == (480, 640, 3)
     assert added.dtype == np.float32
     assert not added[~lit_region(idle)].any()
@@ -172,11 +172,11 @@ def test_kinds_that_replace_the_carried_image_add_up_to_their_own(
     camera, dome, renderer, idle, pressed, tmp_path
 ):
     write(tmp_path, random_network("unet"), "unet", camera, size=(64, 48))
-    residual = open_network(tmp_path, camera).at_rest(renderer.render(dome.rest_position_m), idle)
-    carried = ImageRenderer(camera, dome, idle).carry(pressed)
-    dark = np.zeros_like(carried)
-    # Whatever was carried, the same image comes out: its geometry's.
-    assert np.allclose(carried + residual(pressed, carried), residual(pressed, dark), atol=1e-3)
+    completion = open_network(tmp_path, camera).at_rest(renderer.render(dome.rest_position_m), idle)
+    warped = ImageRenderer(camera, dome, idle).warp(pressed)
+    dark = np.zeros_like(warped)
+    # Whatever was warped, the same image comes out: its geometry's.
+    assert np.allclose(warped + completion(pressed, warped), completion(pressed, dark), atol=1e-3)
 
 
 def test_the_camera_counts_but_not_its_resolution(made, camera):
@@ -270,13 +270,13 @@ def test_a_sensor_loads_the_network_that_its_file_names(made):
     idle = read_idle_frame(parameter_path(SENSOR.camera.idle_image), sensor.camera)
     plain = ImageRenderer(sensor.camera, sensor.skin, idle.image, lighting=idle.lighting)
     view = SkinRenderer(sensor.camera, sensor.skin).render(frame.skin_position_m)
-    assert not np.array_equal(frame.image, plain.carry(view))
+    assert not np.array_equal(frame.image, plain.warp(view))
     # Another idle image keeps the network.
     darker = (sensor.idle_image * 0.8).astype(np.uint8)
     sensor.set_idle_image(darker)
     assert np.array_equal(sensor.step(None, 0.04).image, darker)
     plain = ImageRenderer(sensor.camera, sensor.skin, darker, lighting=idle.lighting)
-    assert not np.array_equal(sensor.step(tip, 0.04).image, plain.carry(view))
+    assert not np.array_equal(sensor.step(tip, 0.04).image, plain.warp(view))
 
 
 def test_a_sensor_refuses_a_network_that_is_not_its_own(made):
@@ -304,11 +304,11 @@ def test_the_stand_in_sensor_ships_with_its_network():
     renderer = SkinRenderer(camera, skin)
     idle = read_idle_frame(given_path(shipped.camera.idle_image), camera)
     untouched = renderer.render(skin.rest_position_m)
-    residual = network.at_rest(untouched, idle.image)
-    images = ImageRenderer(camera, skin, idle.image, lighting=idle.lighting, residual=residual)
+    completion = network.at_rest(untouched, idle.image)
+    images = ImageRenderer(camera, skin, idle.image, lighting=idle.lighting, completion=completion)
     assert np.array_equal(images.render(untouched), idle.image)
     pressed = renderer.render(dented(skin, np.array([0.0, 0.0, 1.0]), 0.002, 0.004))
-    added = residual(pressed, images.carry(pressed))
+    added = completion(pressed, images.warp(pressed))
     assert 1.0 < np.abs(added).max() < 100.0
 
 

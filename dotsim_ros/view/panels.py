@@ -1,4 +1,4 @@
-"""What a moment of a bag looks like, panel by panel, as RGB pictures."""
+"""What a moment of a bag looks like, panel by panel, as RGB images."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ def coloured(values: FloatArray, low: float, high: float, colours: str) -> Image
     valid = np.isfinite(values)
     span = max(high - low, 1e-12)
     index = np.clip((np.where(valid, values, low) - low) / span * 255.0, 0.0, 255.0)
-    picture = table[index.astype(np.uint8)]
-    picture[~valid] = BACKGROUND
-    return picture
+    image = table[index.astype(np.uint8)]
+    image[~valid] = BACKGROUND
+    return image
 
 
 class PanelImages:
