@@ -19,7 +19,6 @@ BEGIN = "<!-- .ci/effects_table.py writes this table. -->\n"
 END = "\n<!-- End of the table. -->"
 HEAD = (
     "effect (its file)",
-    "what it does",
     "acts on",
     "parameters and their range",
     "what excites it",
@@ -36,8 +35,7 @@ def row_of(effect: Effect) -> tuple[str, ...]:
         "image": effect.image,
     }
     return (
-        f"{effect.title} (`{effect.name}`)",
-        summary_of(effect.name),
+        f"**{effect.title}** (`{effect.name}`): {summary_of(effect.name)}",
         ", ".join(place for place, hook in hooks.items() if hook is not None),
         "; ".join(map(range_of, effect.parameters)),
         effect.protocol,
