@@ -208,7 +208,7 @@ def test_a_row_is_made_once(tmp_path: Path) -> None:
     lines: list[str] = []
     first = maker(tmp_path).make("carried", split, shown)
     again = replace(maker(tmp_path), progress=lines.append).make("carried", split, shown)
-    assert lines == [f"easy, by_trajectory, warped: made before, on {first.date}"]
+    assert lines == [f"easy, by_trajectory, carried: made before, on {first.date}"]
     assert again.scores == first.scores
     assert list(again.images) == list(first.images) == shown
     for key, image in first.images.items():
@@ -329,7 +329,7 @@ def test_page_and_figures(tmp_path: Path) -> None:
     assert (tmp_path / "images" / "optics_hard.jpg").stat().st_size > 1000
     page = optics_page(figures, sheets)
     assert "## Hard, by whole trajectories" in page
-    assert "| warped |" in page
+    assert "| carried |" in page
     assert "| ceiling: camera noise | 47.00 |" in page
     assert "../images/optics_easy.jpg" in page
     assert "| method | untouched | 0 to 1 mm |" in page

@@ -257,8 +257,8 @@ def test_what_is_wrong_with_the_camera_changes_the_image(studio, name):
 def test_an_exposure_that_follows_keeps_the_metered_mean(studio):
     unit = LAWS["metering"].change(studio.unit, 1.0, studio.white)
     bright = replace(unit, inside=replace(unit.inside, led_power=np.full(9, 2.0)))
-    as_it_was = studio.image(studio.unit, None, 0.0, np.random.default_rng(0)).astype(float)
-    followed = studio.image(bright, None, 0.0, np.random.default_rng(0)).astype(float)
+    as_it_was = studio.photograph(studio.unit, None, 0.0, np.random.default_rng(0)).astype(float)
+    followed = studio.photograph(bright, None, 0.0, np.random.default_rng(0)).astype(float)
     assert np.abs(followed - as_it_was).mean() < 1.0
 
 
