@@ -79,7 +79,7 @@ class Shell:
         return dome_shell(outer, self.core_radius_m, self.spacing_m, self.layer_count)
 
 
-class DivergenceError(ValueError):
+class DiffTactileDivergenceError(ValueError):
     """The explicit steps have left every bound."""
 
 
@@ -254,7 +254,9 @@ class DynamicGel:
                 self._advance(state, motion, step, dt, law, solid, kept)
             displacement = state.displacement.numpy()
             if not np.all(np.abs(displacement) < self.mesh.position_m.max()):
-                raise DivergenceError(f"frame {frame}: the gel diverged with {constants}")
+                raise DiffTactileDivergenceError(
+                    f"frame {frame}: the gel diverged with {constants}"
+                )
             skins.append(self.skin.rest_position_m + self.skin_weight @ displacement)
             forces.append(-state.skin_force.numpy().sum(axis=0))
         return np.stack(skins), np.stack(forces)
@@ -456,7 +458,7 @@ class FitTrials:
             position, force = self.gel.run(
                 press.poses, indenter_of(press, self.indenters), constants
             )
-        except DivergenceError:
+        except DiffTactileDivergenceError:
             return None
         rest = np.repeat(skin.rest_position_m[None], count, axis=0)
         return FitScore(

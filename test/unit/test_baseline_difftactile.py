@@ -11,7 +11,7 @@ import warp as wp
 from dotsim_ros.baselines import difftactile, fem_kernels
 from dotsim_ros.baselines.difftactile import (
     DiffTactile,
-    DivergenceError,
+    DiffTactileDivergenceError,
     DynamicGel,
     FitTrials,
     GelConstants,
@@ -186,7 +186,7 @@ def test_a_softer_contact_lets_the_skin_in(gel: DynamicGel, skin: SkinMesh) -> N
 
 def test_a_gel_that_blows_up_is_told(gel: DynamicGel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(difftactile, "STEP_SHARE", 3.0)
-    with pytest.raises(DivergenceError, match="frame 0: the gel diverged"):
+    with pytest.raises(DiffTactileDivergenceError, match="frame 0: the gel diverged"):
         gel.run(press_to(0.002).poses, BALL, CONSTANTS)
 
 

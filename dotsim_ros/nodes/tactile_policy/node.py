@@ -58,7 +58,7 @@ Loader = Callable[[Path, str], "Policy"]
 
 
 class TactilePolicy(WorkingNode):
-    """The node; parameters, topics and services as the README lists them.
+    """The node; parameters, topics and services as docs/run.md lists them.
 
     Args:
         load: opens the policy of a folder and one of its paths.

@@ -54,7 +54,7 @@ steady states, one frame of 50 ms and 0.5 mm or one of 100 ms and 1 mm, and stay
 
 
 class TactileSim(WorkingNode):
-    """The node; parameters, topics and services as the README lists them."""
+    """The node; parameters, topics and services as docs/run.md lists them."""
 
     def __init__(self) -> None:
         super().__init__("tactile_sim")
