@@ -23,9 +23,6 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 
 Array = NDArray[np.float64]
 
-SMALLEST_SEGMENT = 1.0e-3
-"""Share of an effect's range below which two of its nodes are one."""
-
 
 @dataclass(frozen=True)
 class Trajectory:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from dotsim_ros.evaluation.geometry import tip_depth_m
 from dotsim_ros.evaluation.presses import Press
 from dotsim_ros.gap.measurement import find_indenter
-from dotsim_ros.gap.optical_model import resized_picture
 from dotsim_ros.gap.recording import Recording, phases_of
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -141,20 +140,6 @@ def read_pictures(
     )
 
 
-def resized_pictures(pictures: Pictures, width: int, height: int) -> Pictures:
-    """Return the same pictures at another size."""
-    if pictures.idle_images.shape[1:3] == (height, width):
-        return pictures
-    return replace(
-        pictures,
-        idle_images=_resized(pictures.idle_images, width, height),
-        trajectories=tuple(
-            replace(one, measured=_resized(one.measured, width, height))
-            for one in pictures.trajectories
-        ),
-    )
-
-
 def check_same_unit(idle: ByteImage, measured: ByteImage, *, owner: str) -> None:
     """Refuse pictures of another unit: the pattern of the coat is each unit's own.
 
@@ -217,10 +202,6 @@ def _most_frames(counts: Sequence[int]) -> int:
     if all(counts) and sum(counts) <= MOST_PICTURES:
         return MOST_PICTURES
     return max(LEAST_FRAMES, MOST_PICTURES // max(len(counts), 1))
-
-
-def _resized(pictures: ByteImage, width: int, height: int) -> ByteImage:
-    return np.stack([resized_picture(one, width, height) for one in pictures])
 
 
 def _duration_s(entry: DataSetEntry, topics: Topics) -> float:

@@ -23,7 +23,6 @@ IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
 NAMES = ("red", "green", "blue", "sharpness", "shift_x", "shift_y")
-UNITS = ("level", "level", "level", "", "px", "px")
 """Observables of a tile."""
 COLOURS = slice(0, 3)
 SHARPNESS = 3

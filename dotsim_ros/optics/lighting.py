@@ -11,8 +11,6 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 
 Float32Array = NDArray[np.float32]
 
-RED, GREEN, BLUE = np.eye(3)
-
 
 @dataclass(frozen=True)
 class PointLight:

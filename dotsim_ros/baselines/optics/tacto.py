@@ -35,7 +35,6 @@ ByteImage = NDArray[np.uint8]
 Float32Array = NDArray[np.float32]
 FloatArray = NDArray[np.float64]
 
-LIGHTS = 3
 SEARCH_PIXELS = 20_000
 GENERATIONS = 40
 POPULATION_FACTOR = 8
