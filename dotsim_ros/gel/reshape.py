@@ -46,11 +46,6 @@ class ReshapedDome(Dome):
         ratio = moved / radius
         return points_m * ratio[:, None], ratio**2 * stretch, ratio**2
 
-    def to_reference(self, points_m: FloatArray) -> FloatArray:
-        """Return where points (P, 3) of this dome are in the reference."""
-        back = ReshapedDome(self.reference.outer_radius_m, self.reference.core_radius_m, self)
-        return back.from_reference(points_m)[0]
-
 
 @dataclass(frozen=True)
 class ReshapedPad(Pad):
@@ -64,10 +59,6 @@ class ReshapedPad(Pad):
         x, y, z = np.divide(self.size_m, self.reference.size_m)
         ones = np.ones(len(points_m))
         return points_m * [x, y, z], x * y * z * ones, x * y * ones
-
-    def to_reference(self, points_m: FloatArray) -> FloatArray:
-        """Return where points (P, 3) of this pad are in the reference."""
-        return points_m * np.divide(self.reference.size_m, self.size_m)
 
 
 @dataclass(frozen=True)

@@ -185,10 +185,6 @@ class BagReader:
         """Return the message type of each topic that holds messages."""
         return {c.topic: c.msgtype for c in self._reader.connections if c.msgcount > 0}
 
-    def message_count(self, topic: str) -> int:
-        """Return how many messages a topic holds."""
-        return sum(c.msgcount for c in self._reader.connections if c.topic == topic)
-
     def messages(self, *topics: str) -> Iterator[BagMessage]:
         """Yield the messages of the given topics in the order of their log time.
 

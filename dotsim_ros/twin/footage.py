@@ -246,31 +246,6 @@ def with_measured_skin(
     return FilmedData(skin, filmed.idle, tuple(presses))
 
 
-def read_optical_data(
-    directory: str | Path,
-    sensor: SensorSpecification,
-    *,
-    presses: Sequence[str] | None = None,
-    cache: Path | None = None,
-    progress: Progress | None = None,
-    topics: Topics = MEASURED_TOPICS,
-) -> OpticalData:
-    """Read the images of presses, and render what the sensor's camera sees of its gel.
-
-    Args and errors as `read_filmed_data`; the sensor's camera is used at the measured resolution,
-    with the lights and the vignetting that its idle image's description states.
-
-    Raises:
-        ValueError: also where the measured images have another aspect ratio than the camera's.
-    """
-    camera = camera_for(sensor, _read_idle(read_data_set(directory)), str(directory))
-    filmed = read_filmed_data(
-        directory, sensor, presses=presses, cache=cache, progress=progress, topics=topics
-    )
-    lighting, vignetting = lights_of(sensor)
-    return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
-
-
 def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> FisheyeCamera:
     """Return the sensor's camera at the resolution of a measured image (H, W, 3).
 

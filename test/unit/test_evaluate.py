@@ -26,7 +26,6 @@ from dotsim_ros.measured.presses import Prediction, Press, press_of
 from dotsim_ros.measured.reading import read_observation
 from dotsim_ros.measured.split import (
     Split,
-    hold_out,
     hold_out_of_protocols,
     leave_one_indenter_out,
 )
@@ -204,22 +203,22 @@ def press_poses(way: list[tuple[Pose, float, bool]]) -> list[Pose]:
 
 def test_held_out_presses_depend_on_the_seed_alone() -> None:
     names = [f"press_{k}" for k in range(28)]
-    train, test = hold_out(names)
+    train, test = hold_out_of_protocols(names)
     assert (len(train), len(test)) == (19, 9)
     assert sorted(train + test) == sorted(names)
-    assert hold_out(names[::-1]) == (train, test)
-    assert hold_out(names, seed=1)[1] != test
+    assert hold_out_of_protocols(names[::-1]) == (train, test)
+    assert hold_out_of_protocols(names, seed=1)[1] != test
 
 
 @pytest.mark.parametrize("count", [0, 3, -1])
 def test_split_without_train_or_test_is_refused(count: int) -> None:
     with pytest.raises(ValueError, match="cannot be held out"):
-        hold_out(["a", "b", "c"], count)
+        hold_out_of_protocols(["a_0", "a_1", "a_2"], count)
 
 
 def test_a_name_twice_is_refused() -> None:
     with pytest.raises(ValueError, match="a more than once"):
-        hold_out(["a", "b", "a"], 1)
+        hold_out_of_protocols(["a", "b", "a"], 1)
 
 
 def test_a_stratified_draw_fits_and_judges_every_protocol() -> None:

@@ -30,7 +30,6 @@ from dotsim_ros.baselines.optics.pixels import (
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
-LIGHTS = 3
 SEARCH_PIXELS = 20_000
 GENERATIONS = 40
 POPULATION_FACTOR = 8

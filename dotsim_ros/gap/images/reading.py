@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.gap.images.model import resized_image
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.measured.reading import read_press_images
@@ -136,20 +135,6 @@ def read_images(
     )
 
 
-def resized_images(images: MeasuredImages, width: int, height: int) -> MeasuredImages:
-    """Return the same images at another size."""
-    if images.idle_images.shape[1:3] == (height, width):
-        return images
-    return replace(
-        images,
-        idle_images=_resized(images.idle_images, width, height),
-        trajectories=tuple(
-            replace(one, measured=_resized(one.measured, width, height))
-            for one in images.trajectories
-        ),
-    )
-
-
 def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> None:
     """Refuse images of another unit: the pattern of the coat is each unit's own.
 
@@ -212,10 +197,6 @@ def _most_frames(counts: Sequence[int]) -> int:
     if all(counts) and sum(counts) <= MOST_IMAGES:
         return MOST_IMAGES
     return max(LEAST_FRAMES, MOST_IMAGES // max(len(counts), 1))
-
-
-def _resized(images: ImageArray, width: int, height: int) -> ImageArray:
-    return np.stack([resized_image(one, width, height) for one in images])
 
 
 def _duration_s(entry: DataSetEntry, topics: Topics) -> float:

@@ -514,27 +514,6 @@ def freed(
     return _without(whitened[:, 1:], deviations)(whitened[:, 0])
 
 
-def score_optical(
-    residual: Sequence[FloatArray],
-    signatures: Mapping[str, Sequence[Signature]],
-    noise: TileNoise,
-    nuisances: Sequence[CameraNuisance],
-    changes: Sequence[FloatArray],
-    spurious: Spurious | None = None,
-) -> list[EffectScore]:
-    """Return the scores of optical effects, best first.
-
-    Args:
-        residual: (F, T, 6) of each trajectory, measured against predicted.
-        signatures, noise, nuisances, changes, spurious: as `OpticalSearch`, which scores many
-            residuals.
-
-    Raises:
-        ValueError: as `OpticalSearch`.
-    """
-    return OpticalSearch(signatures, noise, nuisances, changes, spurious).score(residual)
-
-
 def alike(scores: Sequence[EffectScore], likeness: Iterable[Likeness]) -> list[str]:
     """Return the effects that the data cannot tell from the best one, the best first.
 

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from dotsim_ros.arrays import BoolArray, FloatArray, IntArray
 
 NAMES = ("red", "green", "blue", "sharpness", "shift_x", "shift_y")
-UNITS = ("level", "level", "level", "", "px", "px")
 """Observables of a tile."""
 COLOURS = slice(0, 3)
 SHARPNESS = 3

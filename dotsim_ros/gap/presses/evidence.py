@@ -33,9 +33,6 @@ from dotsim_ros.measured.recording import Recording
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.solver import Progress
 
-SMALLEST_SEGMENT = 1.0e-3
-"""Share of an effect's range below which two of its nodes are one."""
-
 
 @dataclass(frozen=True)
 class EvidenceTrajectory:

@@ -45,11 +45,6 @@ class MotionGate:
         self.maximum_step_s = maximum_step_s
         self._last: MotionOrder | None = None
 
-    @property
-    def last_pose(self) -> Pose | None:
-        """Return the pose that was heard last."""
-        return None if self._last is None else self._last.pose
-
     def forget(self) -> None:
         """Let the next pose be a start, wherever and whenever it is."""
         self._last = None

@@ -137,10 +137,6 @@ class SensorSession:
         self._last_stamp_ns = motion.stamp_ns
         return self._move(motion.pose, step_s)
 
-    def is_behind(self) -> bool:
-        """Return whether the last frame shows the indenter on its way, not at its newest pose."""
-        return self._is_behind
-
     def catch_up(self) -> SensorMoment:
         """Go on to the newest pose, which `follow` did not reach; where it did, let a gel that
         remembers, or an effect, go on under the held indenter.
