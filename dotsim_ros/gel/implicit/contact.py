@@ -69,8 +69,8 @@ NO_RESPONSE = ContactResponse(
 
 @dataclass(frozen=True)
 class Lag:
-    """What an iteration's friction takes from the one before: pressure (C,) and normal (C, 3) of
-    the candidates, a zero normal for none."""
+    """What the friction of an iteration takes from the previous one: pressure (C,) and normal
+    (C, 3) of the candidates, a zero normal for none."""
 
     pressure_pa: FloatArray
     normal: FloatArray
