@@ -65,7 +65,7 @@ NETWORK = CardKind(NetworkCard, FORMAT, "network", "dotsim_ros train-optics")
 
 
 def camera_hash(camera: FisheyeCamera) -> str:
-    """Return what tells cameras apart whose images differ by more than their number of pixels."""
+    """Return a hash that differs between cameras whose images differ by more than resolution."""
     numbers = [
         camera.width / camera.height,
         camera.focal_px / camera.height,

@@ -86,7 +86,7 @@ class CompletionNetwork:
 
 
 class LearnedCompletion:
-    """What a network adds to the warped image, for one idle frame; see `image.Residual`.
+    """What a network adds to the warped image, for one idle frame; see `image.Completion`.
 
     Args:
         network: that is run.
