@@ -47,9 +47,9 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
 
 FORGOTTEN_N = 1.0e-9
-"""A marker's force below this is set to zero: it moves the skin by less than 1e-11 m. The force on a
-released marker would otherwise decay for hundreds of steps, count as contact all the while, and end
-as subnormal numbers, with which a product takes ten times as long."""
+"""A marker's force below this is set to zero: it moves the skin by less than 1e-11 m. The force on
+a released marker would otherwise decay for hundreds of steps, count as contact all the while, and
+end as subnormal numbers, with which a product takes ten times as long."""
 LARGEST_SUBSTEP_M = 0.6e-3
 """The indenter moves no farther in a substep, so that no marker passes through it."""
 PATCH_MARGIN_M = 2.2e-3

@@ -37,8 +37,8 @@ LEFT_SHARE = 0.3
 CONTACT_SHARE = 0.3
 """Share of the tolerance to which the contact of the linear gel is solved."""
 LARGEST_CONTACT_TOLERANCE_M = 3.0e-6
-"""A loose tolerance saves iterations of the gel, but must not make its contact inaccurate: the force
-follows from the contact."""
+"""A loose tolerance saves iterations of the gel, but must not make its contact inaccurate: the
+force follows from the contact."""
 FAR_SHARE = 0.2
 """Forces out of balance far away below this share of those near the contact move nothing there."""
 LARGEST_STEP_M = 0.3e-3
