@@ -20,7 +20,7 @@ CHANNELS = ("pose", "wrench", "skin")
 LOCKED_SHARE = 0.4
 """At most this share of the trajectories is kept for the figures after the search."""
 IGNORED = ("truth.json", "truth.yaml")
-"""Files that say what was done to a data set: never read, and their presence is told."""
+"""Files that say what was done to a data set: never read; that they are there is reported."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def protocol_of(recording: Recording) -> str:
 
 
 def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[int]:
-    """Return the places of the trajectories to keep locked: one of each protocol that is repeated,
+    """Return the places of the trajectories to hold out: one of each protocol that is repeated,
     those repeated most first, and at most `LOCKED_SHARE` of all.
 
     Args:

@@ -65,7 +65,7 @@ class GelSimulator:
     Args:
         specification: the sensor; its solver must be implicit and quasi-static.
         skin: the skin's markers.
-        progress: told the finished share of each table that is computed.
+        progress: called with the finished share of each table that is computed.
         tolerance_m: of the solves.
 
     Raises:

@@ -1,5 +1,5 @@
-"""Solves presses in a pool of processes; every solve is kept on disk, so that a run that was killed
-goes on, and nothing is solved twice."""
+"""Solves presses in a pool of processes; every solve is kept on disk, so that an interrupted run
+can be resumed, and nothing is solved twice."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ DECIDED_BY = ("dotsim_ros.twin.solver",)
 """The code, with all that it imports, that decides a solve."""
 
 Progress = Callable[[int, int], None]
-"""Told how many solves are done, and of how many."""
+"""Called with the number of solves done, and of all."""
 
 
 @dataclass(frozen=True)
