@@ -1,4 +1,4 @@
-"""Adhesion: the skin clings to the indenter that leaves, and pulls.
+"""Adhesion: the skin sticks to the indenter as it is withdrawn, and pulls on it.
 
 Johnson, Kendall and Roberts, "Surface energy and the contact of elastic solids", 1971, on release
 alone: a skin that is pressed on does not cling, one that is pulled off does. From the deepest point
