@@ -1,4 +1,4 @@
-"""Reads the images of a data set for the gap finder, and says what of them cannot be used."""
+"""Reads the images of a data set for the gap finder, and reports what of them cannot be used."""
 
 from __future__ import annotations
 

@@ -205,7 +205,7 @@ class TileMeter:
         # What moves by d looks at x - d: the difference is -d . gradient.
         terms = np.stack([-slope_x, -slope_y, grey, np.ones_like(grey)], axis=-1)
         normal = self.grid.mean(terms[..., :, None] * terms[..., None, :])
-        # A tile without texture tells no motion: none is found there.
+        # A tile without texture does not identify a motion: none is found there.
         inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-9), dtype=np.float64)
         return _Reference(self.grid.mean(image), grey, self._detail(grey), terms, inverse[:, :2])
 

@@ -28,7 +28,7 @@ TOLERANCES = {
 """Effects that are there to a small degree in any unit and setup, or that the model's own error
 looks like: the effect of each, and the step of the difference, in its first parameter."""
 BIASED = ("friction", *TOLERANCES)
-"""Nuisances whose means presses in which nothing is missing tell."""
+"""Nuisances whose means are estimated from presses in which no effect is missing."""
 SHARED, OWN, SINCE = "shared", "own", "since"
 
 
@@ -91,7 +91,7 @@ DIFFERENTIAL = (
     *_OWN_ERRORS,
     PressNuisance("E_since", "log", 0.02, SINCE),
 )
-"""Against the unit's own commissioning, which tells its constants; since then, its stiffness may
+"""Against the unit's own commissioning, which gives its constants; since then, its stiffness may
 have changed by what a laboratory's temperature does."""
 
 

@@ -21,7 +21,7 @@ HEAD = (
 
 
 def effects_table() -> Table:
-    """Return what each shipped effect is, a row a file of `dotsim_ros/gap/effects`."""
+    """Return what each shipped effect is, a row a file of `dotsim_ros/effects/builtin`."""
     return Table(HEAD, tuple(_row(effect) for effect in load_effects().values()))
 
 
