@@ -27,7 +27,7 @@ MANIFEST = ".report_files.json"
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path that takes the name of `path` when the block ends well.
 
-    The temporary file has the suffix of `path`, by which writers tell the format.
+    The temporary file has the suffix of `path`, from which writers infer the format.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
