@@ -144,7 +144,7 @@ def fit_network(
             `CPU_WIDTH` at most on a CPU.
         directory: where the training leaves its state and resumes from; None for nowhere.
         recipe: how it is trained; None for the kind's own.
-        progress: told after every epoch.
+        progress: called after every epoch.
 
     Raises:
         ValueError: no such kind, a size or budget out of range, fewer than ten frames, images of

@@ -95,7 +95,7 @@ def compare(
         skin: whose vertices the trajectory lists.
         indenter: the rigid shape.
         trajectory: with poses, skin and wrench; the first frame is without contact.
-        progress: told the finished share of tables that are computed once and cached.
+        progress: called with the finished share of tables that are computed once and cached.
 
     Raises:
         ValueError: the trajectory lacks poses, skin or wrench, or our gel refuses a pose.

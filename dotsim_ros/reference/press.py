@@ -169,7 +169,7 @@ class ReferencePress:
 
     @property
     def name(self) -> str:
-        """Of its trajectory; what it does not tell is in the notes."""
+        """Of its trajectory; what the name leaves out is in the notes."""
         friction = self.specification.contact.friction_coefficient
         return (
             f"{self.specification.name}_{self.indenter.name}_depth{1e3 * self.depth_m:g}"
