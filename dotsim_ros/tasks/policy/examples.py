@@ -90,7 +90,7 @@ def episode_files(folders: Sequence[Path]) -> list[Path]:
 
 
 def data_hash(folders: Sequence[Path]) -> str:
-    """Return what tells sets of demonstrations apart: their cards and the sizes of their files."""
+    """Return a key of sets of demonstrations: their cards and the sizes of their files."""
     digest = hashlib.sha256()
     for folder in folders:
         plan = json.loads((folder / CARD).read_text(encoding="utf-8"))["plan"]

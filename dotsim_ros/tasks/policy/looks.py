@@ -1,6 +1,6 @@
 """Looks: cameras, lights and coats that a sensor might have had, drawn at random.
 
-A policy that has seen many of them goes by what they share: how the skin moves.
+A policy trained on many of them relies on what they share: how the skin moves.
 """
 
 from __future__ import annotations

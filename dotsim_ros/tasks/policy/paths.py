@@ -2,7 +2,8 @@
 
 A path is where the indenter is in the sensor's frame, its axes held parallel to the sensor's. It is
 drawn in the direction of the contact on the dome and the depth of the indentation. No two parts of
-a path come close in both, so touch alone tells where on it the indenter is and which way it goes.
+a path come close in both, so touch alone identifies where on it the indenter is and which way it
+goes.
 
 Depth is nominal: how far the undeformed dome and the ball overlap.
 """
@@ -120,7 +121,7 @@ class ReferencePath:
         return self.position_m[index] + along[..., None] * tangent, tangent, self.speed_m_s[index]
 
     def laps(self, position_m: FloatArray) -> float:
-        """Return how often a motion (F, 3) has gone round, along the direction of travel.
+        """Return how many laps a motion (F, 3) has made, along the direction of travel.
 
         Consecutive places must be less than half a lap apart.
         """

@@ -148,7 +148,7 @@ def follow(
         start: of the indenter in the sensor's frame, where the gel already is.
         frame_count: images until the end.
         rate_hz: of the images.
-        arm: that carries the sensor.
+        arm: that the sensor is mounted on.
     """
     carried = Arm(arm or ArmModel(), start)
     position, commands, ended = [], [], ""
