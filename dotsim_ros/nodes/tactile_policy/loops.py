@@ -150,7 +150,7 @@ class ControlLoop:
         every_tick: publish at the rate of the ticks.
         clock_ns: the time that stamps are of.
         publish: sends a command with its stamp.
-        changed: told of each new state or reason.
+        changed: called with each order of a new state or reason.
         tell: takes a missed deadline that is worth a line in the log.
 
     Attributes:

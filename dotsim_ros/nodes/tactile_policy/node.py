@@ -58,7 +58,7 @@ Loader = Callable[[Path, str], "Policy"]
 
 
 class TactilePolicy(WorkingNode):
-    """The node; parameters, topics and services as the README lists them.
+    """The node; parameters, topics and services as its documentation lists them.
 
     Args:
         load: opens the policy of a folder and one of its paths.
@@ -116,7 +116,7 @@ class TactilePolicy(WorkingNode):
         self.report_health(
             self._settings.diagnostics_period_s,
             self._health,
-            without_clock="no stamp can be compared with it",
+            without_clock="stamps cannot be compared with it",
         )
         self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
@@ -142,7 +142,7 @@ class TactilePolicy(WorkingNode):
             self.start_thread(
                 name,
                 partial(loop.run, self.stopping),
-                f"{name} broke off: the arm stops when no command comes",
+                f"{name} failed: the arm stops when no command comes",
             )
 
     def _publish(self, twist: Twist, stamp_ns: int) -> None:
