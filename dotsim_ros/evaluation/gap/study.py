@@ -148,8 +148,8 @@ def run_study(
     left_out: list[str] = []
     solves = 0
     limits: dict[str, Any] = {}
-    for number, (told, tested) in enumerate(((first, second), (second, first))):
-        known.append(calibrated_discrepancy(source, told, seed))
+    for number, (known_half, tested) in enumerate(((first, second), (second, first))):
+        known.append(calibrated_discrepancy(source, known_half, seed))
         with open_presses(source, tested, known[-1]) as presses:
             changes = _hidden_changes(presses, source, laws, seed)
             random = np.random.default_rng([seed, 1, number])

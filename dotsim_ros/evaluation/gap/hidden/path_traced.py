@@ -73,11 +73,11 @@ def llvm_library(places: Iterable[str] = LLVM_PLACES) -> Path | None:
 
 
 def _llvm_version(path: Path) -> int:
-    """Return the major version that a library's name tells, links followed; 0 for none."""
+    """Return the major version in a library's name, links followed; 0 for none."""
     for name in (path.name, path.resolve().name):
-        told = re.match(r"libLLVM(?:-|\.so\.)(\d+)", name)
-        if told is not None:
-            return int(told[1])
+        found = re.match(r"libLLVM(?:-|\.so\.)(\d+)", name)
+        if found is not None:
+            return int(found[1])
     return 0
 
 
