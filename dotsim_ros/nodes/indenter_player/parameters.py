@@ -152,7 +152,7 @@ class PlayerParameters:
     )
     indenter_radius_m: float = option(
         0.004,
-        "distance from the indenter's tip to the point whose positions were recorded: a sphere's radius",
+        "distance from the indenter's tip to the point that was recorded: a sphere's radius",
         minimum=0.0,
         maximum=0.1,
         read_only=True,
