@@ -99,7 +99,7 @@ def replace_files(directory: str | Path, files: Mapping[str, bytes]) -> None:
     directory = Path(directory)
     before = _written_files(directory)
     now = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-    # Both, until the old ones are gone: a call that is broken off leaves none that nobody knows.
+    # Both, until the old ones are gone: an interrupted call leaves no file that is not listed.
     _write_manifest(directory, before | now)
     for name, content in files.items():
         with whole_file(directory / name) as part:

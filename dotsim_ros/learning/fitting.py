@@ -61,7 +61,7 @@ class FittedNetwork:
         images = []
         for completion, warped in zip(added, press.warped, strict=True):
             match BASES[self.kind]:
-                case "carried":
+                case "warped":
                     base = warped.astype(np.float32)
                 case "idle":
                     base = rest.idle.astype(np.float32)
@@ -159,7 +159,7 @@ def fit_network(
         network = make_network(kind)
     pixels = network_size(kind, camera, size, device)
     examples = make_examples(kind, train, rest, camera, pixels)
-    if BASES[kind] == "carried":
+    if BASES[kind] == "warped":
         # Its output is zero at rest whatever its weights are.
         examples = examples.only_touched()
         if not len(examples.frame):

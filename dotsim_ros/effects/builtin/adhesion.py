@@ -67,7 +67,7 @@ class ClingingContact:
         return float(4.0 / 3.0 * self.modulus_pa * np.sqrt(self.radius_m * pressed) * pressed)
 
     def force_n(self, depth_m: float) -> float | None:
-        """Return the force on the way out, negative where it pulls; None once it is broken off."""
+        """Return the force on the way out, negative where it pulls; None once contact is lost."""
         if depth_m >= self.depth_at(self.widest_m):
             fallen_m = self.deepest_m - depth_m
             return self.hertz_n(self.deepest_m) - 2.0 * self.modulus_pa * self.widest_m * fallen_m

@@ -54,7 +54,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     sensor = load_sensor(SENSOR)
     truth = demo_truth(seed)
     directory.mkdir(parents=True, exist_ok=True)
-    print(f"sealed: sha256 {truth.digest()}", flush=True)
+    print(f"hidden effect drawn, sha256 {truth.digest()}", flush=True)
     data = directory / "measured"
     shutil.rmtree(data, ignore_errors=True)
     progress = PrintedProgress()
@@ -79,7 +79,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     write_truth(directory / "truth_opened.json", truth, seed=seed)
     hidden = ", ".join(f"{name} ({size:.3g} {LAWS[name].unit})" for name, size in truth.effects)
     print(f"\n{findings.sentence}")
-    print(f"the seal holds: {hidden or 'nothing'} (sha256 {truth.digest()[:12]}...)")
+    print(f"hidden was {hidden or 'nothing'} (sha256 {truth.digest()[:12]}...)")
     right = is_right(findings, truth)
     print("the finder was right" if right else "the finder was wrong")
     return 0 if right else 1

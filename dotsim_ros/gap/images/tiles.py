@@ -83,7 +83,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
     """
     height, width = lit.shape
     rim = RIM_PX * max(height / REFERENCE_HEIGHT, 1.0)
-    # Beyond the image's edge the disc goes on.
+    # Beyond the image's edge the disc continues.
     padded = cv2.copyMakeBorder(lit.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     inside = distance > rim

@@ -85,7 +85,7 @@ def sentence(
     Args:
         verdict: the answer.
         named: effects that are added, with their estimates.
-        alternatives: effects that the first is not told from.
+        alternatives: effects that cannot be distinguished from the first.
         gaps: by channel, on the held-out trajectories.
         nearest: the effect that comes nearest, where none is named.
         sizes: of the nearest, as the skin and as the force give it, where they disagree.
@@ -136,7 +136,7 @@ def optical_sentence(
     Args:
         verdict: of the images.
         named: effects that are added, with their estimates.
-        alternatives: effects that the first is not told from.
+        alternatives: effects that cannot be distinguished from the first.
         gap: of the tiles' colours.
         nearest: the effect that comes nearest, where none is named.
     """
