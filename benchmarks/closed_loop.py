@@ -47,8 +47,8 @@ from dotsim_ros.tasks.policy.paths import PATHS, reference_path
 TOPICS = {**LOOP_TOPICS, "indenter/pose": PoseStamped, "indenter/state": PoseStamped}
 SHORTEST_INFERENCE_S = 0.005
 WINDOW_S = 10.0
-TOLD_GAP_S = 0.08
-"""Between two commands: one period and a deadline missed by 40 ms."""
+REPORTED_GAP_S = 0.08
+"""Gap between two commands: one period and a deadline missed by 40 ms."""
 COMMAND_HZ, COMMAND_TOLERANCE_HZ = 25.0, 0.2
 FEEDBACK_HZ, FEEDBACK_TOLERANCE_HZ = 100.0, 0.5
 LONGEST_WAY_MS = 120.0
@@ -194,7 +194,7 @@ def measure(policy: Path, path_name: str, minutes: float, sensor: str) -> dict[s
             "feedback": rate_figures(heard["ee_pose"]),
             "frames": rate_figures(heard["wrench"]),
             "ways": ways(loop),
-            "command_gaps_over_80_ms": int(np.sum(np.diff(heard["cmd_vel"]) > TOLD_GAP_S)),
+            "command_gaps_over_80_ms": int(np.sum(np.diff(heard["cmd_vel"]) > REPORTED_GAP_S)),
             "stops": loop.stops(),
             "latched": restarts,
             "told_by_the_policy": values,

@@ -51,7 +51,7 @@ ALPHA = 0.02
 NULLS = 4
 COMMISSIONING = 12
 TRAJECTORIES, FRAMES = 5, 3
-"""Of a later set, and of a trajectory."""
+"""Trajectories of a later set, and frames of a trajectory."""
 
 
 @dataclass(frozen=True)

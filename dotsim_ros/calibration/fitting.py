@@ -32,7 +32,7 @@ from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 
 OFFSET_STEPS = np.array([0.02e-3] * 3 + [5.0e-3] * 3)
-"""Of the differences by an indenter's offset: metres, radians."""
+"""Steps of the finite differences by an indenter's offset: metres, radians."""
 
 SMALLEST_DECREASE = 0.05
 """A fit ends when its step is predicted to lower the loss by less: a step of one posterior standard

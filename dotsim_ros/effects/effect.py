@@ -105,7 +105,7 @@ class SeenImage:
 
 
 MotionFilter = Callable[[float, Pose, FloatArray], Pose]
-"""From time (s), commanded pose, and the force (3,) on the indenter to the true pose."""
+"""Maps time (s), commanded pose, and the force (3,) on the indenter to the true pose."""
 ResponseFilter = Callable[[Response], Response]
 ImageFilter = Callable[[SeenImage], FloatArray]
 """Returns (H, W, 3) pixels."""

@@ -74,7 +74,7 @@ class FilteredSensor(Protocol):
 
     @property
     def skin(self) -> SkinMesh:
-        """At rest."""
+        """The skin at rest."""
 
     @property
     def camera(self) -> FisheyeCamera:

@@ -55,7 +55,7 @@ than the nuisances. In the commissioning of a second unit, with nothing missing,
 3.2 times; the margin is a guess. Effects that the model's own error imitates have larger factors,
 which come with the discrepancy."""
 MISFIT_OF_UNITS = 0.45
-"""By how much an observable's objective may be larger than the discrepancy's own presses leave:
+"""Excess of an observable's objective that is allowed over what the discrepancy's presses leave:
 the commissioning of a second unit, with nothing missing, is off by 0.34; the margin is a guess."""
 MISFIT_SINCE = 0.2
 """The same against the unit's own commissioning."""

@@ -29,7 +29,7 @@ from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData
 
 PRIOR_WEIGHT = 0.7
-"""Of a sample interpolated in the idle image, against one measured pixel."""
+"""Weight of a sample interpolated in the idle image, relative to one measured pixel."""
 OUTLIER_LEVELS = 10.0
 """Differences above this many grey levels are errors of the motion and count ever less (Cauchy)."""
 LEAST_GAIN = 0.2

@@ -24,7 +24,7 @@ SIGNIFICANT_SHARE = 0.01
 SSIM_SIGMA_PX = 1.5
 """Width of the Gaussian window of SSIM, as published."""
 LARGEST_PSNR_DB = 100.0
-"""Of an image without any error, whose ratio is infinite."""
+"""PSNR given to an image without any error, whose ratio is infinite."""
 
 
 @dataclass(frozen=True)

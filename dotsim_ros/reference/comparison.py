@@ -18,7 +18,7 @@ from dotsim_ros.measured.trajectory import Trajectory
 from dotsim_ros.specification import SensorSpecification
 
 STEP_S = 0.05
-"""Of a quasi-static gel; it has no effect."""
+"""Time step of our gel; without effect, since it is quasi-static."""
 
 MOVE_M = 0.25e-3
 """Our gel is moved at most so far at once, about a frame of the sensor at 5 mm/s: friction depends

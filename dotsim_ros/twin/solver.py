@@ -24,7 +24,7 @@ from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
 
 TOLERANCE_M = 5.0e-6
-"""Of the solves: effects are tried at sizes that move the skin by tens of micrometres, and a solve
+"""Tolerance of the solves: effects move the skin by tens of micrometres where tried, and a solve
 to a fifth of this takes more than twice as long."""
 
 DECIDED_BY = ("dotsim_ros.twin.solver",)

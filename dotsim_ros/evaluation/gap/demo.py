@@ -18,7 +18,7 @@ from dotsim_ros.gap.findings import Findings
 
 SENSOR = "sensor_a"
 NULL_SHARE = 0.1
-"""Of the seeds, in which nothing is hidden."""
+"""Share of the seeds for which nothing is hidden."""
 SKIN_SPACING_M = 1.2e-3
 
 

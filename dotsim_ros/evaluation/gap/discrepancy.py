@@ -33,7 +33,7 @@ from dotsim_ros.measured.recording import Recording
 SPLITS = 4
 """Draws of the halves."""
 LIMIT_DRAWS = 15
-"""From each half."""
+"""Cases drawn from each half."""
 NULLS_OF_DRAW = 10
 QUANTILE = 0.98
 MARGIN = 1.5

@@ -61,7 +61,7 @@ SENSOR = SensorSpecification(
 )
 """The pad's thickness is not recorded; silicone as its maker states that of a DenseTact."""
 CAMERA_DISTANCE_M = 0.03
-"""From the pad's face; such sensors are about as large."""
+"""Distance of the camera from the pad's face; such sensors are about as large."""
 PINHOLE = (1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0)
 """Coefficients of the tangent's series: an equidistant lens with them is a pinhole."""
 FIRST_DEPTH_M = 0.4e-3

@@ -34,7 +34,7 @@ SIMULATED, TRANSFERRED, SHIFTED = "simulated", "transferred", "shifted"
 SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED)
 STIFFER, DIMMED, TILT_DEG = 1.1, 0.6, 1.0
 CAMERA_NOISE_LEVELS = 1.2
-"""Of the camera of `sensor_a`: shared/measured/README.md states it, differences of its five idle
+"""Image noise of the camera of `sensor_a`, as its data set states it; differences of its five idle
 images confirm it."""
 START_SPREAD_M = 0.4e-3
 """Standard deviation along each axis of where a trial starts beside its path."""

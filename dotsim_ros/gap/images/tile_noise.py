@@ -29,7 +29,7 @@ LEAST_TRAJECTORIES = 4
 
 @dataclass(frozen=True)
 class Correlation:
-    """Of the errors of one channel.
+    """Correlation of the errors of one channel.
 
     Attributes:
         white: share of the variance that nothing shares.

@@ -18,7 +18,7 @@ from dotsim_ros.measured.recording import Recording
 
 SHIFT_STEP_M = 0.1e-3
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
-"""Of the differences, in the parameters' coordinates: of the size of the priors."""
+"""Steps of the finite differences, in the parameters' coordinates: of the size of the priors."""
 TOLERANCES = {
     "thickness": ("thickness_error", {"thickness_share": -0.0225}),
     "delay": ("latency", {"latency_s": 0.01}),

@@ -64,7 +64,7 @@ NO_RESPONSE = ContactResponse(
     slip_m=np.zeros((0, 3)),
     normal=np.zeros((0, 3)),
 )
-"""Of no candidates."""
+"""The response of no candidates."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dotsim_ros.tasks.policy.network import Policy
 
 WAIT_SHARE = 0.6
-"""Of a period: so long a cycle waits for an image that is not there at its deadline."""
+"""Share of a period that a cycle waits for an image that is not there at its deadline."""
 
 
 class InferenceLoop:

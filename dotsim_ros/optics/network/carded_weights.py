@@ -34,11 +34,11 @@ class Card(Protocol):
 
     @property
     def weights_sha256(self) -> str:
-        """Of the weights, by `weights_hash`."""
+        """Hash of the weights, by `weights_hash`."""
 
     @property
     def graph_sha256(self) -> str:
-        """Of the graph's file."""
+        """Hash of the graph's file."""
 
     def text(self) -> str:
         """Return the card as JSON."""

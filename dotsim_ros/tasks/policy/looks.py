@@ -22,7 +22,7 @@ from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import CameraSpecification, SensorSpecification
 
 OWN_COAT_SHARE = 0.3
-"""Of the looks that keep the sensor's own idle image and lights."""
+"""Share of the looks that keep the sensor's own idle image and lights."""
 
 
 @dataclass(frozen=True)

@@ -21,14 +21,14 @@ from scipy.spatial import cKDTree
 from dotsim_ros.arrays import FloatArray
 
 SPEED_M_S = 0.005
-"""On straight parts of a path."""
+"""Speed on straight parts of a path."""
 TURN_RATE_RAD_S = 3.0
 """The most that the direction of travel turns by: in narrow bends a path is followed slowly, since
 what is commanded takes effect a tenth of a second after what was seen."""
 SMALLEST_SPEED_M_S = 0.001
 SAMPLE_COUNT = 1200
 SMOOTHING_M = 0.3e-3
-"""Over which a path's speed changes."""
+"""Length over which a path's speed is smoothed."""
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,8 @@ PLACE_WEIGHT = 0.3
 """Weight of the place's error beside that of the commands: a network that must also estimate the
 place of the contact learns the commands sooner."""
 SHRINKAGE = 0.02
-"""Of the fingerprints' variance, added to each: cells that hardly vary are not known better."""
+"""Share of the fingerprints' mean variance that is added to each cell's, since the variance of
+cells that hardly vary is not known better."""
 UNUSUAL_FACTOR = 4.0
 """Images farther from the usual than any held-out one by this factor are of another sensor. A twin
 of the same design, with another lens, light and noise, is 1.6 times as far; a sensor of another

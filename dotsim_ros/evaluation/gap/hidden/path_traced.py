@@ -44,7 +44,7 @@ angle from the axis, and half its width this angle."""
 
 LED_RING_M, LED_HEIGHT_M, LED_RADIUS_M = 10.0e-3, 0.8e-3, 0.6e-3
 LED_AZIMUTH_DEG = (75.0, 195.0, 315.0)
-"""Of the red, the green and the blue group, from +x towards +y."""
+"""Directions of the red, the green and the blue group of LEDs, from +x towards +y."""
 LED_SPREAD_DEG = 17.0
 LED_TILT_DEG = 12.0
 """LEDs lean outwards, so that the camera sees their backs."""
