@@ -33,7 +33,7 @@ DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points of a cloud, and what it knows of them.
+    """Points of a cloud, with their optional normals and displacements.
 
     Attributes:
         position: (N, 3) metres.
@@ -66,7 +66,7 @@ def encode_cloud(
         displacement_m: (N, 3) or None.
         stamp_ns: time of acquisition.
         frame_id: frame of points and vectors.
-        types: the world to make the message for.
+        types: of the message: an installed ROS or a bag's type store.
 
     Raises:
         ValueError: an array of another shape.

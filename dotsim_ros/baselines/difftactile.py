@@ -157,7 +157,7 @@ class DynamicGel:
 
     Args:
         mesh: its tetrahedra.
-        skin: the skin that it carries, on which the contact acts.
+        skin: the skin on it, on which the contact acts.
         device: Warp's name of the device.
     """
 
@@ -396,7 +396,7 @@ class DiffTactile:
     name: str = "difftactile"
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `evaluation.presses.Model`.
+        """Return skin and force at the poses of a press; see `measured.presses.Model`.
 
         Raises:
             DivergenceError: the explicit steps have left every bound.
@@ -554,6 +554,6 @@ def _modulus(trials: FitTrials, presses: Sequence[Press], constants: GelConstant
     if unit == 0.0:
         raise ValueError(
             "no indenter touches the skin in the presses to fit on, or every run diverged; a "
-            "modulus cannot be told"
+            "modulus cannot be estimated"
         )
     return sum(s.product for s in scores) / unit

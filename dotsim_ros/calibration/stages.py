@@ -1,6 +1,6 @@
 """The work on single presses, in a pool of processes, each result kept in a file of its own.
 
-A run that was killed goes on from its files: a file belongs to a task by a key of all that the task
+An interrupted run resumes from its files: a file belongs to a task by a key of all that the task
 depends on.
 """
 
@@ -112,7 +112,7 @@ class Workers:
 
         Args:
             tasks: of one stage.
-            progress: told the name of each press as it is finished.
+            progress: called with the name of each press as it is finished.
         """
         outcomes: dict[str, Outcome] = {}
         waiting: dict[Future[Outcome], Task] = {}

@@ -23,7 +23,7 @@ FAST_M_S = 2.0e-3
 """An indenter that moves faster under load moves the image enough to blur or skew it."""
 
 SourceMap = Callable[[SeenImage], tuple[FloatArray, FloatArray]]
-"""From an image to x and y (H, W each), px, of where in it each new pixel looks."""
+"""Maps an image to x and y (H, W each), px, of the place in it that each new pixel shows."""
 
 
 def any_frame(recording: Recording) -> bool:

@@ -1,8 +1,8 @@
 """Shapes that follow smoothly from a reference shape, and how fast a shape's points move with them.
 
 A gel of a slightly different radius, discretised anew, has other particles: its response is no
-smooth function of the radius. A reshaped body instead carries the particles, markers and bonded
-points of its reference along, so that it is one and its derivatives exist. The grid stays.
+smooth function of the radius. A reshaped body instead moves the particles, markers and bonded
+points of its reference, so that the response is smooth and its derivatives exist. The grid stays.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from msg_adapters import BagTypes, Message
 
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 BAG_TYPES = BagTypes(TYPESTORE.types)
-"""For the encoders of `msg_adapters`, to make messages that `BagFile` writes."""
+"""Message types for the encoders of `msg_adapters`, to make messages that `BagFile` writes."""
 
 BAG_VERSION: Literal[9] = 9
 

@@ -1,4 +1,4 @@
-"""Reads a measured data set for the gap finder, and says what of it cannot be used."""
+"""Reads a measured data set for the gap finder, and reports what of it cannot be used."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
 
 CHANNELS = ("pose", "wrench", "skin")
-LOCKED_SHARE = 0.4
+HELD_OUT_SHARE = 0.4
 """At most this share of the trajectories is kept for the figures after the search."""
 IGNORED = ("truth.json", "truth.yaml")
-"""Files that say what was done to a data set: never read, and their presence is told."""
+"""Files that say what was done to a data set: never read; that they are there is reported."""
 
 
 @dataclass(frozen=True)
@@ -170,8 +170,8 @@ def protocol_of(recording: Recording) -> str:
 
 
 def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[int]:
-    """Return the places of the trajectories to keep locked: one of each protocol that is repeated,
-    those repeated most first, and at most `LOCKED_SHARE` of all.
+    """Return the places of the trajectories to hold out: one of each protocol that is repeated,
+    those repeated most first, and at most `HELD_OUT_SHARE` of all.
 
     Args:
         protocols: of each trajectory, by `protocol_of`.
@@ -181,7 +181,7 @@ def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[i
     for place, protocol in enumerate(protocols):
         groups.setdefault(protocol, []).append(place)
     repeated = sorted((m for m in groups.values() if len(m) > 1), key=len, reverse=True)
-    most = int(LOCKED_SHARE * len(protocols) + 0.5)
+    most = int(HELD_OUT_SHARE * len(protocols) + 0.5)
     return sorted(int(random.choice(members)) for members in repeated[:most])
 
 

@@ -32,7 +32,7 @@ def hold_out_of_protocols(
 
     Names that differ in the number at their end alone are repeats of one protocol. Some of every
     protocol stay to fit on, and, as far as `count` goes, one of every protocol is judged on: a draw
-    that holds out every slide leaves nothing that tells friction, one without a slide does not
+    that holds out every slide leaves no data that identify friction, one without a slide does not
     judge it.
 
     Raises:

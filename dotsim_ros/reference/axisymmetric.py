@@ -28,7 +28,7 @@ from dotsim_ros.reference.surface import meridian
 from dotsim_ros.specification import ContactSpecification, GelSpecification
 
 WEDGE_COUNT = 180
-"""Of a full turn."""
+"""Number of wedges in a full turn."""
 
 GROWTH = 1.15
 """Ratio of the sizes of two neighbouring elements away from the contact."""

@@ -1,4 +1,4 @@
-"""The data set of solved presses: it grows by one trajectory at a time and goes on where it was."""
+"""The data set of solved presses: it grows by one trajectory at a time, and can be resumed."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from dotsim_ros.reference.surface import indenter_surface
 from dotsim_ros.specification import SensorSpecification
 
 START_GAP_M = 20e-6
-"""Between skin and tip in the first frame, so that it is one without contact."""
+"""Gap between skin and tip in the first frame, so that it is one without contact."""
 
 SHEAR_STEP_M = 0.25e-3
 """The indenter is dragged at most this far in a frame."""
@@ -169,7 +169,7 @@ class ReferencePress:
 
     @property
     def name(self) -> str:
-        """Of its trajectory; what it does not tell is in the notes."""
+        """Name of its trajectory; what the name leaves out is in the notes."""
         friction = self.specification.contact.friction_coefficient
         return (
             f"{self.specification.name}_{self.indenter.name}_depth{1e3 * self.depth_m:g}"

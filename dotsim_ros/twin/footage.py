@@ -1,8 +1,8 @@
-"""What the camera saw of measured presses, beside what the calibrated gel says it sees.
+"""What the camera saw of measured presses, beside what the calibrated sensor renders for them.
 
 Poses, images and idle images of a data set go in; the calibrated gel follows the poses, and its
 skin is rendered by the sensor's camera at the measured resolution. Following the poses takes most
-of the time, so the skins are kept on disk, under a name that depends on everything that they do.
+of the time, so the skins are kept on disk, under a key of everything that they depend on.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class OpticalPress:
-    """Frames of one trajectory: what the model sees beside what was measured.
+    """Frames of one trajectory: what the model renders beside what was measured.
 
     Attributes:
         name: of the trajectory.
@@ -103,7 +103,7 @@ class OpticalData:
 
 @dataclass(frozen=True)
 class FilmedPress:
-    """Measured images of one trajectory, and the skin that the gel says they show.
+    """Measured images of one trajectory, and the simulated skin that they show.
 
     Attributes:
         name: of the trajectory.
@@ -161,10 +161,10 @@ def read_filmed_data(
         sensor: its calibrated gel; its camera plays no part.
         presses: names of the trajectories; None for all that hold images.
         cache: folder of the skins that were computed before; None for the user's cache.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
         topics: where pose and image lie in the bags.
-        check: refuses frames that do not belong to the idle image; whoever looks for what changed
-            between them brings one that refuses less.
+        check: refuses frames that do not belong to the idle image; a search for what changed
+            between them needs one that refuses less.
 
     Raises:
         FileNotFoundError: no data set, bag or indenter there.

@@ -221,5 +221,5 @@ def test_presses_that_tell_nothing_are_refused(gel: DynamicGel, skin: SkinMesh) 
     rest = skin.rest_position_m[None]
     apart = Press("apart", "ball", away.poses, away.stamp_s, rest, np.zeros((1, 3)))
     trials = FitTrials(gel, {"ball": BALL})
-    with pytest.raises(ValueError, match="a modulus cannot be told"):
+    with pytest.raises(ValueError, match="a modulus cannot be estimated"):
         difftactile.fit([apart], {"ball": BALL}, skin, trials=trials)

@@ -168,8 +168,8 @@ def test_a_named_effect_is_reported_with_its_numbers() -> None:
     text = text_of(replace(named(), worst=None))
     assert "Effect named" in text
     assert "friction_ratio = 1.52 (1.41 to 1.66)" in text
-    assert "Share of the gap closed on the locked trajectories: 96 % (91 % to 99 %)" in text
-    assert "skin: 0.052 mm, 1.04 times the floor: no gap left that can be seen" in text
+    assert "Share of the gap closed on the held-out trajectories: 96 % (91 % to 99 %)" in text
+    assert "skin: 0.052 mm, 1.04 times the floor: no detectable gap remains" in text
     assert "force: 0.05 N, 1.25 times the floor: a gap remains" in text
     assert "offset_z = 0.02 (-0.01 to 0.05) mm" in text
     assert "neither found nor excluded" in text
@@ -179,7 +179,7 @@ def test_a_named_effect_is_reported_with_its_numbers() -> None:
 def test_a_set_comes_with_what_would_separate_it() -> None:
     text = text_of(replace(of_set(), places=()))
     assert "slides in two opposite directions" in text
-    assert "do not tell Coulomb slip at another friction from: Pose offset" in text
+    assert "do not distinguish Coulomb slip at another friction from: Pose offset" in text
     assert "60 % of bootstrap repetitions" in text
     assert "the name is not stable" in text
 

@@ -110,7 +110,7 @@ def test_whitening_leaves_unit_covariance():
 
 
 def test_noise_takes_several_trajectories(noise):
-    with pytest.raises(ValueError, match="3 trajectories tell nothing of a model's error"):
+    with pytest.raises(ValueError, match="3 trajectories are too few to estimate a model's error"):
         estimate_noise(
             [np.ones((2, 3, 6))] * 3, [np.ones((2, 3, 6))] * 3, np.ones((3, 6)), np.ones((3, 2))
         )

@@ -135,7 +135,7 @@ class TactoImage:
     name: str = "tacto"
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
-        """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`.
+        """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`.
 
         Args:
             press: with the depth and the normals of Tacto's own, clipped skin.

@@ -114,7 +114,7 @@ def evaluate_geometry(
         factories: makes each model, by name.
         seed: of the samples of the surfaces.
         from_depth_m: depth of the tip from which frames are judged.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
 
     Raises:
         ValueError: a model could not be made, or no frame is deep enough.

@@ -1,4 +1,4 @@
-"""Reads the images of a data set for the gap finder, and says what of them cannot be used."""
+"""Reads the images of a data set for the gap finder, and reports what of them cannot be used."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
 
 MOST_IMAGES = 300
-"""Of a data set; trajectories are thinned evenly to come to no more."""
+"""Most images of a data set that are used; trajectories are thinned evenly to this number."""
 LEAST_FRAMES = 4
-"""Of a trajectory that is thinned."""
+"""Least number of frames of a trajectory that is thinned."""
 
 ALIKE = 0.5
 """Correlation of the pattern of two idle frames of one unit; those of two units have 0.2 to 0.3 at

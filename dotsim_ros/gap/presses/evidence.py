@@ -271,7 +271,7 @@ class Case:
 
         Args:
             wanted: variants and sizes.
-            progress: told the solves.
+            progress: called with the number of solves done, and of all.
         """
         requests, owners = [], []
         for variant, size in wanted:
@@ -355,7 +355,7 @@ def make_trajectories(
         skin: the skin's markers.
         noise, discrepancy: of measurement and model.
         channels: that are used.
-        progress: told the solves.
+        progress: called with the number of solves done, and of all.
 
     Returns:
         The trajectories, those of the reference first, and what had to be left out.

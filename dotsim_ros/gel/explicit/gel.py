@@ -56,7 +56,7 @@ class DivergenceError(RuntimeError):
 
 
 class ExplicitRegion(Protocol):
-    """What the explicit method asks of a shape: any `Body` is one."""
+    """What the explicit method needs of a shape: any `Body` is one."""
 
     def bounds_m(self) -> FloatArray:
         """Return the (2, 3) lower and upper corner of a box around the material."""
@@ -173,7 +173,7 @@ class ExplicitGel:
 
     Args:
         body: the gel's shape; its base plane z = 0 and, for a dome, its core are fixed.
-        skin: the surface that is carried along and that touches.
+        skin: the surface that moves with the gel and touches the indenter.
         material: Young's modulus and Poisson's ratio.
         density_kg_m3: of the gel.
         friction_coefficient: between skin and indenter.

@@ -1,4 +1,4 @@
-"""Hears what a closed loop says and calls its services, for programs that judge it.
+"""Receives what a closed loop publishes and calls its services, for programs that judge it.
 
 Messages are kept as they come over the wire, with the times at which the middleware sent and
 received them, and unpacked afterwards: hearing 250 of them a second must not cost the loop a core.

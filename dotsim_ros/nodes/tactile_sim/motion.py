@@ -31,7 +31,7 @@ class MotionOrder:
 
 
 class MotionGate:
-    """Decides of each pose whether it goes on from the last one, starts anew, or is refused.
+    """Decides whether a pose continues from the last one, starts anew, or is refused.
 
     Args:
         base_frame: the only frame that poses may be in.

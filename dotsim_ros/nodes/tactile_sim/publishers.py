@@ -1,4 +1,4 @@
-"""Every topic of one frame: who reads is served, all with one stamp."""
+"""Every topic of one frame: published where there are subscribers, all with one stamp."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is sent to a real arm that takes velocities by service, and when nothing may be.
+"""What is sent to a real arm that takes velocities by service, and when nothing may be sent.
 
 Needs no ROS and no clock: times are handed in.
 """
@@ -35,10 +35,10 @@ class LinkLimits:
     """What may be sent.
 
     Attributes:
-        linear_m_s: fastest the tool is told to move; faster commands are shortened.
-        angular_rad_s: fastest it is told to turn.
+        linear_m_s: largest commanded speed of the tool; faster commands are scaled down.
+        angular_rad_s: largest commanded rate of turning.
         stale_s: a command that is older counts as zero.
-        silence_s: after this long without the arm's state it is not commanded.
+        silence_s: after this long without the arm's state no commands are sent.
         answer_s: longest wait for the answer of a call.
     """
 

@@ -16,7 +16,7 @@ from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, Stat
 START_PATIENCE_S = 1.0
 """The first command after a start or a stop may take so long."""
 ENABLE_PATIENCE_S = 0.25
-"""Whoever enables the loop is not turned away for one late image: the loop waits for the next."""
+"""Enabling is not refused for one late image: the loop waits for the next."""
 
 
 class Supervisor:
@@ -89,7 +89,7 @@ class Supervisor:
         self._check_place(readings)
         if self.state is State.LATCHED:
             return self.state
-        # A slower arm may wait longer: what has stopped must not go on for that.
+        # A slower arm may wait longer: that must not restart what has stopped.
         is_stopped = self.state is State.STOPPED
         brake_s = self.limits.longest_brake_s if is_stopped else self.limits.brake_time_s(command)
         timeout_s = self.limits.timeout_s(brake_s)
@@ -177,10 +177,10 @@ class Supervisor:
             if self.state is State.RETREATING:
                 self._enter(State.STARTING)
             return
-        told = (
+        age_text = (
             "no command" if np.isinf(age_s) else f"the newest command is {1e3 * age_s:.0f} ms old"
         )
-        self._stop(Reason.POLICY_LATE, f"{told}: the policy does not keep up")
+        self._stop(Reason.POLICY_LATE, f"{age_text}: the policy does not keep up")
 
     def _must_retreat(self, readings: Readings) -> bool:
         is_retreating = self.state is State.RETREATING

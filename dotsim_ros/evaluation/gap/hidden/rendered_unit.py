@@ -127,7 +127,7 @@ class Studio:
             unit: the sensor.
             frames: of each trajectory, thinned evenly, the first and the last among them.
             seed: of the samples and of the camera's noise.
-            progress: told the trajectories.
+            progress: called with the number of trajectories done, and of all.
 
         Raises:
             FileExistsError: there is a data set.
