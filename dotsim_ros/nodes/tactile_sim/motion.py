@@ -47,7 +47,7 @@ class MotionGate:
 
     @property
     def last_pose(self) -> Pose | None:
-        """Return the pose that was heard last."""
+        """Return the pose that was received last."""
         return None if self._last is None else self._last.pose
 
     def forget(self) -> None:
@@ -59,7 +59,7 @@ class MotionGate:
 
         Raises:
             RefusedInputError: another frame, or a stamp that is not after the last one. What was
-                heard before stays in force.
+                received before stays in force.
         """
         if frame_id != self._base_frame:
             raise RefusedInputError(
@@ -89,7 +89,7 @@ class MotionGate:
 
 
 class NewestMotion:
-    """Holds the newest motion between the thread that hears and the one that simulates."""
+    """Holds the newest motion between the thread that receives and the one that simulates."""
 
     def __init__(self) -> None:
         self._lock = Lock()
