@@ -187,5 +187,5 @@ def decode_cloud(message: Message) -> Cloud:
     if position is None:
         raise ValueError(f"cloud has fields {list(points.dtype.names or ())}, expected x, y and z")
     if message.is_dense and not np.isfinite(position).all():
-        raise ValueError("cloud says is_dense and holds a position that is not finite")
+        raise ValueError("cloud is marked is_dense but holds a position that is not finite")
     return Cloud(position, _vectors(points, NORMAL), _vectors(points, DISPLACEMENT))

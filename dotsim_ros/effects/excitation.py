@@ -1,4 +1,4 @@
-"""What a recording does to the gel: the questions by which effects say whether it excites them."""
+"""What a recording does to the gel: the conditions under which it excites an effect."""
 
 from __future__ import annotations
 

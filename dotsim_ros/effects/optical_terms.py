@@ -73,7 +73,7 @@ def sampled(pixels: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _asked_for(place: FloatArray) -> FloatArray:
-    """Return where OpenCV's cubic must be asked to look, to look at a place.
+    """Return the coordinates for OpenCV's cubic interpolation that sample an image at a place.
 
     Its kernel is that of Keys ("Cubic convolution interpolation for digital image processing",
     1981) with a = -0.75, which shows a straight slope at f^3 - 1.5 f^2 + 1.5 f of a pixel where it

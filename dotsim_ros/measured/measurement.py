@@ -11,10 +11,9 @@ import numpy as np
 
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.measured.presses import press_of
-from dotsim_ros.measured.reading import BadBagError, read_observation
+from dotsim_ros.measured.reading import BadBagError, read_motion, read_observation
 from dotsim_ros.measured.recording import Recording, phases_of
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
 
 CHANNELS = ("pose", "wrench", "skin")
 HELD_OUT_SHARE = 0.4
@@ -115,8 +114,7 @@ def read_poses(
     session_s = 0.0
     for entry in data_set.entries:
         try:
-            trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
-            press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
+            press = read_motion(entry, topics=topics)
             indenter = find_indenter(data_set, entry.indenter, indenters)
         except (FileNotFoundError, ValueError) as error:
             warnings.append(f"{entry.name} was left out: {error}")

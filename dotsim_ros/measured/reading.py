@@ -128,6 +128,17 @@ def read_observations(
     return found, omitted
 
 
+def read_motion(entry: DataSetEntry, *, topics: Topics = MEASURED_TOPICS) -> Press:
+    """Read the poses of a press alone, measured or only planned.
+
+    Raises:
+        FileNotFoundError: no bag there.
+        ValueError: no poses, or poses that make no press.
+    """
+    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
+    return press_of(trajectory, name=entry.name, indenter=entry.indenter)
+
+
 @dataclass(frozen=True)
 class PressImages:
     """Images of a press.

@@ -181,7 +181,7 @@ def score_press(
 
     Args:
         press: what was measured.
-        prediction: what a model says.
+        prediction: of a model.
         indenter: that pressed.
         skin: the measured skin at rest.
         seed: of the samples of the surfaces.

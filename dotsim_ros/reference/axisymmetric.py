@@ -82,7 +82,7 @@ def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> DomeS
     """
     if gel.shape != "dome" or not gel.core_radius_m > 0.0:
         raise ValueError(
-            "the reference knows domes around a rigid core alone, not gel.shape "
+            "the reference is for domes around a rigid core only, not for gel.shape "
             f"{gel.shape!r} with a core of {gel.core_radius_m} m"
         )
     outer, spacing = gel.outer_radius_m, settings.spacing_m

@@ -1,4 +1,4 @@
-"""A press on the dome as CalculiX is asked for it."""
+"""A press on the dome, as the input of CalculiX."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def reference_deck(
     """
     gel = specification.gel
     if gel.shape != "dome":
-        raise ValueError(f"the reference knows domes alone, not gel.shape {gel.shape!r}")
+        raise ValueError(f"the reference is for domes only, not for gel.shape {gel.shape!r}")
     place = pressed_place(skin.rest_position_m, indenter, poses)
     mesh = dome_mesh(
         core_radius_m=gel.core_radius_m,

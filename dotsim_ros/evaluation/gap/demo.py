@@ -1,7 +1,7 @@
 """`find-gap --demo`: draws a hidden effect, publishes its hash, searches for it, reveals it.
 
 The reality is our own gel with another law than the library's, on another unit, with the errors of
-model and instruments: quick to make, and kinder than a measured sensor. `docs/gap_finder.md` says
+model and instruments: quick to make, and easier than a measured sensor. `docs/gap_finder.md` says
 how the finder does on data of other solvers.
 """
 

@@ -182,7 +182,7 @@ def gap_page(figures: dict[str, Any]) -> str:
                 ],
             ),
             "## What the halves show\n",
-            "What the twin is off by, as each half says it to the finder before the other half is "
+            "The twin's bias, as estimated from each half for the finder before the other half is "
             "searched, and by how much an effect must gain more than all do on simulated nulls "
             "(4 where the data show less).\n",
             _table(

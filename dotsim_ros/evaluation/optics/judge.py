@@ -1,4 +1,4 @@
-"""Models of the image, judged on measured frames: scores, and what they come to."""
+"""Models of the image, judged on measured frames: scores and their summaries."""
 
 from __future__ import annotations
 

@@ -290,7 +290,7 @@ def real_pair_page(figures: dict[str, Any]) -> str:
     """Return the table as a Markdown page."""
     rows = [
         (
-            [name],
+            [name.replace("carried", "warped")],
             row
             | {f"mask_{key}": value for key, value in row["mask"].items()}
             | (row["press"] or {}),
@@ -302,7 +302,7 @@ def real_pair_page(figures: dict[str, Any]) -> str:
             "# One real press on a DenseTact\n",
             markdown_table(["image"], rows, REAL_PAIR_COLUMNS),
             f"The press, of a ball of {figures['ball_radius_mm']:g} mm radius, was fitted to the "
-            "image itself: no figure here is on held-out data. carried: the idle image warped by "
+            "image itself: no figure here is on held-out data. warped: the idle image warped by "
             "the gel; shaded: first-order shading as well, under lights set by eye. by_pattern: "
             "the press whose fine pattern, at even contrast, correlates best with the measured "
             "one; the others: the press of least squared error in the mask. x and y: unit vector "

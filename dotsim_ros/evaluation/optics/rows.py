@@ -109,7 +109,7 @@ class RowMaker:
     """Makes rows, or finds those made before.
 
     Attributes:
-        data: the measured frames, with what the gel says of them.
+        data: the measured frames, with the simulated skin.
         clipped: gives the presses with Tacto's clipped skin, when a row needs them.
         refined: gives the same frames by an idle image that the frames of a split to fit on refine.
         cache: folder of the rows.

@@ -9,9 +9,10 @@ from dotsim_ros.baselines.optics.clipped import clipped_press
 from dotsim_ros.evaluation.optics.judge import frames_by_press, with_frames
 from dotsim_ros.evaluation.optics.split import OpticalSplit
 from dotsim_ros.gel.make import skin_of
+from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.measured.data_set import DataSet
-from dotsim_ros.measured.reading import read_observation
+from dotsim_ros.measured.reading import read_motion
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.footage import (
@@ -39,10 +40,13 @@ def clipped_presses(
     """
     renderer = SkinRenderer(data.camera, skin_of(sensor.gel))
     entries = {entry.name: entry for entry in data_set.entries}
+    indenters: dict[str, Indenter] = {}
     presses = {}
     for press in data.presses:
-        found = read_observation(data_set, entries[press.name], vertex_count=None)
-        presses[press.name] = clipped_press(press, found.press.poses, found.indenter, renderer)
+        if press.indenter not in indenters:
+            indenters[press.indenter] = load_mesh(data_set.indenter_mesh(press.indenter))
+        poses = read_motion(entries[press.name]).poses
+        presses[press.name] = clipped_press(press, poses, indenters[press.indenter], renderer)
     return presses
 
 

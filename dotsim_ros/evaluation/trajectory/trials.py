@@ -1,4 +1,4 @@
-"""Trajectories followed by touch alone: the settings, the trials, and what a recording is worth.
+"""Trajectories followed by touch alone: the settings, the trials, and the score of a recording.
 
 What runs the loop is handed in, so nothing here needs ROS.
 """
@@ -116,7 +116,7 @@ class Loop(Protocol):
 
 @dataclass
 class TrajectoryTrials:
-    """The recordings of a plan, and what they are worth.
+    """The recordings of a plan, and their figures.
 
     Attributes:
         recordings: of each trial, by setting and path.
@@ -283,7 +283,7 @@ def summary_of(row: Mapping[str, Any]) -> str:
 
 
 def judge(recording: LoopRecording, path: ReferencePath, limits: SafetyLimits) -> dict[str, Any]:
-    """Return what a recording is worth.
+    """Return the figures of a recording.
 
     Errors are distances from where the indenter was in the sensor's frame to the nearest point of
     the path, after the first APPROACH_S in which the arm was led; largest values are of the whole

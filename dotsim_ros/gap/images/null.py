@@ -1,7 +1,7 @@
 """What images show where nothing is missing: the file that thresholds of the images come from.
 
 It holds the covariance of the tiles, the sizes that the model's own error gives each effect, and
-how far whole trajectories lie from what the covariance says. It is made from images in which
+how far whole trajectories exceed what the covariance predicts. It is made from images in which
 nothing is wrong (`dotsim_ros find-gap --fit-optical-noise`); a file made with one sensor serves
 another's images as a guess, each of whose tiles takes the deviations of the nearest one.
 """

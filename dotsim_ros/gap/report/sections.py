@@ -1,4 +1,4 @@
-"""The sections of a gap's report: what was found, in the order in which it is asked."""
+"""The sections of a gap's report: what was found, in the order in which a reader asks."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class Miss:
 
 
 class MissCounter:
-    """Counts missed deadlines of one loop and says which are worth a line.
+    """Counts missed deadlines of one loop and limits how often they are logged.
 
     Args:
         loop: its name.

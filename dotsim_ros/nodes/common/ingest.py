@@ -75,7 +75,7 @@ class InputArbiter:
 
 
 class FaultLog:
-    """Counts faults and says which are worth a line in the log; from any thread.
+    """Counts faults and limits how often they are logged; from any thread.
 
     Args:
         period_s: time between two lines about faults of one kind.

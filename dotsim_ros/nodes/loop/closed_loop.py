@@ -95,7 +95,7 @@ class ClosedLoop:
 
     Attributes:
         setup: the present one.
-        observer: hears and calls.
+        observer: receives messages and calls services.
         contact: of the ball on the dome.
     """
 
@@ -261,7 +261,7 @@ class ClosedLoop:
             self.observer.call(SetBool, f"{POLICY}/set_enabled", data=False)
 
     def state(self) -> tuple[str, str]:
-        """Return the policy's state and its reason, empty where nothing has been heard."""
+        """Return the policy's state and its reason, empty where nothing has been received."""
         values = self.observer.values(f"{POLICY}: control")
         return values.get("state", ""), values.get("reason", "")
 
@@ -331,7 +331,7 @@ class ClosedLoop:
             raise OSError(f"{RECORDER} ended with status {status}")
 
     def recording(self, notes: Mapping[str, Any]) -> LoopRecording:
-        """Return what has been heard since it was last forgotten."""
+        """Return what has been received since the observer was last cleared."""
         heard = {name: self.observer.heard(name) for name in LOOP_TOPICS}
         times = {
             name: np.array(

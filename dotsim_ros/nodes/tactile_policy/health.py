@@ -32,7 +32,7 @@ def statuses(
     warnings: dict[str, str],
     now_s: float,
 ) -> list[Status]:
-    """Return the states of the loop, of the inference and of what is heard.
+    """Return the states of the loop, of the inference and of the inputs.
 
     Args:
         node_name: of the node.

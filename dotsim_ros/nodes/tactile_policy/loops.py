@@ -1,4 +1,4 @@
-"""The two threads of `tactile_policy` beside the one that hears: inference and control.
+"""The two threads of `tactile_policy` beside the one that receives: inference and control.
 
 Needs no ROS: what they publish and log goes through functions that are handed in.
 """

@@ -1,7 +1,7 @@
 """`tactile_policy`: leads an arm by touch.
 
 Tactile images and the arm's pose go in, velocity commands come out. Three threads: the executor's
-hears, one asks the policy 25 times a second, one controls the arm 100 times a second.
+receives, one runs the policy 25 times a second, one controls the arm 100 times a second.
 """
 
 from __future__ import annotations

@@ -142,7 +142,7 @@ class TactileRecord(WorkingNode):
         self.get_logger().info(f"recording {', '.join(self._types)} to {self._path}")
 
     def destroy_node(self) -> None:
-        """Finish the bag, say what is in it, and take the node down."""
+        """Finish the bag, log what is in it, and take the node down."""
         if self._recording is not None:
             self._finish(self._recording.close())
         super().destroy_node()

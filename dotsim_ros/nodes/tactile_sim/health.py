@@ -142,7 +142,9 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
 
 def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
     values = {
-        "silence_s": "never heard" if condition.silence_s is None else f"{condition.silence_s:.2f}",
+        "silence_s": "none received"
+        if condition.silence_s is None
+        else f"{condition.silence_s:.2f}",
         **fault_values(faults),
     }
     if condition.silence_s is None:

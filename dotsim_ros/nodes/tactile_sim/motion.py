@@ -54,7 +54,7 @@ class MotionGate:
 
         Raises:
             RefusedInputError: another frame, or a stamp that is not after the last one. What was
-                heard before stays in force.
+                received before stays in force.
         """
         if frame_id != self._base_frame:
             raise RefusedInputError(
@@ -84,7 +84,7 @@ class MotionGate:
 
 
 class NewestMotion:
-    """Holds the newest motion between the thread that hears and the one that simulates."""
+    """Holds the newest motion between the thread that receives and the one that simulates."""
 
     def __init__(self) -> None:
         self._lock = Lock()

@@ -31,7 +31,7 @@ WARM_UP_DEPTH_M = 0.0005
 
 
 class SensorMoment:
-    """The gel under an indenter, and what the camera sees of it once somebody asks.
+    """The gel under an indenter, and what the camera sees of it, rendered on demand.
 
     Args:
         sensor: which sees.

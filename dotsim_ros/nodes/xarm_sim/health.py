@@ -82,7 +82,7 @@ def _arm(condition: ArmCondition) -> Report:
 def _input(condition: ArmCondition, faults: FaultLog, now_s: float) -> Report:
     heard = np.isfinite(condition.silence_s)
     values = {
-        "silence_s": f"{condition.silence_s:.2f}" if heard else "never heard",
+        "silence_s": f"{condition.silence_s:.2f}" if heard else "none received",
         **fault_values(faults),
     }
     if is_recent(faults, now_s):

@@ -27,7 +27,7 @@ FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1}
 
 @dataclass(frozen=True)
 class NetworkCard:
-    """What weights are, where they come from, and what they are worth.
+    """What weights are, where they come from, and how well they predict.
 
     Attributes:
         version: of the format.

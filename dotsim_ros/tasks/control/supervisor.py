@@ -1,7 +1,7 @@
 """When an arm that is led by touch may move.
 
-A stop is over when its cause is (an old image, a silent pose), or it is latched: until somebody has
-looked and enables the loop again. The rule against old data is that of a stopping distance: the arm
+A stop ends when its cause does (an old image, a silent pose), or it is latched: until the loop is
+enabled again by hand. The rule against old data is that of a stopping distance: the arm
 brakes early enough to stand still `SafetyLimits.stop_within_s` after the last message came.
 """
 
@@ -68,7 +68,7 @@ class Supervisor:
         self._enter(State.STARTING)
 
     def disable(self) -> None:
-        """Stop because somebody wants it."""
+        """Stop on request."""
         self._enter(State.DISABLED)
 
     def latch(self, reason: Reason, detail: str) -> None:
@@ -210,7 +210,7 @@ class Supervisor:
         assert tool is not None
         assert home is not None
         away_m = np.abs(tool.position_m - home.position_m)
-        # A retreat goes where the tool came from, and says itself how far.
+        # A retreat goes where the tool came from, and has a limit of its own.
         if self.state is not State.RETREATING and (away_m > self.limits.half_box_m).any():
             self.latch(
                 Reason.WORKSPACE,

@@ -7,7 +7,7 @@ places near the paths at any speed: without them the drag of the skin would show
 expert went, and a policy would only learn to continue in that direction.
 
 Where a plan names a policy, that policy drives the episodes on paths, through an arm with delays,
-and the expert only says what it should have done (Ross et al., "A reduction of imitation learning
+and the expert only labels what it should have done (Ross et al., "A reduction of imitation learning
 and structured prediction to no-regret online learning", AISTATS 2011).
 """
 
