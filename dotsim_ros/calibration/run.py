@@ -26,9 +26,9 @@ from dotsim_ros.calibration.statistics import (
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.check import Observation, Omission, read_observations
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import Prediction
+from dotsim_ros.measured.reading import Observation, Omission, read_observations
 from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.metrics.presses import PressFrameScore, score_press
 from dotsim_ros.specification import SensorSpecification

@@ -110,7 +110,7 @@ class ApexPose:
 
 
 def quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the (4,) rotation that does `second`, then `first`, of unit length."""
+    """Return the (4,) unit quaternion of the rotation `second` followed by `first`."""
     x, y, z, w = first.tolist()
     u, v, t, s = second.tolist()
     product = np.array(

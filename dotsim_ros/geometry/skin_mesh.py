@@ -1,4 +1,4 @@
-"""The outer skin of the gel: triangle meshes of fixed topology, carried by the gel.
+"""The outer skin of the gel: triangle meshes of fixed topology that move with the gel.
 
 Both meshes are made of nearly equilateral triangles: rows of vertices with a varying count would
 need half as many more for the same longest edge.

@@ -9,8 +9,6 @@ import numpy as np
 from dotsim_ros.arrays import Float32Array
 from dotsim_ros.geometry.camera import FisheyeCamera
 
-RED, GREEN, BLUE = np.eye(3)
-
 
 @dataclass(frozen=True)
 class PointLight:

@@ -28,7 +28,7 @@ from dotsim_ros.reference.mesh import growing_marks, halved_marks
 from dotsim_ros.specification import ContactSpecification, GelSpecification
 
 WEDGE_COUNT = 180
-"""Of a full turn."""
+"""Number of wedges in a full turn."""
 
 GROWTH = 1.15
 """Ratio of the sizes of two neighbouring elements away from the contact."""
@@ -82,7 +82,7 @@ def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> DomeS
     """
     if gel.shape != "dome" or not gel.core_radius_m > 0.0:
         raise ValueError(
-            "the reference knows domes around a rigid core alone, not gel.shape "
+            "the reference is for domes around a rigid core only, not for gel.shape "
             f"{gel.shape!r} with a core of {gel.core_radius_m} m"
         )
     outer, spacing = gel.outer_radius_m, settings.spacing_m

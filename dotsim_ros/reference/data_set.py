@@ -41,7 +41,7 @@ def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:
 
     Raises:
         FileNotFoundError: there is no data set.
-        ValueError: an entry does not say what it was solved for: it is none of a reference.
+        ValueError: an entry does not state what it was solved for, so it is not a reference's.
     """
     data_set = read_data_set(directory)
     content = yaml.safe_load((directory / INDEX).read_text(encoding="utf-8"))

@@ -164,8 +164,8 @@ def searched(
 
 
 OWN_EFFECT = """
-from dotsim_ros.gap.effect import IMAGE, Effect, EffectParameter
-from dotsim_ros.gap.optical_terms import any_frame, radius_square
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter
+from dotsim_ros.effects.optical_terms import any_frame, radius_square
 
 
 def _image(values):

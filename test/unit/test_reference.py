@@ -20,7 +20,6 @@ from dotsim_ros.reference.data_set import read_solved_presses
 from dotsim_ros.reference.deck import EARLY_M, Deck, StepControl
 from dotsim_ros.reference.mesh import (
     MeshedPress,
-    corner_volumes,
     dome_mesh,
     interpolate_skin,
     pressed_place,
@@ -63,6 +62,31 @@ def _mesh(tilt_deg=0.0, spacing_m=1.2e-3, radius_m=3e-3):
         press=MeshedPress(pole, radius_m),
         spacing_m=spacing_m,
     )
+
+
+# In the order that makes a right-handed triple of edges.
+CORNER_NEIGHBOURS = (
+    (1, 3, 4),
+    (2, 0, 5),
+    (3, 1, 6),
+    (0, 2, 7),
+    (7, 5, 0),
+    (4, 6, 1),
+    (5, 7, 2),
+    (6, 4, 3),
+)
+
+
+def corner_volumes(mesh):
+    """Return (E, 8) scaled triple products of the edges at each corner: 1 for a brick, at most 0
+    where an element is turned inside out."""
+    corner = mesh.node_m[mesh.element[:, :8]]
+    products = []
+    for own, others in enumerate(CORNER_NEIGHBOURS):
+        edges = corner[:, others] - corner[:, own : own + 1]
+        edges /= np.linalg.norm(edges, axis=2, keepdims=True)
+        products.append(np.linalg.det(edges))
+    return np.stack(products, axis=1)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 40.0])

@@ -127,7 +127,7 @@ class Studio:
             unit: the sensor.
             frames: of each trajectory, thinned evenly, the first and the last among them.
             seed: of the samples and of the camera's noise.
-            progress: told the trajectories.
+            progress: called with the number of trajectories done, and of all.
 
         Raises:
             FileExistsError: there is a data set.
@@ -171,17 +171,6 @@ class Studio:
             moved = np.stack([self._smooth @ one for one in moved])
         moved[:, self.skin.on_base] = 0.0
         return np.asarray(rest + moved)
-
-    def source_skins(self, name: str) -> NDArray[np.float32]:
-        """Return the skins (F, V, 3) that were measured along a trajectory of the source.
-
-        Raises:
-            ValueError: it holds none.
-        """
-        skin = self._entries[name].read().skin
-        if skin is None:
-            raise ValueError(f"{name} holds no skins to render; name a data set with skins")
-        return skin.position_m
 
     def light(
         self, unit: RenderedUnit, skin_m: FloatArray | None, session_s: float, *, seed: int

@@ -87,7 +87,7 @@ def measure_unit(
         truth: what is wrong with the unit.
         seed: of places, of the unit's constants and of all errors.
         only: names of the protocols to measure; none for all.
-        progress: told the trajectories.
+        progress: called with the number of trajectories done, and of all.
 
     Raises:
         FileExistsError: there is a data set.
