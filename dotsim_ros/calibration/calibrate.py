@@ -68,7 +68,7 @@ def calibrate(
             than nine.
         leave_out: name of an indenter; judge on all of its trajectories instead.
         trajectories: names of those to use; by default all of the data set.
-        run_folder: of the run's files, from which a run that was broken off goes on; by default
+        run_folder: of the run's files, from which an interrupted run resumes; by default
             `run` in the report's folder, and where nothing is written, none is kept.
         joint_steps: Gauss-Newton steps of the joint fit, 0 to 4. With 0 it weighs the fits of
             single presses by their information and needs no solve of its own.
@@ -78,7 +78,7 @@ def calibrate(
         seed: of what is held out and drawn.
         noise: of the measurement; by default as `LossNoise` has it.
         topics: where the channels lie in the bags.
-        progress: told the stage, how many presses of it are done, and of how many.
+        progress: called with the stage, how many presses of it are done, and of how many.
 
     Returns:
         What was found; `specification` is the calibrated sensor.

@@ -1,4 +1,4 @@
-"""A whole calibration: read, see what the data can tell, fit each press, combine, judge."""
+"""A whole calibration: read, see what the data identify, fit each press, combine, judge."""
 
 from __future__ import annotations
 
@@ -186,8 +186,8 @@ def _calibrated(
     begun = monotonic()
     solves: dict[str, int] = {}
     first = stages.linearised("start", asked, observations, {}, solves, omissions)
-    told = identifiability(asked, list(first.values()))
-    everything = {i.parameter for i in told if i.data == "skin and force" and i.is_told}
+    identified = identifiability(asked, list(first.values()))
+    everything = {i.parameter for i in identified if i.data == "skin and force" and i.is_told}
     kept = [k for k, p in enumerate(asked.parameters) if p.name in everything]
     if not kept:
         raise ValueError(
@@ -220,7 +220,7 @@ def _calibrated(
         problem=problem,
         asked=tuple(p.name for p in asked.parameters),
         frozen=tuple(p.name for p in asked.parameters if p.name not in everything),
-        identifiability=told,
+        identifiability=identified,
         fits=fits,
         median=median,
         joint=joint,

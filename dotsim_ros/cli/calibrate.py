@@ -1,9 +1,9 @@
-"""Fit the gel's constants to measured presses, and say which of them the data can tell.
+"""Fit the gel's constants to measured presses, and report which of them the data identify.
 
 Reads a data set (dataset.yaml and one bag a trajectory), fits each trajectory by itself and all
 together, and judges the result on trajectories that were held out. Writes the sensor's file that
 tactile_sim loads, and a report beside it: OUT without its suffix plus `_report/`, with report.html,
-report.json and the run's files, from which a killed run goes on when called again.
+report.json and the run's files, from which an interrupted run resumes.
 
 example:
   dotsim_ros calibrate --data measured/sensor_a --out params.yaml

@@ -1,11 +1,11 @@
 """Find where simulation and measurement disagree, and name the missing effect.
 
 Calibrates the twin within its priors, tries every effect of the library, refits the best, judges
-the answer on trajectories kept locked. Writes OUT/report.html, report.md, findings.json, images,
+the answer on held-out trajectories. Writes OUT/report.html, report.md, findings.json, images,
 and, where an effect was named, OUT/effects_overlay.yaml, which tactile_sim loads with its parameter
-`effects`. Solves are kept in OUT/run: a run that was broken off goes on.
+`effects`. Solves are kept in OUT/run: an interrupted run resumes.
 
-exit status: 0 no gap, 10 an effect named, 11 a set of effects that the data do not tell apart,
+exit status: 0 no gap, 10 an effect named, 11 a set of effects that the data do not distinguish,
 12 an unknown effect, 20 the data cannot be used
 
 example:
@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fit-optical-noise",
         type=Path,
         metavar="FILE",
-        help="only learn what images show in which nothing is wrong, and write it here",
+        help="only estimate the images' noise from data without an effect, and write it here",
     )
     add("--json", type=Path, help="write the findings here as well")
     add("--demo", action="store_true", help="hide an effect drawn by the seed, and find it")

@@ -57,7 +57,7 @@ def find_gap(
     Args:
         measured: folder of the data set, or the data set.
         sensor: the calibrated twin: a name, a YAML file or a specification.
-        out: folder of the report, with the solves, from which a run that was broken off goes on,
+        out: folder of the report, with the solves, from which an interrupted run resumes,
             and the overlay of the effects that were named; None writes and keeps nothing.
         reference: folder of the unit's commissioning, to find what has changed since.
         indenters: folder of the indenters' meshes; by default looked for beside the data.
@@ -70,7 +70,7 @@ def find_gap(
         workers: processes.
         discrepancy: file of the model's own error; by default the shipped one.
         optical_noise: file of the images' noise; by default the shipped one.
-        progress: told each step's name, how much of it is done, and of how much.
+        progress: called with each step's name, how much of it is done, and of how much.
 
     Returns:
         What was found; its verdict is `Verdict.UNUSABLE` where the data cannot be used.
@@ -132,7 +132,8 @@ def fit_optical_noise(
     workers: int = 2,
     progress: Progress | None = None,
 ) -> OpticalNull:
-    """Learn what images show in which nothing is wrong; `find_gap` takes it as `optical_noise`.
+    """Estimate the images' noise from data without an effect; `find_gap` takes it as
+    `optical_noise`.
 
     It starts processes, so a script calls it below `if __name__ == "__main__":`.
 

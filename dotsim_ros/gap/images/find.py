@@ -134,7 +134,7 @@ def _null_of(
             reference = replace(request, measured=request.reference)
             case, solves = _case_without_gap(reference, progress)
             source = f"{len(case.shots) - 1} trajectories of {request.reference.name}"
-            told = wording.told_by_reference(unknown, source)
+            told = wording.learnt_from_reference(unknown, source)
             return null.with_effects(unknown, case), [told], solves
         except (FileNotFoundError, ValueError) as error:
             reason = str(error)

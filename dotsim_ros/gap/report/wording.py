@@ -208,7 +208,7 @@ def not_tried_warning(effects: Sequence[Effect], least: int, reason: str) -> str
     )
 
 
-def told_by_reference(effects: Sequence[Effect], source: str) -> str:
+def learnt_from_reference(effects: Sequence[Effect], source: str) -> str:
     """Return that some effects' limits come from the reference, which is taken to have none."""
     return (
         f"the file of the images' noise does not hold {', '.join(e.name for e in effects)}: their "
