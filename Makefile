@@ -6,10 +6,10 @@ OUT ?= out
 # A sourced ROS 2 Jazzy is used as it is; otherwise ROS comes from wheels, into the same $(VENV).
 ifeq ($(ROS_DISTRO),jazzy)
 VENV_OPTIONS := --system-site-packages
-EXTRAS := learning,test,dev
+EXTRAS := learning,test,dev,docs
 else
 VENV_OPTIONS :=
-EXTRAS := ros,learning,test,dev
+EXTRAS := ros,learning,test,dev,docs
 endif
 
 INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
@@ -19,7 +19,7 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: help setup demo demo-loop test bench soak lint results-status clean
+.PHONY: help setup demo demo-loop test bench soak lint docs results-status clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
@@ -28,6 +28,7 @@ help:
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
+	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
 	@echo "make results-status   which figures are older than the code; marks them in README and docs"
 
 setup: $(INSTALLED)
@@ -64,6 +65,13 @@ lint: setup
 
 results-status: setup
 	$(RUN) python .ci/results_status.py --markdown docs/results/status.md --mark
+
+# A notice of the theme's makers about its successor is no warning about these pages.
+docs: setup
+	$(RUN) python .ci/effects_table.py --check
+	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet --site-dir $(abspath $(OUT))/site
+	$(RUN) python .ci/check_links.py $(OUT)/site $(wildcard *.md)
+	@echo "open $(OUT)/site/index.html"
 
 clean:
 	rm -rf $(OUT) build install log

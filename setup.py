@@ -53,6 +53,12 @@ DEVELOPMENT = [
     "setuptools<80",
     "types-PyYAML",
 ]
+# mkdocs 2 has another configuration, and the theme does not follow it
+DOCUMENTATION = [
+    "mkdocs>=1.6,<2",
+    "mkdocs-material>=9.5,<10",
+    "mkdocstrings[python]>=1.0,<2",
+]
 
 
 def shared_files() -> list[tuple[str, list[str]]]:
@@ -108,6 +114,7 @@ setup(
         "rendering": RENDERING,
         "test": [*TEST, *RENDERING],
         "dev": DEVELOPMENT,
+        "docs": DOCUMENTATION,
     },
     entry_points={
         "console_scripts": [

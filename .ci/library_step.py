@@ -1,23 +1,33 @@
 """One press with the installed library, in a venv that knows no ROS."""
 
 import sys
-
-import numpy as np
+import tempfile
+from pathlib import Path
 
 import dotsim_ros
 
-heavy = {"warp", "torch", "rclpy"} & set(sys.modules)
-assert not heavy, f"importing dotsim_ros loaded {heavy}"
+HEAVY = {"warp", "torch", "rclpy"}
 
-from dotsim_ros.geometry.indenter import load_indenter  # noqa: E402
-from dotsim_ros.geometry.pose import Pose  # noqa: E402
-from dotsim_ros.sensor import TactileSensor  # noqa: E402
-from dotsim_ros.specification import load_sensor  # noqa: E402
 
-sensor = TactileSensor(load_sensor("densetact2"), indenter=load_indenter("sphere_4mm"))
-apex_m = float(sensor.skin.rest_position_m[:, 2].max())
-frame = sensor.step(Pose(np.array([0.0, 0.0, apex_m - 0.001])), 0.04)
+def check_light(what: str) -> None:
+    """Fail where something heavy has been loaded."""
+    loaded = HEAVY & set(sys.modules)
+    assert not loaded, f"{what} loaded {', '.join(sorted(loaded))}"
+
+
+check_light("importing dotsim_ros")
+assert set(dotsim_ros.__all__) <= set(dir(dotsim_ros))
+specification = dotsim_ros.load_sensor("densetact2")
+check_light("reading a sensor")
+sensor = dotsim_ros.TactileSensor.load(specification, indenter="sphere_4mm")
+frame = sensor.step(dotsim_ros.Pose.above_apex(depth_m=0.001))
 assert frame.image.shape == (480, 640, 3), frame.image.shape
 assert frame.wrench.force_n[2] > 0.0, frame.wrench
+with tempfile.TemporaryDirectory() as folder:
+    path = Path(folder) / "press.png"
+    frame.save(path)
+    assert path.stat().st_size > 0
+for name in dotsim_ros.__all__:
+    assert getattr(dotsim_ros, name) is not None, name
 assert "rclpy" not in sys.modules
 print(f"dotsim_ros {dotsim_ros.__version__}: {frame.wrench.force_n[2]:.3f} N at 1 mm")

@@ -1,11 +1,15 @@
-"""Open reports in headless Chromium, as wide as a screen and as a phone, and look at each.
+"""Open pages in headless Chromium, as wide as a screen and as a phone, and look at each.
 
-    pages_open.py BROWSER IMAGES PAGE...
+    pages_open.py BROWSER IMAGES [--site FOLDER] PAGE...
 
 Fails on a message of the console, an exception, a request for anything that is not in the page, a
 image that did not load, that has no alternative text or that is drawn smaller than it was made
 for, text under 11 pixels, and a page wider than its window. Leaves a screenshot of each in
 IMAGES.
+
+A report is one file and asks for nothing. With --site the pages are those of a site in FOLDER:
+they may ask for files of that folder, parts of them may be hidden, or wider than the window within
+a part that scrolls; and the search of the first page must find a word of its title.
 
 Chromium is spoken to in its DevTools protocol over a pipe (file descriptors 3 and 4, messages ended
 by a zero byte), which needs no package beside Python and no port.
@@ -26,13 +30,22 @@ from typing import Any
 WIDTHS_PX = (1280, 400)
 HEIGHT_PX = 800
 LIMIT_S = 120.0
-LOOK = """(width => {
+PAGE_LIMIT_S = 10.0
+LOOK = """((width, isSite) => {
   const bad = [];
   const root = document.documentElement;
   if (root.scrollWidth > width) bad.push(`the page is ${root.scrollWidth} px wide`);
+  const shown = {opacityProperty: true, visibilityProperty: true};
+  const scrolls = element => {
+    for (let around = element.parentElement; around !== root; around = around.parentElement)
+      if (getComputedStyle(around).overflowX !== 'visible'
+          && around.getBoundingClientRect().right <= width + 0.5) return true;
+    return false;
+  };
   for (const element of document.body.querySelectorAll('*')) {
+    if (isSite && !element.checkVisibility(shown)) continue;
     const box = element.getBoundingClientRect();
-    if (box.width && box.right > width + 0.5)
+    if (box.width && box.right > width + 0.5 && !(isSite && scrolls(element)))
       bad.push(`<${element.tagName}> ends at ${box.right} px: ${element.textContent.slice(0, 40)}`);
     const own = [...element.childNodes].some(n => n.nodeType === 3 && n.textContent.trim());
     if (own && parseFloat(getComputedStyle(element).fontSize) < 11)
@@ -49,12 +62,24 @@ LOOK = """(width => {
   return JSON.stringify({bad, images: document.images.length, height: root.scrollHeight,
     text: document.body.innerText.length});
 })"""
+SEARCH = """(async word => {
+  const field = document.querySelector('input[name=query]');
+  field.focus();
+  field.value = word;
+  field.dispatchEvent(new Event('keyup', {bubbles: true}));
+  for (let tries = 0; tries < 100; ++tries) {
+    await new Promise(done => setTimeout(done, 100));
+    const found = document.querySelectorAll('.md-search-result__item').length;
+    if (found) return found;
+  }
+  return 0;
+})"""
 
 
 class Browser:
-    """Chromium, one page, spoken to over a pipe."""
+    """Chromium, one page, spoken to over a pipe; it is ended after `limit_s`."""
 
-    def __init__(self, program: str, profile: str) -> None:
+    def __init__(self, program: str, profile: str, limit_s: float) -> None:
         to_read, self._to = os.pipe()
         self._from, to_write = os.pipe()
         # Chromium reads commands from 3 and writes to 4; a shell moves what was inherited there.
@@ -81,7 +106,7 @@ class Browser:
         )
         os.close(to_read)
         os.close(to_write)
-        self._watchdog = threading.Timer(LIMIT_S, self.process.kill)
+        self._watchdog = threading.Timer(limit_s, self.process.kill)
         self._watchdog.start()
         self._buffer = b""
         self._count = 0
@@ -129,8 +154,14 @@ class Browser:
         self.process.wait()
 
 
-def complaints(events: list[dict[str, Any]]) -> list[str]:
-    """Return what the console, the log and the network said that they should not have."""
+def complaints(events: list[dict[str, Any]], site: Path | None) -> list[str]:
+    """Return what the console, the log and the network said that they should not have.
+
+    Args:
+        events: of the browser.
+        site: folder of the site whose files the page may ask for; None: for nothing.
+    """
+    own = None if site is None else f"{site.resolve().as_uri()}/"
     found = []
     for event in events:
         what = event.get("params", {})
@@ -139,6 +170,8 @@ def complaints(events: list[dict[str, Any]]) -> list[str]:
                 found.append(f"{event['method']}: {json.dumps(what)[:300]}")
             case "Network.requestWillBeSent":
                 url = what["request"]["url"]
+                if own is not None and url.startswith(own):
+                    continue
                 if not url.startswith(("data:", "file:")) or (
                     url.startswith("file:") and what["type"] != "Document"
                 ):
@@ -146,15 +179,21 @@ def complaints(events: list[dict[str, Any]]) -> list[str]:
     return found
 
 
-def look(browser: Browser, page: Path, width_px: int, screenshot: Path) -> list[str]:
-    """Return what is wrong with a page at a width."""
+def look(
+    browser: Browser, page: Path, width_px: int, screenshot: Path, site: Path | None
+) -> list[str]:
+    """Return what is wrong with a page, of a site or by itself, at a width."""
     size = {"width": width_px, "height": HEIGHT_PX, "deviceScaleFactor": 1}
     browser.call("Emulation.setDeviceMetricsOverride", **size, mobile=width_px < 600)
+    if site is not None:
+        # Or parts that fade in are not there yet.
+        still = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+        browser.call("Emulation.setEmulatedMedia", features=still)
     browser.events.clear()
     browser.call("Page.navigate", url=page.resolve().as_uri())
     browser.wait_for("Page.loadEventFired")
-    answer = browser.call("Runtime.evaluate", expression=f"{LOOK}({width_px})")["result"]["value"]
-    seen = json.loads(answer)
+    asked = f"{LOOK}({width_px}, {json.dumps(site is not None)})"
+    seen = json.loads(browser.call("Runtime.evaluate", expression=asked)["result"]["value"])
     shot = browser.call("Page.captureScreenshot", captureBeyondViewport=True, format="png")
     screenshot.write_bytes(base64.b64decode(shot["data"]))
     print(
@@ -163,24 +202,50 @@ def look(browser: Browser, page: Path, width_px: int, screenshot: Path) -> list[
     )
     if not seen["text"]:
         seen["bad"].append("nothing to read")
-    return [*seen["bad"], *complaints(browser.events)]
+    return [*seen["bad"], *complaints(browser.events, site)]
+
+
+def name_of(page: Path, site: Path | None) -> str:
+    """Return what a page's screenshots are called: reports lie in a folder each."""
+    if site is None:
+        return page.parent.name
+    return "_".join(page.resolve().relative_to(site.resolve()).with_suffix("").parts)
+
+
+def search(browser: Browser, page: Path, site: Path) -> list[str]:
+    """Return what is wrong with the search of a site, asked on a page for a word of its title."""
+    browser.events.clear()
+    browser.call("Page.navigate", url=page.resolve().as_uri())
+    browser.wait_for("Page.loadEventFired")
+    title = browser.call("Runtime.evaluate", expression="document.title")["result"]["value"]
+    word = max(title.split(), key=len)
+    asked = f"{SEARCH}({json.dumps(word)})"
+    answer = browser.call("Runtime.evaluate", expression=asked, awaitPromise=True)["result"]
+    print(f"the search finds {word!r} on {answer.get('value', 0)} pages")
+    bad = [] if answer.get("value") else [f"the search finds nothing for {word!r}"]
+    return [*bad, *complaints(browser.events, site)]
 
 
 def main() -> int:
     """Look at all pages; return the exit status."""
     program, images, *pages = sys.argv[1:]
+    site = None
+    if pages[0] == "--site":
+        site = Path(pages[1])
+        del pages[:2]
     Path(images).mkdir(parents=True, exist_ok=True)
     bad = []
     # The browser may still be writing into its profile as it ends.
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
-        browser = Browser(program, profile)
+        browser = Browser(program, profile, LIMIT_S + PAGE_LIMIT_S * len(pages))
         try:
             for page in map(Path, pages):
                 for width_px in WIDTHS_PX:
-                    shot = Path(images) / f"{page.parent.name}_{width_px}.png"
-                    bad += [
-                        f"{page} at {width_px} px: {b}" for b in look(browser, page, width_px, shot)
-                    ]
+                    shot = Path(images) / f"{name_of(page, site)}_{width_px}.png"
+                    wrong = look(browser, page, width_px, shot, site)
+                    bad += [f"{page} at {width_px} px: {what}" for what in wrong]
+            if site is not None:
+                bad += search(browser, Path(pages[0]), site)
         finally:
             browser.close()
     print("\n".join(bad) or "nothing wrong")

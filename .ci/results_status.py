@@ -42,6 +42,7 @@ from measured_code import Checkout, digest_behind
 RESULTS = Path("docs/results")
 EXCEPTIONS = "not_reproducible.yaml"
 STATUS_PAGE = "status.md"
+INDEX_PAGE = "index.md"
 NONE = "none"
 _COMMIT = re.compile(r"(?:.*-g)?(?P<hash>[0-9a-f]{7,40})(?P<dirty>-dirty)?")
 _LINK = re.compile(
@@ -211,7 +212,8 @@ def read_results(checkout: Checkout) -> tuple[list[Result], dict[Path, str], lis
     missing = sorted(set(excused) - {result.file for result in results})
     problems += [f"{RESULTS / EXCEPTIONS}: there is no {file}: remove it" for file in missing]
     for page in sorted(folder.rglob("*.md")):
-        if page != folder / STATUS_PAGE and not page.with_suffix(".json").is_file():
+        has_figures = page not in (folder / STATUS_PAGE, folder / INDEX_PAGE)
+        if has_figures and not page.with_suffix(".json").is_file():
             problems.append(
                 f"{page.relative_to(checkout.root)}: no JSON file beside it says where its figures "
                 "come from"

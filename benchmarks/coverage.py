@@ -5,7 +5,7 @@ python benchmarks/coverage.py --json docs/results/coverage.json
 Each data set is a dozen presses and slides of a sphere along ways of their own, solved by the gel
 with known constants and then measured badly: white noise of skin and force, and for each press one
 offset of the indenter, one error of the skin that neighbours have in common, and one factor of the
-force. The fit is told the sizes of these errors, as a maker states them, and nothing else. The
+force. The fit is given the sizes of these errors, as a maker states them, and nothing else. The
 joint fit starts at the constants of the stand-in sensor's file, far from the truth, and takes its
 Gauss-Newton steps with solves of its own; the median is that of fits of single presses that start
 where the joint fit ends. The model has no error of its own here, so that figures of real sensors
@@ -38,8 +38,8 @@ from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import Observation
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, SolverSpecification
 from dotsim_ros.twin.simulator import GelSimulator, offset_pose

@@ -28,9 +28,9 @@ from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.evaluation.gap.hidden.images import LAWS, ImageLaw, Takes, taken
 from dotsim_ros.files import given_path, write_json
-from dotsim_ros.gap.find import case_of
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
+from dotsim_ros.gap.images.find import case_of
 from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, save_optical_null
 from dotsim_ros.gap.images.search import Signature, signatures_of

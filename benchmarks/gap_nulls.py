@@ -23,7 +23,7 @@ from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
 from dotsim_ros.evaluation.gap.presses import CASE_SIZE, Source, halves, silent
 from dotsim_ros.files import cache_directory, write_json
 from dotsim_ros.gap.presses.covariance import save_discrepancy
-from dotsim_ros.gap.presses.search import find_gap
+from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.measured.data_set import INDEX, read_data_set
 from dotsim_ros.provenance import provenance
@@ -57,7 +57,7 @@ def main() -> None:
             _link(arguments.data.resolve(), data, drawn)
             save_discrepancy(discrepancy, covariance)
             begun_s = time.monotonic()
-            findings, _ = find_gap(
+            findings, _ = search_presses(
                 GapRequest(
                     measured=data,
                     sensor=sensor,

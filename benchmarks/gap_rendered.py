@@ -1,6 +1,6 @@
 """How often the gap finder is right about images of an independent renderer.
 
-A path tracer (Mitsuba 3, `evaluation.gap.hidden.path_traced`) films the skins of a measured data
+A path tracer (Mitsuba 3, `evaluation.gap.hidden.path_traced`) renders the skins of a measured data
 set: a commissioning, from which the finder learns what its images show where nothing is
 missing, and later sets of other trajectories, of which some hide an effect in the scene or in the
 camera. The twin has the gel of a sensor's file, the camera and the LEDs as the scene has them, and
@@ -37,8 +37,9 @@ from dotsim_ros.evaluation.gap.hidden.reality import Truth, write_truth
 from dotsim_ros.evaluation.gap.hidden.rendered_laws import LAWS
 from dotsim_ros.evaluation.gap.hidden.rendered_unit import LEAK, Studio
 from dotsim_ros.files import write_json
-from dotsim_ros.gap.find import find_gap_with_images, fit_noise_of_images
+from dotsim_ros.gap.find import find_gap_with_images
 from dotsim_ros.gap.findings import Findings
+from dotsim_ros.gap.images.find import fit_noise_of_images
 from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.measured.data_set import read_data_set
@@ -51,7 +52,7 @@ ALPHA = 0.02
 NULLS = 4
 COMMISSIONING = 12
 TRAJECTORIES, FRAMES = 5, 3
-"""Of a later set, and of a trajectory."""
+"""Trajectories of a later set, and frames of a trajectory."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class Plan:
     """One set.
 
     Attributes:
-        name: of its folder, which does not tell what is hidden.
+        name: of its folder, which does not reveal what is hidden.
         trajectories: of the measured data set.
         truth: what is hidden.
         seed: of its samples and noise.

@@ -51,7 +51,7 @@ Change = Callable[[SensorSpecification, float], SensorSpecification]
 def make_gel(
     specification: SensorSpecification, indenter: Indenter, reference: Dome | None = None
 ) -> ImplicitGel:
-    """Return the gel, with the points of a reference dome carried along where one is given."""
+    """Return the gel, with the moved points of a reference dome where one is given."""
     shape = specification.gel
     skin = skin_of(shape)
     body = Dome(shape.outer_radius_m, shape.core_radius_m)

@@ -1,11 +1,11 @@
-"""Faults injected into the running closed loop, and how long the arm goes on.
+"""Faults injected into the running closed loop, and how long the arm continues to move.
 
     python benchmarks/loop_faults.py --faults 100 --json loop_faults.json
 
 `tactile_sim`, `tactile_policy` and `xarm_sim` run as processes; the faults take turns and come at
 random moments while the arm moves:
 
-- images cut: the sensor is told to give no frames;
+- images cut: the sensor is disabled, so that no frames come;
 - poses cut: the arm's feedback is dropped;
 - sensor killed: SIGKILL; it is started anew afterwards;
 - wrong sensor: frames of another sensor take the place of this one's;
@@ -101,7 +101,7 @@ class Fault:
     Attributes:
         inject: makes it; returns when it began (ns of the system's clock), or the topic that falls
             silent by it.
-        mend: takes it back.
+        mend: ends it.
         bound_ms: until the command must be zero.
     """
 
@@ -166,7 +166,7 @@ class Intruder:
 
 
 class Bench:
-    """The loop, and the faults that can be made in it.
+    """The loop, and the faults that can be injected into it.
 
     Args:
         loop: the nodes.
@@ -432,14 +432,20 @@ COLUMNS = (
     Column("zero_max_ms", "zero, longest ms", 0),
     Column("still_p50_ms", "arm stands, median ms", 0),
     Column("still_max_ms", "arm stands, longest ms", 0),
-    Column("told", "reasons told"),
+    Column("reasons_shown", "reasons reported"),
 )
 
 
 def page(figures: Mapping[str, Any]) -> str:
     """Return the figures as Markdown."""
     rows = [
-        ((name,), {**f, "told": ", ".join(f"{k} {n}" for k, n in f["reasons"].items()) or "none"})
+        (
+            (name,),
+            {
+                **f,
+                "reasons_shown": ", ".join(f"{k} {n}" for k, n in f["reasons"].items()) or "none",
+            },
+        )
         for name, f in figures["faults"].items()
     ]
     parts = [
@@ -460,7 +466,7 @@ def page(figures: Mapping[str, Any]) -> str:
 def main() -> int:
     """Run, print, write; return 1 where a fault did not stop the arm in time."""
     parser = argparse.ArgumentParser(
-        description="Faults injected into the closed loop, and how long the arm goes on.",
+        description="Faults injected into the closed loop, and how long the arm keeps moving.",
         epilog="example: python benchmarks/loop_faults.py --faults 100 --json loop_faults.json",
     )
     add = parser.add_argument

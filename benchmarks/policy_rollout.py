@@ -5,7 +5,7 @@
 
 The arm is a first-order one that answers 60 ms after an image. For each path and trial: the
 distance from the path (mean, 95th percentile, largest) after the first two seconds, and the laps
-beside those of the expert in that time, since who stands still makes no error.
+beside those of the expert in that time, since a policy that stands still makes no error.
 """
 
 from __future__ import annotations

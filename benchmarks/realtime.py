@@ -12,8 +12,8 @@ Four parts, one after the other, so that none disturbs another:
    alone with a batch of environments.
 4. The explicit reference of the paper: 100 substeps a frame at 1.2 mm.
 
-Latency is the age, when an Image arrives, of the newest sent pose that it has reached: from the
-publication of that pose to the arrival of the Image, in one process's clock. Every frame counts.
+Latency is measured to the newest sent pose that an Image has reached: from the publication of that
+pose to the arrival of the Image, by one process's clock. Every frame counts.
 Most frames show a sent pose exactly, and that is the pose they have reached. The others lag: the
 node limits the motion of a frame, and they show the indenter on a short cut towards a newer pose. A
 lagging frame has reached no pose that lies further along the sent path than the shown indenter has
@@ -21,9 +21,10 @@ moved since the last exact frame. A short cut is never longer than the path that
 takes too old a pose rather than one too new: the latency of a lagging frame is an upper bound.
 Lengths are those of the way of the indenter's tip; the motion never turns in place.
 
-Frames come fewest where they take longest, so latency counts hard moments less often than easy
-ones. The age at hand counts every moment alike: it is the age of the newest sent pose that the last
-Image has reached, sampled evenly in time, as a controller at a fixed rate would meet it.
+Frames are fewest where they take longest, so latency by frame weighs slow moments less than fast
+ones. The age at hand weighs every moment alike: it is the time since the newest sent pose that the
+last Image has reached was published, sampled evenly in time, as a controller at a fixed rate would
+see it.
 
 The lag of a lagging frame is the distance from where it shows the tip to the newest pose that was
 sent before the frame's stamp.
@@ -92,7 +93,7 @@ class SentPath:
 
     Attributes:
         position_m: (N, 3) of the indenter's tip; each differs from all others.
-        sent_s: (N,) when each was published, in the clock that arrivals are told in.
+        sent_s: (N,) when each was published, by the clock that times the arrivals.
         stamp_ns: (N,) its stamp.
     """
 
@@ -364,18 +365,10 @@ def measure_batch(
 
     Every environment makes the same motion, each a part of it ahead of the one before.
     """
-    from dotsim_ros.gel.implicit.gel import ImplicitGel
-    from dotsim_ros.gel.make import body_of, material_of, skin_of
+    from dotsim_ros.gel.make import make_gel_batch
 
-    specification = load_sensor(name)
-    gel = ImplicitGel(
-        body_of(specification.gel),
-        skin_of(specification.gel),
-        material_of(specification.material),
-        contact=specification.contact,
-        solver=specification.solver,
-        indenter=load_indenter(indenter),
-        environment_count=BATCH_SIZE,
+    gel = make_gel_batch(
+        load_sensor(name), indenter=load_indenter(indenter), environment_count=BATCH_SIZE
     )
     motion = benchmark_motion()
     spent_s: list[float] = []

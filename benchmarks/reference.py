@@ -4,7 +4,7 @@ python benchmarks/reference.py --out out/reference --json docs/results/reference
 
 Solves the presses of `cases` that OUT does not hold yet (one to five minutes of one core each;
 needs CalculiX: apt-get install calculix-ccx), then presses the gel the same way with the same
-constants. With `--minutes` no press is begun after so long: the next run goes on from there, and
+constants. With `--minutes` no press is begun after so long: the next run resumes from there, and
 the page names what it lacks.
 With `--solved-only` nothing is solved and the presses that OUT holds are compared, those that
 `dotsim_ros reference` wrote too. Beside the JSON file the table is written as Markdown.
@@ -33,14 +33,15 @@ from dotsim_ros.geometry.indenter import (
     load_indenter,
     sphere,
 )
+from dotsim_ros.geometry.surface import indenter_surface
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.provenance import provenance
 from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
 from dotsim_ros.reference.comparison import FrameComparison, compare
-from dotsim_ros.reference.data_set import ReferenceDataSet, SolvedPress, read_solved_presses
+from dotsim_ros.reference.data_set import FINE_STEP_M, SolvedPress, read_solved_presses
 from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
 from dotsim_ros.reference.results import solved_press
 from dotsim_ros.reference.run import CalculixError, calculix_version
-from dotsim_ros.reference.surface import indenter_surface
 from dotsim_ros.specification import (
     ContactSpecification,
     MaterialSpecification,
@@ -168,7 +169,7 @@ def solve_missing(
     begun = monotonic()
     version = calculix_version()
     skin = skin_of(load_sensor("densetact2").gel)
-    data_set = ReferenceDataSet(directory, skin)
+    data_set = DataSetWriter(directory, skin, indenter_step_m=FINE_STEP_M)
     failures = []
     for press in presses:
         notes = press.notes() | {"calculix": version}
@@ -204,18 +205,18 @@ def comparison(press: SolvedPress, method: Method) -> list[FrameComparison]:
 def rows_of(press: SolvedPress, method: Method) -> list[dict[str, Any]]:
     """Return a row a frame."""
     assert press.trajectory.pose is not None
-    told = press.notes["press"]
+    request = press.notes["press"]
     tips = [pose.position_m for pose in press.trajectory.pose.poses()]
     pressed = press.specification.gel.outer_radius_m - np.linalg.norm(tips, axis=1)
-    deepest = told["depth_m"]
+    deepest = request["depth_m"]
     return [
         {
             "trajectory": press.trajectory.name,
             "law": press.specification.material.law,
             "indenter": press.notes["indenter"],
-            "tilt_deg": told["tilt_deg"],
+            "tilt_deg": request["tilt_deg"],
             "depth_mm": round(1e3 * float(min(pressed[row.frame], deepest)), 3),
-            "drag_mm": round(1e3 * _dragged_m(tips, row.frame, told["frame_count"]), 3),
+            "drag_mm": round(1e3 * _dragged_m(tips, row.frame, request["frame_count"]), 3),
             "method": method.name,
             **row.figures(),
         }
@@ -242,8 +243,8 @@ def own_errors(presses: Sequence[SolvedPress]) -> list[dict[str, Any]]:
 
 def _question(press: SolvedPress) -> tuple[Any, ...]:
     """Return what two solutions of one press have in common."""
-    told = {key: press.notes["press"][key] for key in ("depth_m", "tilt_deg", "shear_m")}
-    return press.notes["sensor"], press.notes["indenter"], told
+    request = {key: press.notes["press"][key] for key in ("depth_m", "tilt_deg", "shear_m")}
+    return press.notes["sensor"], press.notes["indenter"], request
 
 
 def _spacing_m(press: SolvedPress) -> float:

@@ -1,11 +1,12 @@
-"""What a network of images that small could reach at most: the true residual at its size.
+"""The most that a network of small images could reach: the ideal completion at its size.
 
     python benchmarks/residual_size.py --data DIR --indenters 1_sphere 3_lying_cylinder
 
-A network whose images have fewer pixels than the sensor's adds a residual that is brought up to the
-sensor's size. Here the residual is the measured image less the mean idle image, brought down to
-each size and up again as the networks' is, so that no training enters: no network of that size that
-adds to the idle image does better, but for chance. Mean of the frames' PSNR over the whole frame.
+A network whose images have fewer pixels than the sensor's adds a completion that is enlarged to the
+sensor's size. Here the completion is the measured image less the mean idle image, reduced to each
+size and enlarged again as the networks' is, so that no training enters: no network of that size
+that adds to the idle image does better, but for chance. Mean of the frames' PSNR over the whole
+frame.
 """
 
 from __future__ import annotations
@@ -50,16 +51,16 @@ def main() -> None:
         parser.error(f"no images of {' '.join(arguments.indenters)}; the data set holds {known}")
     for entry in judged:
         for _, measured in iterate_images(entry.bag, arguments.topic):
-            residual = measured - idle
+            completion = measured - idle
             scores["idle"].append(image_psnr_db(measured, np.rint(idle).astype(np.uint8)))
             for small in arguments.widths:
                 size = (small, round(small * height / width))
-                image = idle + resized(resized(residual, size), (width, height))
+                image = idle + resized(resized(completion, size), (width, height))
                 shown = np.clip(np.rint(image), 0, 255).astype(np.uint8)
                 scores[str(small)].append(image_psnr_db(measured, shown))
     means: dict[str, Any] = {name: float(np.mean(values)) for name, values in scores.items()}
     for name, psnr_db in means.items():
-        title = name if name == "idle" else f"residual {name} px wide"
+        title = name if name == "idle" else f"completion {name} px wide"
         print(f"{title:<24} {psnr_db:6.2f} dB  ({len(scores[name])} frames)")
     if arguments.json is not None:
         write_json(arguments.json, {"psnr_db": means, "provenance": provenance()})

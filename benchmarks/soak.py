@@ -82,8 +82,8 @@ def soak(minutes: float) -> dict[str, Any]:
             executor.spin_once(timeout_sec=0.1)
             if time.monotonic() > given_up_s:
                 raise OSError(
-                    "nobody reads the poses: the node is ready but not found; check ROS_DOMAIN_ID "
-                    "and the network settings of both"
+                    "the poses have no subscriber: the node is ready, but not found; check "
+                    "ROS_DOMAIN_ID and the network settings of both"
                 )
         time.sleep(1.0)
 

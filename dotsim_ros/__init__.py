@@ -1,6 +1,102 @@
 """Simulation of soft optical tactile sensors: gel, camera, and the ROS 2 nodes around them.
 
-Importing this package loads neither Warp nor torch nor rclpy; import the submodule that you need.
+    from dotsim_ros import Pose, TactileSensor
+
+    sensor = TactileSensor.load("densetact2", indenter="sphere_4mm")
+    frame = sensor.step(Pose.above_apex(depth_m=0.002))
+    print(frame.wrench.force_n, frame.depth_m.shape)
+    frame.save("press.png")
+
+`__all__` lists the public names. Each is loaded when it is first asked for, so importing this
+package loads neither Warp nor torch nor rclpy.
 """
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 __version__ = "0.1.0"
+
+__all__ = [
+    "Calibration",
+    "DataSet",
+    "DataSetWriter",
+    "Effect",
+    "Findings",
+    "Frame",
+    "GelFailureError",
+    "Indenter",
+    "Pose",
+    "SensorSpecification",
+    "TactileSensor",
+    "Trajectory",
+    "Verdict",
+    "Wrench",
+    "calibrate",
+    "find_gap",
+    "load_effects",
+    "load_indenter",
+    "load_sensor",
+    "make_gel_batch",
+    "read_data_set",
+    "trajectory_of_frames",
+    "write_data_set",
+    "write_sensor",
+]
+
+_HOMES = {
+    "dotsim_ros.sensor": ("Frame", "GelFailureError", "TactileSensor"),
+    "dotsim_ros.specification": ("SensorSpecification", "load_sensor", "write_sensor"),
+    "dotsim_ros.geometry.pose": ("Pose", "Wrench"),
+    "dotsim_ros.geometry.indenter": ("Indenter", "load_indenter"),
+    "dotsim_ros.gel.make": ("make_gel_batch",),
+    "dotsim_ros.measured.data_set": ("DataSet", "read_data_set"),
+    "dotsim_ros.measured.data_set_writer": (
+        "DataSetWriter",
+        "trajectory_of_frames",
+        "write_data_set",
+    ),
+    "dotsim_ros.measured.trajectory": ("Trajectory",),
+    "dotsim_ros.calibration.calibrate": ("calibrate",),
+    "dotsim_ros.calibration.run": ("Calibration",),
+    "dotsim_ros.effects.effect": ("Effect",),
+    "dotsim_ros.effects.library": ("load_effects",),
+    "dotsim_ros.gap.find": ("find_gap",),
+    "dotsim_ros.gap.findings": ("Findings", "Verdict"),
+}
+"""Which module each public name lives in; `code_version` follows this table, too."""
+
+if TYPE_CHECKING:
+    from dotsim_ros.calibration.calibrate import calibrate
+    from dotsim_ros.calibration.run import Calibration
+    from dotsim_ros.effects.effect import Effect
+    from dotsim_ros.effects.library import load_effects
+    from dotsim_ros.gap.find import find_gap
+    from dotsim_ros.gap.findings import Findings, Verdict
+    from dotsim_ros.gel.make import make_gel_batch
+    from dotsim_ros.geometry.indenter import Indenter, load_indenter
+    from dotsim_ros.geometry.pose import Pose, Wrench
+    from dotsim_ros.measured.data_set import DataSet, read_data_set
+    from dotsim_ros.measured.data_set_writer import (
+        DataSetWriter,
+        trajectory_of_frames,
+        write_data_set,
+    )
+    from dotsim_ros.measured.trajectory import Trajectory
+    from dotsim_ros.sensor import Frame, GelFailureError, TactileSensor
+    from dotsim_ros.specification import SensorSpecification, load_sensor, write_sensor
+else:
+    # A type checker reads the imports above, so that it refuses names that are none of these.
+    def __getattr__(name: str) -> object:
+        """Return a public name; it is loaded once."""
+        for module, names in _HOMES.items():
+            if name in names:
+                from importlib import import_module
+
+                globals()[name] = value = getattr(import_module(module), name)
+                return value
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

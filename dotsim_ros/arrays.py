@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 FloatArray = NDArray[np.float64]
 Float32Array = NDArray[np.float32]
 AnyFloatArray = NDArray[np.floating]
-"""Of the precision that its owner computes with."""
+"""Floats of the precision that its owner computes with."""
 IntArray = NDArray[np.int64]
 """Counts, numbers of frames, stamps in nanoseconds."""
 IndexArray = NDArray[np.int32]

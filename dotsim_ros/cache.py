@@ -33,7 +33,7 @@ def content_key(decided_by: tuple[str, ...], *content: Any) -> str:
             their fields), and sequences and mappings of these.
 
     Raises:
-        TypeError: an input of another kind, whose content cannot be told.
+        TypeError: an input of another kind, whose content cannot be hashed.
     """
     digest = hashlib.sha256(version_of(*decided_by).encode())
     _add(digest, content)
@@ -65,7 +65,7 @@ def _add(digest: hashlib._Hash, value: Any) -> None:
         digest.update(f"{type(value).__name__} {value!r};".encode())
     else:
         raise TypeError(
-            f"the content of {type(value).__name__} cannot be told, expected numbers, texts, "
+            f"the content of {type(value).__name__} cannot be hashed, expected numbers, texts, "
             "arrays, data classes, or sequences and mappings of these"
         )
 

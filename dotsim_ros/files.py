@@ -27,7 +27,7 @@ MANIFEST = ".report_files.json"
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path that takes the name of `path` when the block ends well.
 
-    The temporary file has the suffix of `path`, by which writers tell the format.
+    The temporary file has the suffix of `path`, from which writers infer the format.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -99,7 +99,7 @@ def replace_files(directory: str | Path, files: Mapping[str, bytes]) -> None:
     directory = Path(directory)
     before = _written_files(directory)
     now = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-    # Both, until the old ones are gone: a call that is broken off leaves none that nobody knows.
+    # Both, until the old ones are gone: an interrupted call leaves no file that is not listed.
     _write_manifest(directory, before | now)
     for name, content in files.items():
         with whole_file(directory / name) as part:

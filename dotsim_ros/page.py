@@ -21,9 +21,9 @@ from dotsim_ros.files import replace_files
 HTML = "report.html"
 MARKDOWN = "report.md"
 PIXELS_PER_INCH = 100.0
-"""Of a page, for a figure's inch: a font of 8 points is 11 pixels high."""
+"""Pixels of a page for an inch of a figure: a font of 8 points is 11 pixels high."""
 LARGEST_WIDTH_INCHES = 3.6
-"""Of an image: it fits a phone without being drawn smaller."""
+"""Largest width of an image that fits a phone without being drawn smaller."""
 _DOTS_PER_PIXEL = 2.0
 _STYLE: Any = {
     "font.family": "DejaVu Sans",

@@ -1,4 +1,4 @@
-"""Tells how far a long computation is."""
+"""Reports how far a long computation is."""
 
 from __future__ import annotations
 

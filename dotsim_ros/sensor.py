@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
+from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.geometry.pose import Pose, Wrench
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image
 from dotsim_ros.optics.image import ImageRenderer
@@ -22,12 +24,11 @@ from dotsim_ros.optics.network.loading import completion_network
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import (
-    SensorSpecification,
-)
+from dotsim_ros.specification import SensorSpecification, given_sensor
 
-if TYPE_CHECKING:
-    pass
+FRAME_S = 0.04
+"""Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 class GelFailureError(ValueError):
@@ -69,6 +70,50 @@ class Frame:
     timings_s: dict[str, float]
     converged: bool
 
+    def save(self, path: str | Path) -> None:
+        """Write the image (.png, .jpg, .jpeg) or all arrays (.npz), whole or not at all.
+
+        The arrays have the names of the attributes; the wrench is `force_n` and `torque_nm`, the
+        indenter's pose `indenter_position_m` and `indenter_quaternion_xyzw`, NaN where there is
+        none. `timings_s` is left out.
+
+        Args:
+            path: of the file, by whose suffix the format is chosen.
+
+        Raises:
+            ValueError: the suffix is another.
+            OSError: it could not be written.
+        """
+        suffix = Path(path).suffix.lower()
+        if suffix in IMAGE_SUFFIXES:
+            write_image(path, self.image)
+            return
+        if suffix != ".npz":
+            raise ValueError(
+                f"{path} ends in {suffix or 'no suffix'}, expected {', '.join(IMAGE_SUFFIXES)} for "
+                "the frame's image or .npz for all of its arrays"
+            )
+        pose = self.indenter_pose
+        with whole_file(path) as part, part.open("wb") as file:
+            np.savez_compressed(
+                file,
+                time_s=self.time_s,
+                indenter_position_m=np.full(3, np.nan) if pose is None else pose.position_m,
+                indenter_quaternion_xyzw=(
+                    np.full(4, np.nan) if pose is None else pose.quaternion_xyzw
+                ),
+                image=self.image,
+                depth_m=self.depth_m,
+                normal=self.normal,
+                material_point_m=self.material_point_m,
+                skin_position_m=self.skin_position_m,
+                skin_normal=self.skin_normal,
+                force_n=self.wrench.force_n,
+                torque_nm=self.wrench.torque_nm,
+                max_penetration_m=self.max_penetration_m,
+                converged=self.converged,
+            )
+
 
 class TactileSensor:
     """One sensor with one indenter.
@@ -104,6 +149,37 @@ class TactileSensor:
         self._set_idle(idle_frame_of(specification, self.camera))
         self._noise = specification.noise
         self._time_s = 0.0
+
+    @classmethod
+    def load(
+        cls,
+        sensor: str | Path | SensorSpecification = "densetact2",
+        *,
+        indenter: str | Path | Mapping[str, Any] | Indenter = "sphere_4mm",
+        device: str = "cpu",
+        progress: Callable[[float], None] | None = None,
+    ) -> TactileSensor:
+        """Return a sensor from names or files.
+
+        Args:
+            sensor: a name below `params/sensors`, a YAML file, or a specification.
+            indenter: a name below `params/indenters`, a YAML file, a mesh in metres, a mapping as
+                `load_indenter` takes it, or an indenter.
+            device, progress: as for the class.
+
+        Raises:
+            FileNotFoundError: no such name or file.
+            ValueError: a file is not valid; the message says where.
+        """
+        return cls(
+            given_sensor(sensor),
+            indenter=indenter if isinstance(indenter, Indenter) else load_indenter(indenter),
+            device=device,
+            progress=progress,
+        )
+
+    def _placed(self, pose: Pose | ApexPose | None) -> Pose | None:
+        return pose.on(self.skin.apex_m) if isinstance(pose, ApexPose) else pose
 
     @property
     def remembers(self) -> bool:
@@ -167,15 +243,17 @@ class TactileSensor:
         self._gel.reset()
         self._time_s = 0.0
 
-    def check_depth(self, pose: Pose) -> None:
+    def check_depth(self, pose: Pose | ApexPose) -> None:
         """Refuse a pose that `press` would refuse, without moving there.
 
         Raises:
             ValueError: the pose presses too deep.
         """
-        self._gel.check_depth(pose)
+        placed = self._placed(pose)
+        assert placed is not None
+        self._gel.check_depth(placed)
 
-    def press(self, pose: Pose | None, dt_s: float) -> GelFrame:
+    def press(self, pose: Pose | ApexPose | None, dt_s: float = FRAME_S) -> GelFrame:
         """Move the indenter to a pose in the base frame (None: away) and return the gel.
 
         The motion from the last pose is followed in substeps; the first pose after a reset is
@@ -189,6 +267,7 @@ class TactileSensor:
             ValueError: the pose presses too deep or dt_s is not positive; the state stays.
             GelFailureError: the gel could not be solved; it has been reset.
         """
+        pose = self._placed(pose)
         try:
             gel = self._gel.step(pose, dt_s)
             if not np.all(np.isfinite(gel.skin_position_m)):
@@ -204,7 +283,7 @@ class TactileSensor:
         self._time_s += dt_s
         return replace(gel, time_s=self._time_s)
 
-    def see(self, gel: GelFrame, pose: Pose | None) -> Frame:
+    def see(self, gel: GelFrame, pose: Pose | ApexPose | None) -> Frame:
         """Return the frame that shows a gel.
 
         It may run in a second thread beside `press`: it reads nothing of the gel but its argument.
@@ -222,7 +301,7 @@ class TactileSensor:
         timings = {**gel.timings_s, "depth": seen - start, "image": clock() - seen}
         return Frame(
             time_s=gel.time_s,
-            indenter_pose=pose,
+            indenter_pose=self._placed(pose),
             image=image,
             depth_m=view.depth_m,
             normal=view.normal,
@@ -244,7 +323,7 @@ class TactileSensor:
         view = self._renderer.render(after_m)
         return image_motion_px(view, self.skin.triangles, self.camera.project(before_m))
 
-    def step(self, pose: Pose | None, dt_s: float) -> Frame:
+    def step(self, pose: Pose | ApexPose | None, dt_s: float = FRAME_S) -> Frame:
         """Return the frame after a move of the indenter: `press`, then `see`.
 
         Args:

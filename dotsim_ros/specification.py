@@ -689,6 +689,11 @@ def load_sensor(source: str | Path) -> SensorSpecification:
     return sensor_from(document, str(path), name=path.stem)
 
 
+def given_sensor(sensor: str | Path | SensorSpecification) -> SensorSpecification:
+    """Return a specification as it is, or the one that `load_sensor` reads."""
+    return sensor if isinstance(sensor, SensorSpecification) else load_sensor(sensor)
+
+
 def sensor_from(document: Any, source: str, *, name: str = "") -> SensorSpecification:
     """Return the sensor of a mapping of sections as a sensor's YAML file holds them.
 

@@ -4,7 +4,7 @@ ros2 launch dotsim_ros closed_loop.launch.py path:=figure_eight record:=true
 ros2 service call /tactile_policy/calibrate_idle std_srvs/srv/Trigger
 ros2 service call /tactile_policy/set_enabled std_srvs/srv/SetBool "{data: true}"
 
-The arm stays until the last line; docs/closed_loop.md tells what to check before it.
+The arm stays until the last line; docs/closed_loop.md says what to check before it.
 """
 
 from pathlib import Path

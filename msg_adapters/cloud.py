@@ -33,7 +33,7 @@ DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points of a cloud, and what it knows of them.
+    """Points of a cloud, with their optional normals and displacements.
 
     Attributes:
         position: (N, 3) metres.
@@ -66,7 +66,7 @@ def encode_cloud(
         displacement_m: (N, 3) or None.
         stamp_ns: time of acquisition.
         frame_id: frame of points and vectors.
-        types: the world to make the message for.
+        types: of the message: an installed ROS or a bag's type store.
 
     Raises:
         ValueError: an array of another shape.
@@ -187,5 +187,5 @@ def decode_cloud(message: Message) -> Cloud:
     if position is None:
         raise ValueError(f"cloud has fields {list(points.dtype.names or ())}, expected x, y and z")
     if message.is_dense and not np.isfinite(position).all():
-        raise ValueError("cloud says is_dense and holds a position that is not finite")
+        raise ValueError("cloud is marked is_dense but holds a position that is not finite")
     return Cloud(position, _vectors(points, NORMAL), _vectors(points, DISPLACEMENT))

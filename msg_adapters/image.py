@@ -48,7 +48,7 @@ def encode_image(
         encoding: one of `PIXEL_LAYOUTS`.
         stamp_ns: time of acquisition.
         frame_id: optical frame.
-        types: the world to make the message for.
+        types: of the message: an installed ROS or a bag's type store.
 
     Raises:
         ValueError: unknown encoding, or pixels of another shape or type.
@@ -147,7 +147,7 @@ def encode_compressed_image(
         stamp_ns: time of acquisition.
         frame_id: optical frame.
         quality: of JPEG, 1 to 100.
-        types: the world to make the message for.
+        types: of the message: an installed ROS or a bag's type store.
 
     Raises:
         ValueError: unknown compression, or pixels of another shape or type.

@@ -29,7 +29,7 @@ def encode_joint_state(
         velocities_rad_s: (J,).
         stamp_ns: time of the state.
         frame_id: of the header.
-        types: the world to make the message for.
+        types: of the message: an installed ROS or a bag's type store.
 
     Raises:
         ValueError: other lengths, or numbers that are not finite.

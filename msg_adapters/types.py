@@ -1,8 +1,8 @@
 """Which classes messages are made of: those of an installed ROS, or those of a bag's type store.
 
-The encoders of this package build messages for both worlds. They ask a `MessageTypes` for the
-class of a name ("sensor_msgs/msg/Image") and for the containers that this world's fields hold.
-The decoders need none of this: the fields of both worlds are read through the buffer protocol.
+The encoders of this package build messages of either kind. They ask a `MessageTypes` for the class
+of a name ("sensor_msgs/msg/Image") and for the containers that its fields hold. The decoders need
+none of this: the fields of both kinds are read through the buffer protocol.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Message = Any
-"""A message of either world: the two share attribute names, not classes."""
+"""A message of either kind: the two share attribute names, not classes."""
 
 
 class MessageTypes(Protocol):
-    """What an encoder needs of the world that it makes messages for."""
+    """What an encoder needs to make messages of one kind."""
 
     def make(self, name: str, /, **fields: Any) -> Message:
         """Return a message of the type `name` with every field given."""

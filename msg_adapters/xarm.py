@@ -60,7 +60,7 @@ def quaternion_of_roll_pitch_yaw(
 
 
 def decode_robot_state(message: Message) -> RobotState:
-    """Return what a xarm_msgs/RobotMsg says.
+    """Return the state in a xarm_msgs/RobotMsg.
 
     Raises:
         ValueError: a number of the pose or of a joint is not finite.

@@ -79,7 +79,7 @@ class Shell:
         return dome_shell(outer, self.core_radius_m, self.spacing_m, self.layer_count)
 
 
-class DivergenceError(ValueError):
+class DiffTactileDivergenceError(ValueError):
     """The explicit steps have left every bound."""
 
 
@@ -157,7 +157,7 @@ class DynamicGel:
 
     Args:
         mesh: its tetrahedra.
-        skin: the skin that it carries, on which the contact acts.
+        skin: the skin on it, on which the contact acts.
         device: Warp's name of the device.
     """
 
@@ -254,7 +254,9 @@ class DynamicGel:
                 self._advance(state, motion, step, dt, law, solid, kept)
             displacement = state.displacement.numpy()
             if not np.all(np.abs(displacement) < self.mesh.position_m.max()):
-                raise DivergenceError(f"frame {frame}: the gel diverged with {constants}")
+                raise DiffTactileDivergenceError(
+                    f"frame {frame}: the gel diverged with {constants}"
+                )
             skins.append(self.skin.rest_position_m + self.skin_weight @ displacement)
             forces.append(-state.skin_force.numpy().sum(axis=0))
         return np.stack(skins), np.stack(forces)
@@ -394,7 +396,7 @@ class DiffTactile:
     name: str = "difftactile"
 
     def predict(self, press: Press, indenter: Indenter, skin: SkinMesh) -> Prediction:
-        """Return skin and force at the poses of a press; see `evaluation.presses.Model`.
+        """Return skin and force at the poses of a press; see `measured.presses.Model`.
 
         Raises:
             DivergenceError: the explicit steps have left every bound.
@@ -456,7 +458,7 @@ class FitTrials:
             position, force = self.gel.run(
                 press.poses, indenter_of(press, self.indenters), constants
             )
-        except DivergenceError:
+        except DiffTactileDivergenceError:
             return None
         rest = np.repeat(skin.rest_position_m[None], count, axis=0)
         return FitScore(
@@ -552,6 +554,6 @@ def _modulus(trials: FitTrials, presses: Sequence[Press], constants: GelConstant
     if unit == 0.0:
         raise ValueError(
             "no indenter touches the skin in the presses to fit on, or every run diverged; a "
-            "modulus cannot be told"
+            "modulus cannot be estimated"
         )
     return sum(s.product for s in scores) / unit

@@ -1,6 +1,6 @@
 """The force of a rigid contact with a penalty: proportional to the penetration, along the normal.
 
-Tacto's gel does not carry a force: PyBullet finds it between rigid bodies, and Tacto sinks the
+Tacto's gel has no force: PyBullet finds it between rigid bodies, and Tacto sinks the
 object in by a depth in proportion to it, `depth = force / largest_force * largest_depth` (Wang et
 al. 2022; 100 N and 5 mm in the file of its DIGIT). With the pose given, the same line read
 the other way gives the force. Taxim's experiments with a robot take PyBullet's force as well.
@@ -36,11 +36,11 @@ def fit_stiffness(penetration_m: FloatArray, force_n: FloatArray) -> float:
         force_n: (N, 3) measured, of the gel on the indenter.
 
     Raises:
-        ValueError: nothing penetrates, so that no stiffness can be told.
+        ValueError: nothing penetrates, so that no stiffness can be estimated.
     """
     square = float(np.sum(penetration_m**2))
     if square == 0.0:
         raise ValueError(
-            "no indenter touches the skin in the presses to fit on; a stiffness cannot be told"
+            "no indenter touches the skin in the presses to fit on; a stiffness cannot be estimated"
         )
     return float(np.sum(penetration_m * force_n)) / square

@@ -83,7 +83,7 @@ def dome_shell(
 
 
 def attach_skin(mesh: TetrahedralMesh, skin: SkinMesh) -> sparse.csr_matrix:
-    """Return (V, N) weights that carry a skin's displacement: barycentric in the triangle that the
+    """Return (V, N) weights of a skin's displacement: barycentric in the triangle that the
     ray from the centre to the vertex passes."""
     direction = skin.rest_position_m
     corner = mesh.position_m[mesh.surface]

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import FloatArray
@@ -40,17 +39,6 @@ def check_training(train: Sequence[Press]) -> None:
     for press in train:
         if press.skin_position_m is None or press.force_n is None:
             raise ValueError(f"{press.name}: a baseline is fitted on skin and force; one is absent")
-
-
-def some_frames(press: Press, index: NDArray[np.intp]) -> Press:
-    """Return a press of the frames with the given numbers, in their order."""
-    return replace(
-        press,
-        poses=[press.poses[i] for i in index],
-        stamp_s=press.stamp_s[index],
-        skin_position_m=None if press.skin_position_m is None else press.skin_position_m[index],
-        force_n=None if press.force_n is None else press.force_n[index],
-    )
 
 
 @dataclass(frozen=True)

@@ -1,1 +1,1 @@
-"""Fit of the gel to measured presses, and what the data can tell of each of its parameters."""
+"""Fit of the gel to measured presses, and which of its parameters the data identify."""

@@ -26,17 +26,17 @@ from dotsim_ros.calibration.loss import (
 from dotsim_ros.calibration.parameters import GelParameter, coordinates, with_coordinates
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import Observation
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 
 OFFSET_STEPS = np.array([0.02e-3] * 3 + [5.0e-3] * 3)
-"""Of the differences by an indenter's offset: metres, radians."""
+"""Steps of the finite differences by an indenter's offset: metres, radians."""
 
 SMALLEST_DECREASE = 0.05
-"""A fit ends when its step promises to lower the loss by less: a step of a standard deviation of
-what the data tell lowers it by a half, and the solver's tolerance moves it by some hundredths."""
+"""A fit ends when its step is predicted to lower the loss by less: a step of one posterior standard
+deviation lowers it by a half, and the solver's tolerance moves it by some hundredths."""
 
 FIRST_DAMPING, LARGEST_DAMPING = 1.0e-3, 1.0e3
 
@@ -252,7 +252,7 @@ def fit_press(
         problem: what is fitted.
         start: where to begin.
         budget: most solves of the press.
-        progress: told the solves so far.
+        progress: called with the number of solves so far.
     """
     best, spent, damping = start, 0, FIRST_DAMPING
     cost = 1 + sum(1 for index in range(problem.size) if not _is_modulus(problem, index))

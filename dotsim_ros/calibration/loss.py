@@ -27,8 +27,8 @@ class LossNoise:
     """One standard deviation of each error of the measurement.
 
     The error of discretisation is the same over a patch of the skin, so that the points of a patch
-    tell no more than one: an error s of white noise and one d of n points that err together have
-    the variance s^2 + n d^2 each.
+    count as one: an error s of white noise and one d of n points that err together have the
+    variance s^2 + n d^2 each.
 
     Attributes:
         skin_m: white noise of a skin point, an axis.
@@ -127,7 +127,7 @@ def force_deviation_n(press: Press, noise: LossNoise, skin: SkinMesh) -> FloatAr
     """Return the deviation (F, 1) of an axis of the force in each frame.
 
     A surface that is off by d changes the depth of a press by as much, and with it the force, which
-    grows with the depth's power of 3/2 (Hertz): shallow frames tell little.
+    grows with the depth's power of 3/2 (Hertz): shallow frames hold little information.
     """
     assert press.force_n is not None
     d = noise.skin_discretisation_m

@@ -1,8 +1,9 @@
 """What can be fitted: each parameter's coordinate, prior, bounds and place in a sensor's file.
 
-Fits work in coordinates in which the gel answers evenly: the logarithm of a stiffness, of friction
-and of 1/2 - nu (compliance is smooth in it up to incompressibility), ratios and lengths as they
-are. A prior is a normal distribution of the coordinate around the value that the sensor's file has.
+Fits work in coordinates in which the response is close to linear: the logarithm of a stiffness, of
+friction and of 1/2 - nu (compliance is smooth in it up to incompressibility); ratios and lengths as
+they are. A prior is a normal distribution of the coordinate around the value that the sensor's
+file has.
 """
 
 from __future__ import annotations

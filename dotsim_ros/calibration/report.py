@@ -36,6 +36,8 @@ from dotsim_ros.page import (
 )
 from dotsim_ros.provenance import provenance
 
+FIGURES, PAGE = "report.json", "report.html"
+
 
 def figures(calibration: Calibration, *, seed: int) -> dict[str, Any]:
     """Return all figures of a calibration, ready for JSON."""
@@ -132,8 +134,8 @@ def summary_lines(calibration: Calibration) -> list[str]:
                 f"{parameter.name} ({label}): {shown['value']:.5g} "
                 f"[{shown['low']:.5g}, {shown['high']:.5g}] {parameter.unit}".rstrip()
             )
-    lines += [f"{name}: the data do not tell it; kept at its prior" for name in c.frozen]
-    lines += [_told_line(row) for row in c.identifiability if row.data != "skin and force"]
+    lines += [f"{name}: the data do not identify it; kept at its prior" for name in c.frozen]
+    lines += [_identified_line(row) for row in c.identifiability if row.data != "skin and force"]
     if c.scores:
         s = summarize(c.scores)
         lines.append(
@@ -145,11 +147,11 @@ def summary_lines(calibration: Calibration) -> list[str]:
     return lines
 
 
-def _told_line(row: Identifiability) -> str:
-    told = f"deviation {row.deviation:.3g} of a prior's {row.prior_deviation:.3g}"
+def _identified_line(row: Identifiability) -> str:
+    text = f"deviation {row.deviation:.3g}, before {row.prior_deviation:.3g}"
     if row.information == 0.0:
-        told = "nothing at all"
-    return f"{row.parameter} from {row.data}: {told}"
+        text = "no information"
+    return f"{row.parameter} from {row.data}: {text}"
 
 
 def _figure(value: float | None) -> str:
@@ -163,8 +165,8 @@ def _percent(value: float | None) -> str:
 def write_report(directory: Path, calibration: Calibration, *, seed: int) -> Path:
     """Write report.json and report.html below a directory; return the page's path."""
     numbers = figures(calibration, seed=seed)
-    write_json(directory / "report.json", numbers)
-    page = directory / "report.html"
+    write_json(directory / FIGURES, numbers)
+    page = directory / PAGE
     with whole_file(page) as part:
         part.write_text(as_html(page_of(calibration, numbers)), encoding="utf-8")
     return page
@@ -190,7 +192,7 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
         )
         for name, p in numbers["parameters"].items()
     )
-    told = tuple(
+    identified = tuple(
         (
             r.parameter,
             r.data,
@@ -205,7 +207,14 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
         (name, *(_number(s[key]) for key in _HELD_OUT)) for name, s in numbers["held_out"].items()
     )
     head = ("parameter", "before", "joint fit (95 %)", "median of single fits (95 %)")
-    told_head = ("parameter", "from", "information", "deviation after", "before", "told")
+    identified_head = (
+        "parameter",
+        "from",
+        "information",
+        "deviation after",
+        "before",
+        "identifiable",
+    )
     return Page(
         "Calibration of the gel",
         f"Joint fit: {'; '.join(f'{row[0]} {row[2]}' for row in estimates)}",
@@ -223,9 +232,9 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                 ),
             ),
             Section(
-                "What the data can tell",
+                "What the data identify",
                 (
-                    Table(told_head, told),
+                    Table(identified_head, identified),
                     Paragraph(
                         "Information is Fisher's, with the other parameters known. Deviations "
                         "are with the others free, each within its prior, which to second order "
@@ -281,8 +290,8 @@ def _origin(numbers: dict[str, Any]) -> str:
 
 def _frozen_text(calibration: Calibration) -> str:
     if not calibration.frozen:
-        return "The data tell all parameters that were asked for."
-    return f"Not told, and kept at their priors: {', '.join(calibration.frozen)}."
+        return "The data identify all parameters that were asked for."
+    return f"Not identifiable, and kept at their priors: {', '.join(calibration.frozen)}."
 
 
 def _number(value: float | int | None) -> str:

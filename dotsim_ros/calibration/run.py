@@ -1,4 +1,4 @@
-"""A whole calibration: read, see what the data can tell, fit each press, combine, judge."""
+"""A whole calibration: read, see what the data identify, fit each press, combine, judge."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from dotsim_ros.calibration.statistics import (
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.check import Observation, Omission, read_observations
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import Prediction
+from dotsim_ros.measured.reading import Observation, Omission, read_observations
 from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.metrics.presses import PressFrameScore, score_press
 from dotsim_ros.specification import SensorSpecification
@@ -136,7 +136,7 @@ def measured_skin(data_set: DataSet, sensor: SensorSpecification) -> tuple[SkinM
         return skin_of(sensor.gel), False
 
 
-def calibrate(request: CalibrationRequest, progress: Progress) -> Calibration:
+def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibration:
     """Fit the gel to the data.
 
     Raises:
@@ -171,10 +171,10 @@ def calibrate(request: CalibrationRequest, progress: Progress) -> Calibration:
     _prepare_tables(r.sensor, skin, asked, progress)
     with open_workers(r.sensor, skin, r.directory, r.workers) as workers:
         stages = _Stages(r, skin, workers, progress)
-        return _calibrate(r, stages, asked, observations, judged, omissions, has_vertices)
+        return _calibrated(r, stages, asked, observations, judged, omissions, has_vertices)
 
 
-def _calibrate(
+def _calibrated(
     request: CalibrationRequest,
     stages: _Stages,
     asked: FitProblem,
@@ -186,8 +186,8 @@ def _calibrate(
     begun = monotonic()
     solves: dict[str, int] = {}
     first = stages.linearised("start", asked, observations, {}, solves, omissions)
-    told = identifiability(asked, list(first.values()))
-    everything = {i.parameter for i in told if i.data == "skin and force" and i.is_told}
+    identified = identifiability(asked, list(first.values()))
+    everything = {i.parameter for i in identified if i.data == "skin and force" and i.is_told}
     kept = [k for k, p in enumerate(asked.parameters) if p.name in everything]
     if not kept:
         raise ValueError(
@@ -220,7 +220,7 @@ def _calibrate(
         problem=problem,
         asked=tuple(p.name for p in asked.parameters),
         frozen=tuple(p.name for p in asked.parameters if p.name not in everything),
-        identifiability=told,
+        identifiability=identified,
         fits=fits,
         median=median,
         joint=joint,

@@ -1,6 +1,6 @@
 """The work on single presses, in a pool of processes, each result kept in a file of its own.
 
-A run that was killed goes on from its files: a file belongs to a task by a key of all that the task
+An interrupted run resumes from its files: a file belongs to a task by a key of all that the task
 depends on.
 """
 
@@ -29,7 +29,7 @@ from dotsim_ros.calibration.fitting import (
 )
 from dotsim_ros.files import write_json
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.check import Observation
+from dotsim_ros.measured.reading import Observation
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
@@ -112,7 +112,7 @@ class Workers:
 
         Args:
             tasks: of one stage.
-            progress: told the name of each press as it is finished.
+            progress: called with the name of each press as it is finished.
         """
         outcomes: dict[str, Outcome] = {}
         waiting: dict[Future[Outcome], Task] = {}

@@ -1,4 +1,4 @@
-"""What presses tell together: information, the joint step, and intervals by bootstrap."""
+"""What presses identify together: information, the joint step, and intervals by bootstrap."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisat
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import coordinates
 
-TOLD_SHARE = 0.5
-"""A parameter is told if the data leave at most this share of its prior's width."""
+IDENTIFIABLE_SHARE = 0.5
+"""A parameter is identifiable if the data leave at most this share of its prior's width."""
 
 CHANNEL_SETS = {"skin alone": (SKIN,), "force alone": (FORCE,), "skin and force": (SKIN, FORCE)}
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What one kind of data tells of one parameter.
+    """How well one kind of data identifies one parameter.
 
     Attributes:
         parameter: its name.
@@ -30,7 +30,7 @@ class Identifiability:
             coordinate.
         deviation: of its coordinate after the data, with the others unknown, and their priors.
         prior_deviation: before the data.
-        is_told: whether the data shrink the prior to `TOLD_SHARE` or less.
+        is_told: whether the data identify it: shrink the prior to `IDENTIFIABLE_SHARE` or less.
     """
 
     parameter: str
@@ -78,7 +78,7 @@ def reduced(
 def identifiability(
     problem: FitProblem, linearisations: Sequence[PressLinearisation]
 ) -> list[Identifiability]:
-    """Return what each kind of data tells of each parameter, all presses together."""
+    """Return how well each kind of data identifies each parameter, all presses together."""
     count = len(problem.parameters)
     prior = problem.precision()[:count]
     result = []
@@ -98,7 +98,7 @@ def identifiability(
                     information=float(information[index, index]),
                     deviation=deviation,
                     prior_deviation=width,
-                    is_told=deviation <= TOLD_SHARE * width,
+                    is_told=deviation <= IDENTIFIABLE_SHARE * width,
                 )
             )
     return result
@@ -134,7 +134,7 @@ def joint_estimate(
     """Return the joint fit's estimate and intervals by bootstrap over presses.
 
     Presses may be linearised at different points: each enters with the quadratic that it has about
-    its own, so that fits of single presses are weighed by what they tell. Each replicate draws
+    its own, so that fits of single presses are weighed by their information. Each replicate draws
     presses with replacement and takes one Gauss-Newton step from their information and gradients:
     no new solve. Deviations are widened by sqrt(n / (n - 1)) and
     Student's quantile over the normal one, since n presses are few.

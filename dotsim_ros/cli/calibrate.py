@@ -1,9 +1,9 @@
-"""Fit the gel's constants to measured presses, and say which of them the data can tell.
+"""Fit the gel's constants to measured presses, and report which of them the data identify.
 
 Reads a data set (dataset.yaml and one bag a trajectory), fits each trajectory by itself and all
 together, and judges the result on trajectories that were held out. Writes the sensor's file that
 tactile_sim loads, and a report beside it: OUT without its suffix plus `_report/`, with report.html,
-report.json and the run's files, from which a killed run goes on when called again.
+report.json and the run's files, from which an interrupted run resumes.
 
 example:
   dotsim_ros calibrate --data measured/sensor_a --out params.yaml
@@ -108,65 +108,34 @@ _NOISES = {
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate, write the files, and print the figures."""
-    from dotsim_ros.calibration.report import summary_lines, write_report
-    from dotsim_ros.calibration.run import CalibrationRequest, calibrate
+    from dotsim_ros.calibration.calibrate import calibrate, report_folder
+    from dotsim_ros.calibration.report import FIGURES, PAGE, summary_lines
     from dotsim_ros.files import write_text
-    from dotsim_ros.measured.data_set import read_data_set
-    from dotsim_ros.measured.split import hold_out_of_protocols
-    from dotsim_ros.specification import load_sensor, write_sensor
 
-    out: Path = arguments.out
-    if out.suffix not in (".yaml", ".yml"):
-        raise ValueError(f"--out is {out}, expected a file that ends in .yaml")
-    data_set = read_data_set(arguments.data)
-    indenter_of = {entry.name: entry.indenter for entry in data_set.entries}
-    names = sorted(arguments.trajectories or indenter_of)
-    unknown = sorted(set(names) - set(indenter_of))
-    if unknown:
-        raise ValueError(f"{arguments.data} has no trajectory {', '.join(unknown)}")
-    if arguments.leave_out is not None:
-        train = tuple(n for n in names if indenter_of[n] != arguments.leave_out)
-        held_out = tuple(n for n in names if indenter_of[n] == arguments.leave_out)
-        if not train or not held_out:
-            raise ValueError(
-                f"--leave-out {arguments.leave_out} leaves {len(train)} trajectories to fit on and "
-                f"{len(held_out)} to judge on; indenters are {sorted(set(indenter_of.values()))}"
-            )
-    else:
-        count = arguments.hold_out
-        if count is None:
-            count = HELD_OUT_COUNT if len(names) > HELD_OUT_COUNT else 0
-        train, held_out = tuple(names), ()
-        if count:
-            train, held_out = hold_out_of_protocols(names, count, arguments.seed)
-    has_mesh = (data_set.directory / "skin_mesh.npz").is_file()
-    directory = out.with_name(f"{out.stem}_report")
     calibration = calibrate(
-        CalibrationRequest(
-            data_set=data_set,
-            sensor=load_sensor(arguments.sensor),
-            train=train,
-            held_out=held_out,
-            fit=tuple(name for name in arguments.fit if name != "offset"),
-            with_offset="offset" in arguments.fit,
-            losses=tuple(arguments.loss or (("points" if has_mesh else "chamfer"), "force")),
-            noise=_noise(arguments),
-            topics=_topics(arguments),
-            directory=arguments.run or directory / "run",
-            workers=arguments.workers,
-            seed=arguments.seed,
-            joint_steps=arguments.joint_steps,
-            solve_budget=arguments.solves,
-        ),
-        _show,
+        arguments.data,
+        sensor=arguments.sensor,
+        out=arguments.out,
+        fit=arguments.fit,
+        losses=arguments.loss,
+        hold_out=arguments.hold_out,
+        leave_out=arguments.leave_out,
+        trajectories=arguments.trajectories,
+        run_folder=arguments.run,
+        joint_steps=arguments.joint_steps,
+        solves=arguments.solves,
+        name=arguments.name,
+        workers=arguments.workers,
+        seed=arguments.seed,
+        noise=_noise(arguments),
+        topics=_topics(arguments),
+        progress=_show,
     )
-    report = write_report(directory, calibration, seed=arguments.seed)
-    lines = summary_lines(calibration)
-    write_sensor(out, calibration.named(arguments.name or out.stem), "\n".join(lines))
+    report = report_folder(arguments.out)
     if arguments.json is not None:
-        arguments.json.parent.mkdir(parents=True, exist_ok=True)
-        write_text(arguments.json, (directory / "report.json").read_text(encoding="utf-8"))
-    print("\n".join([*lines, f"sensor: {out}", f"report: {report}"]))
+        write_text(arguments.json, (report / FIGURES).read_text(encoding="utf-8"))
+    lines = summary_lines(calibration)
+    print("\n".join([*lines, f"sensor: {arguments.out}", f"report: {report / PAGE}"]))
     return 0
 
 

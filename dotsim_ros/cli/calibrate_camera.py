@@ -2,7 +2,7 @@
 
 Reads a data set with images (dataset.yaml, bags, idle_*.png) and a sensor whose gel is calibrated;
 fits centre, tilt, focal length, radial term, LEDs, gloss and vignetting on the presses that are not
-held out, and judges the carried image on all. Writes the sensor's file with the fitted camera, the
+held out, and judges the warped image on all. Writes the sensor's file with the fitted camera, the
 mean idle image with its lights beside it, and a report: OUT without its suffix plus
 `_camera_report/`, with report.json and sheet.png. docs/camera.md says what the figures mean.
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 HELD_OUT_COUNT = 9
 MARK = "camera: "
-"""Begins the lines of a sensor's file that tell of this fit."""
+"""Begins the lines of a sensor's file that describe this fit."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,10 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--position", action="store_true", help="fit the camera's place as well, within 0.2 mm"
     )
-    parser.add_argument("--seed", type=int, default=0, help="of what is held out (0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the split (0)")
     parser.add_argument("--json", type=Path, help="write the figures to this file as well")
-    parser.add_argument("--image-topic", metavar="TOPIC", help="of the image")
-    parser.add_argument("--pose-topic", metavar="TOPIC", help="of the indenter's pose")
+    parser.add_argument("--image-topic", metavar="TOPIC", help="topic of the image")
+    parser.add_argument("--pose-topic", metavar="TOPIC", help="topic of the indenter's pose")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -106,9 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     to_fit = _only(filmed, train)
     lens_skin = to_fit
-    if arguments.skin != "gel" and (
-        arguments.skin == "measured" or (data_set.directory / "skin_mesh.npz").is_file()
-    ):
+    if arguments.skin != "gel" and (arguments.skin == "measured" or data_set.has_skin_mesh):
         lens_skin = with_measured_skin(to_fit, arguments.data, topics=topics)
     lens = (*LENS, *POSITION) if arguments.position else LENS
     fit = fit_camera(to_fit, start, lens_filmed=lens_skin, lens=lens, progress=_say)

@@ -24,7 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder (out/demo)")
     parser.add_argument("--presses", type=int, default=4, help="how many of the 12 shipped (4)")
-    parser.add_argument("--depth-mm", type=float, default=3.0, help="presses turn here (3)")
+    parser.add_argument(
+        "--depth-mm", type=float, default=3.0, help="depth at which presses turn (3)"
+    )
     parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
 
 

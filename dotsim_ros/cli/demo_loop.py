@@ -25,10 +25,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--out", type=Path, default=Path("out/demo-loop"), help="folder (out/demo-loop)")
     add("--policy", default=POLICY, help=f"folder or name of the policy ({POLICY})")
-    add("--path", choices=MOTIONS, default="figure_eight", help="to follow (figure_eight)")
-    add("--seconds", type=float, default=20.0, help="that the policy leads (20)")
+    add("--path", choices=MOTIONS, default="figure_eight", help="path to follow (figure_eight)")
+    add("--seconds", type=float, default=20.0, help="how long the policy leads (20)")
     add("--sensor", help="name or file of the sensor (the one that the policy was trained on)")
-    add("--seed", type=int, default=0, help="of where it starts (0)")
+    add("--seed", type=int, default=0, help="seed of the start (0)")
     add("--json", type=Path, help="file to write the figures to")
 
 
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
     from dotsim_ros.evaluation.trajectory.page import path_image, trial_report
-    from dotsim_ros.evaluation.trajectory.trials import judge, told, trial_start
+    from dotsim_ros.evaluation.trajectory.trials import judge, summary_of, trial_start
     from dotsim_ros.files import write_json
     from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     write_page(arguments.out, page)
     if arguments.json is not None:
         write_json(arguments.json, row | {"provenance": provenance()})
-    print(told(row))
+    print(summary_of(row))
     for name in ("loop", "path.png", "report.html", "report.md"):
         print(arguments.out / name)
     return 0

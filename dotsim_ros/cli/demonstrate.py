@@ -2,8 +2,8 @@
 
 An expert that knows where the indenter is moves the simulated sensor against a ball along the
 paths, with errors injected, and between them. Each motion is seen by several cameras, lights and
-coats drawn at random. OUT gets one episode a file and demonstrations.json; a run that was broken
-off goes on where it stopped. One core makes about 15 frames a second, each seen by all looks.
+coats drawn at random. OUT gets one episode a file and demonstrations.json; an interrupted run
+resumes where it stopped. One core makes about 15 frames a second, each seen by all looks.
 
 example:
   dotsim_ros demonstrate --sensor densetact2 --out out/demonstrations
@@ -26,11 +26,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--indenter", default="sphere_4mm", metavar="FILE", help="a ball's file, or its name")
     add("--paths", nargs="+", metavar="PATH", help="line, arc, figure_eight, press (all)")
     add("--episodes", type=int, default=24, metavar="N", help="motions (24)")
-    add("--frames", type=int, default=250, metavar="N", help="of each, at 25 Hz (250)")
+    add(
+        "--frames", type=int, default=250, metavar="N", help="frames of each motion, at 25 Hz (250)"
+    )
     add("--looks", type=int, default=2, metavar="N", help="cameras that see each motion (2)")
-    add("--wander", type=float, default=0.5, metavar="SHARE", help="of motions beside paths (0.5)")
-    add("--policy", type=Path, metavar="DIR", help="drives on the paths in the expert's place")
-    add("--seed", type=int, default=0, help="of all that is drawn (0)")
+    add(
+        "--wander",
+        type=float,
+        default=0.5,
+        metavar="SHARE",
+        help="share of motions off the paths (0.5)",
+    )
+    add("--policy", type=Path, metavar="DIR", help="policy that drives in the expert's place")
+    add("--seed", type=int, default=0, help="seed of all draws (0)")
     add("--out", type=Path, default=Path("out/demonstrations"), metavar="DIR")
     add("--json", type=Path, metavar="FILE", help="write what was made to this file as well")
 

@@ -5,7 +5,7 @@ leaves each indenter out in turn; it writes geometry.md and geometry.json. `runt
 implicit and the explicit gel follow a few presses at several resolutions; it writes runtime.md and
 runtime.json. `optics` fits every model of the image on the frames of six splits and judges it on
 their others; it writes optics.md, optics.json and sheets of images. A row that was made before is
-not made again, so a run that was broken off goes on. `gelsight` does the same on real presses of a
+not made again, so an interrupted run is resumed. `gelsight` does the same on real presses of a
 ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. `gap` hides
 effects in measured presses and lets the gap finder look for them; it writes gap.md and gap.json.
 `trajectory` lets a policy lead the simulated arm over ROS topics, on the sensor that it was trained
@@ -73,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
         )
         subject.add_argument("--json", type=Path, help="write the figures here as well")
-        subject.add_argument("--seed", type=int, default=0, help="of the draws (0)")
+        subject.add_argument("--seed", type=int, default=0, help="seed of the draws (0)")
     for subject in (geometry, optics, real_pair, runtime, gap):
         subject.add_argument(
             "--sensor",
@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fit-discrepancy",
         type=Path,
         metavar="FILE",
-        help="only measure the model's own error, and the effects' limits, and write them here",
+        help="only estimate the model's own error and the effects' limits, and write them here",
     )
     geometry.add_argument(
         "--models", nargs="+", choices=MODELS, default=list(MODELS), help="which (all)"
@@ -106,7 +106,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stated", default="densetact2", help="sensor as its maker states it, for the explicit gel"
     )
     geometry.add_argument(
-        "--from-depth-mm", type=float, default=2.0, help="frames at least so deep are judged (2)"
+        "--from-depth-mm",
+        type=float,
+        default=2.0,
+        help="least depth of the frames that are judged (2)",
     )
     for subject in (geometry, optics):
         subject.add_argument(
@@ -154,11 +157,11 @@ def _add_optics_arguments(optics: argparse.ArgumentParser) -> None:
 def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
     add = trajectory.add_argument
     add("--policy", default="densetact2_sphere", help="folder or name of the policy")
-    add("--trials", type=int, default=10, help="of each path in each setting (10)")
+    add("--trials", type=int, default=10, help="trials of each path in each setting (10)")
     add("--paths", nargs="+", choices=MOTIONS, default=list(MOTIONS), help="which (all)")
     add("--settings", nargs="+", choices=SENSORS, default=list(SENSORS), help="which (all)")
-    add("--seconds", type=float, default=12.0, help="of a trial, its approach included (12)")
-    add("--seed", type=int, default=0, help="of the starts (0)")
+    add("--seconds", type=float, default=12.0, help="duration of a trial with its approach (12)")
+    add("--seed", type=int, default=0, help="seed of the starts (0)")
     add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the image")
     add("--json", type=Path, help="write the figures here as well")
@@ -169,12 +172,12 @@ def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
     subject.add_argument(
         "--budget-minutes",
         type=float,
-        help="end the training of one published network after so much CPU time",
+        help="CPU time after which the training of one published network ends",
     )
     subject.add_argument(
         "--network-width",
         type=int,
-        help="of the published networks' images, pixels (the network's own)",
+        help="width of the published networks' images, pixels (the network's own)",
     )
     subject.add_argument(
         "--cache",

@@ -1,11 +1,11 @@
 """Find where simulation and measurement disagree, and name the missing effect.
 
 Calibrates the twin within its priors, tries every effect of the library, refits the best, judges
-the answer on trajectories kept locked. Writes OUT/report.html, report.md, findings.json, images,
+the answer on held-out trajectories. Writes OUT/report.html, report.md, findings.json, images,
 and, where an effect was named, OUT/effects_overlay.yaml, which tactile_sim loads with its parameter
-`effects`. Solves are kept in OUT/run: a run that was broken off goes on.
+`effects`. Solves are kept in OUT/run: an interrupted run resumes.
 
-exit status: 0 no gap, 10 an effect named, 11 a set of effects that the data do not tell apart,
+exit status: 0 no gap, 10 an effect named, 11 a set of effects that the data do not distinguish,
 12 an unknown effect, 20 the data cannot be used
 
 example:
@@ -18,11 +18,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from dotsim_ros.gap.findings import Findings
-    from dotsim_ros.gap.presses.search_state import GapRequest
+from typing import Any
 
 CHANNELS = ("skin", "force", "image")
 
@@ -53,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--fit-optical-noise",
         type=Path,
         metavar="FILE",
-        help="only learn what images show in which nothing is wrong, and write it here",
+        help="only estimate the images' noise from data without an effect, and write it here",
     )
     add("--json", type=Path, help="write the findings here as well")
     add("--demo", action="store_true", help="hide an effect drawn by the seed, and find it")
@@ -61,75 +57,51 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the report, print the answer."""
-    from dotsim_ros.files import write_json
-    from dotsim_ros.gap.findings import Findings, Verdict, as_record
-    from dotsim_ros.gap.report.write import write_findings
-
     if arguments.demo == (arguments.measured is not None):
         raise ValueError("name a data set with --measured, or ask for --demo")
     if arguments.demo:
         from dotsim_ros.evaluation.gap.demo import run_demo
 
         return run_demo(arguments.out, seed=arguments.seed, workers=arguments.workers)
+    from dotsim_ros.files import write_json
+    from dotsim_ros.gap.find import find_gap, fit_optical_noise
+    from dotsim_ros.gap.findings import as_record
+    from dotsim_ros.page import HTML
+    from dotsim_ros.progress import PrintedProgress
+
+    common: dict[str, Any] = {
+        "sensor": arguments.sensor,
+        "reference": arguments.reference,
+        "indenters": arguments.indenters,
+        "effects": arguments.effects,
+        "workers": arguments.workers,
+        "progress": PrintedProgress(),
+    }
     if arguments.fit_optical_noise is not None:
-        fit_optical_noise(arguments)
+        null = fit_optical_noise(
+            arguments.measured,
+            arguments.fit_optical_noise,
+            run_folder=arguments.out / "run",
+            **common,
+        )
+        print(f"{arguments.fit_optical_noise}: {null.source}")
         return 0
-    try:
-        findings = search(arguments)
-    except ValueError as error:
-        findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
-        write_findings(arguments.out, findings, None, effects=arguments.effects)
+    findings = find_gap(
+        arguments.measured,
+        out=arguments.out,
+        channels=arguments.channels,
+        candidates=arguments.candidates,
+        alpha=arguments.alpha,
+        budget=arguments.budget,
+        seed=arguments.seed,
+        discrepancy=arguments.discrepancy,
+        optical_noise=arguments.optical_noise,
+        **common,
+    )
     if arguments.json is not None:
         write_json(arguments.json, as_record(findings))
     print(f"\n{findings.sentence}")
     for text in findings.warnings:
         print(f"- {text}")
-    print(f"{arguments.out / 'report.html'}: {findings.verdict.value}")
+    print(f"{arguments.out / HTML}: {findings.verdict.value}")
     return findings.verdict.exit_status
-
-
-def search(arguments: argparse.Namespace) -> Findings:
-    """Return the findings of a search, its report written."""
-    from dotsim_ros.gap.find import find_gap_with_images
-    from dotsim_ros.gap.report.write import write_findings
-    from dotsim_ros.progress import PrintedProgress
-
-    request = request_of(arguments)
-    findings, overlay = find_gap_with_images(request, PrintedProgress())
-    write_findings(arguments.out, findings, overlay, effects=arguments.effects)
-    return findings
-
-
-def fit_optical_noise(arguments: argparse.Namespace) -> None:
-    """Learn what the images of a data set show in which nothing is wrong; write it."""
-    from dotsim_ros.gap.find import fit_noise_of_images
-    from dotsim_ros.gap.images.null import save_optical_null
-    from dotsim_ros.progress import PrintedProgress
-
-    null = fit_noise_of_images(request_of(arguments), PrintedProgress())
-    save_optical_null(null, arguments.fit_optical_noise)
-    print(f"{arguments.fit_optical_noise}: {null.source}")
-
-
-def request_of(arguments: argparse.Namespace) -> GapRequest:
-    """Return what is searched, and how."""
-    from dotsim_ros.gap.find import channels_of
-    from dotsim_ros.gap.presses.search_state import GapRequest
-    from dotsim_ros.specification import load_sensor
-
-    return GapRequest(
-        measured=arguments.measured,
-        sensor=load_sensor(arguments.sensor),
-        directory=arguments.out / "run",
-        reference=arguments.reference,
-        indenters=arguments.indenters,
-        effects=tuple(arguments.effects),
-        channels=tuple(arguments.channels or channels_of(arguments.measured)),
-        candidates=tuple(arguments.candidates),
-        alpha=arguments.alpha,
-        budget=arguments.budget,
-        seed=arguments.seed,
-        workers=arguments.workers,
-        discrepancy=arguments.discrepancy,
-        optical_noise=arguments.optical_noise,
-    )

@@ -1,4 +1,4 @@
-"""Say which effects a set of protocols can tell apart, before anyone measures.
+"""Show which effects a set of protocols can distinguish, before anyone measures.
 
 Takes the poses of a data set (no force or skin needed), simulates the twin with each effect along
 them, and prints the isolability matrix: cosines of pairs of signatures once the nuisances are
@@ -23,8 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
     add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
     add("--effects", type=Path, nargs="+", default=[], help="folders of your own effects")
-    add("--channels", nargs="+", choices=("skin", "force"), default=["skin", "force"], help="(all)")
-    add("--seed", type=int, default=0, help="of the draws (0)")
+    add(
+        "--channels",
+        nargs="+",
+        choices=("skin", "force"),
+        default=["skin", "force"],
+        help="used (all)",
+    )
+    add("--seed", type=int, default=0, help="seed of the draws (0)")
     add("--workers", type=int, default=2, help="processes (2)")
     add("--json", type=Path, help="write the figures here")
 

@@ -3,7 +3,7 @@
 Writes dataset.yaml, skin_mesh.npz, bags/ and indenters/ in the layout of measured data, one
 trajectory for each indenter and tilt, and prints for each frame how far our own gel, pressed the
 same way, is off. Trajectories that OUT already holds, solved to their end with the same constants,
-are left as they are, so a broken run goes on where it stopped; others are solved anew. Needs
+are left as they are, so an interrupted run resumes where it stopped; others are solved anew. Needs
 CalculiX: apt-get install calculix-ccx
 
 example:
@@ -47,16 +47,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sensor", default="densetact2", help="name or YAML file of the sensor (densetact2)")
     add("--indenter", nargs="+", default=["sphere_4mm"], help="names or files (sphere_4mm)")
     add("--out", type=Path, default=Path("out/reference"), help="the data set (out/reference)")
-    add("--depth-mm", type=_positive, default=1.0, help="of the tip below the skin at rest (1)")
+    add(
+        "--depth-mm",
+        type=_positive,
+        default=1.0,
+        help="depth of the tip below the skin at rest (1)",
+    )
     add("--frames", type=_count, default=4, help="equal moves to that depth, one a frame (4)")
-    add("--tilt-deg", type=_tilt, nargs="+", default=[0.0], help="place, from the apex (0)")
-    add("--azimuth-deg", type=float, default=0.0, help="of the place, from +x (0)")
+    add(
+        "--tilt-deg",
+        type=_tilt,
+        nargs="+",
+        default=[0.0],
+        help="angles of the place from the apex (0)",
+    )
+    add("--azimuth-deg", type=float, default=0.0, help="azimuth of the place, from +x (0)")
     add("--shear-mm", type=float, default=0.0, help="drag along the indenter's +x at the end (0)")
     add("--friction", type=float, help="coefficient of friction (the sensor's)")
-    add("--spacing-mm", type=_positive, help="of the elements at the press (1; 0.25 axisymmetric)")
+    add("--spacing-mm", type=_positive, help="element size at the press (1; 0.25 axisymmetric)")
     add("--axisymmetric", action="store_true", help="solve in two dimensions: at the apex alone")
-    add("--threads", type=_count, default=1, help="of CalculiX (1)")
-    add("--time-limit-s", type=_positive, help="for each trajectory (none)")
+    add("--threads", type=_count, default=1, help="threads of CalculiX (1)")
+    add("--time-limit-s", type=_positive, help="time limit of each trajectory (none)")
     add("--keep", type=Path, help="folder for CalculiX's own files")
     add("--json", type=Path, help="write the table to this file")
     add("--seed", type=int, default=0, help="accepted; nothing here is random")
@@ -69,10 +80,11 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.files import write_json
     from dotsim_ros.gel.make import skin_of
     from dotsim_ros.geometry.indenter import load_indenter
+    from dotsim_ros.measured.data_set_writer import DataSetWriter
     from dotsim_ros.provenance import provenance
     from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
     from dotsim_ros.reference.comparison import compare
-    from dotsim_ros.reference.data_set import ReferenceDataSet
+    from dotsim_ros.reference.data_set import FINE_STEP_M
     from dotsim_ros.reference.press import ReferencePress, ReferenceSettings
     from dotsim_ros.reference.results import solved_press
     from dotsim_ros.reference.run import CalculixError, calculix_version
@@ -84,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         contact = replace(specification.contact, friction_coefficient=arguments.friction)
         specification = replace(specification, contact=contact)
     skin = skin_of(specification.gel)
-    data_set = ReferenceDataSet(arguments.out, skin)
+    data_set = DataSetWriter(arguments.out, skin, indenter_step_m=FINE_STEP_M)
     settings: ReferenceSettings | AxisymmetricSettings = (
         AxisymmetricSettings() if arguments.axisymmetric else ReferenceSettings()
     )

@@ -3,8 +3,8 @@
 The data set is one as tactile_record writes it: dataset.yaml, bags with poses and images, idle
 images, indenters; the sensor is a calibrated one. Writes into OUT the weights with their card, the
 graph that runs without torch, the idle image that goes with them, and sensor.yaml to run it all;
-beside it, into OUT_training, preview.png (measured, carried, predicted, errors), training.json and
-the state of the training: a run that was broken off goes on where it stopped. With CUDA the
+beside it, into OUT_training, preview.png (measured, warped, predicted, errors), training.json and
+the state of the training: an interrupted run resumes where it stopped. With CUDA the
 networks see the measured resolution; without, the published ones are trained on smaller images.
 
 example:
@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--data", type=Path, required=True, metavar="DIR", help="folder of the data set")
     add("--sensor", required=True, metavar="FILE", help="the sensor's file, or its name")
-    add("--out", type=Path, default=Path("out/optics"), metavar="DIR", help="(out/optics)")
+    add("--out", type=Path, default=Path("out/optics"), metavar="DIR", help="folder (out/optics)")
     add("--sensor-out", type=Path, metavar="FILE", help="sensor's file to write (OUT/sensor.yaml)")
     add(
         "--record",
@@ -51,15 +51,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--leave-out", nargs="+", metavar="INDENTER", help="judge on all of these indenters"
     )
     add("--trajectories", nargs="+", metavar="NAME", help="use these alone (all with images)")
-    add("--split-seed", type=int, default=0, help="of what is held out (0)")
-    add("--seed", type=int, default=0, help="of the training (0)")
+    add("--split-seed", type=int, default=0, help="seed of the split (0)")
+    add("--seed", type=int, default=0, help="seed of the training (0)")
     add(
         "--budget-minutes",
         type=float,
         metavar="MINUTES",
         help="end the training after so much CPU time",
     )
-    add("--size", type=int, metavar="WIDTH", help="of the network's images, in pixels")
+    add("--size", type=int, metavar="WIDTH", help="width of the network's images, in pixels")
     add("--json", type=Path, metavar="FILE", help="copy the figures to this file as well")
 
 

@@ -2,7 +2,7 @@
 
 ResNet-18 from random weights learns the expert's velocity for each path. OUT gets the weights in
 half precision with their card and the graph that runs without torch; beside it, in OUT_training,
-the state of the training (a run that was broken off goes on from it) and training.json with the
+the state of the training (an interrupted run resumes from it) and training.json with the
 errors on the episodes held out. One core shows about 60 examples a second.
 
 example:
@@ -26,14 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     add = parser.add_argument
     add("--data", type=Path, nargs="+", required=True, metavar="DIR", help="demonstrations")
-    add("--out", type=Path, default=Path("out/policy"), metavar="DIR", help="(out/policy)")
+    add("--out", type=Path, default=Path("out/policy"), metavar="DIR", help="folder (out/policy)")
     add("--record", type=Path, metavar="DIR", help="folder of state and report (OUT_training)")
-    add("--name", metavar="NAME", help="of the policy (the name of OUT)")
+    add("--name", metavar="NAME", help="name of the policy (that of OUT)")
     add("--start", type=Path, metavar="FILE", help="begin with the weights of this training.pt")
-    add("--examples", type=int, default=80_000, metavar="N", help="to show in all (80000)")
-    add("--learning-rate", type=float, default=2e-3, metavar="RATE", help="the highest (2e-3)")
+    add("--examples", type=int, default=80_000, metavar="N", help="examples shown in all (80000)")
+    add("--learning-rate", type=float, default=2e-3, metavar="RATE", help="the highest one (2e-3)")
     add("--size", type=int, default=80, metavar="PX", help="side of the network's images (80)")
-    add("--seed", type=int, default=0, help="of the training (0)")
+    add("--seed", type=int, default=0, help="seed of the training (0)")
     add("--json", type=Path, metavar="FILE", help="copy the report to this file as well")
 
 

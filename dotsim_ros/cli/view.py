@@ -34,13 +34,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bag", type=Path, help="folder of a ROS 2 bag")
     parser.add_argument("--out", type=Path, default=Path("out"), help="folder of the files (out)")
     parser.add_argument(
-        "--format", choices=("mp4", "gif", "both", "none"), default="mp4", help="of the video (mp4)"
+        "--format",
+        choices=("mp4", "gif", "both", "none"),
+        default="mp4",
+        help="format of the video (mp4)",
     )
     parser.add_argument("--fps", type=_positive, help="frames a second (those of the bag)")
     parser.add_argument(
         "--speed", type=_positive, default=1.0, help="seconds of the bag in one of the video (1)"
     )
-    parser.add_argument("--columns", type=_count, default=6, help="of the contact sheet (6)")
+    parser.add_argument(
+        "--columns", type=_count, default=6, help="columns of the contact sheet (6)"
+    )
     parser.add_argument("--rest", type=Path, help=".npz with rest_position_m (V, 3) of the skin")
     parser.add_argument("--seed", type=int, default=0, help="accepted; nothing here is random")
     for name in ("image", "depth", "points", "wrench"):

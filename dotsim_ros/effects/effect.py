@@ -105,7 +105,7 @@ class SeenImage:
 
 
 MotionFilter = Callable[[float, Pose, FloatArray], Pose]
-"""From time (s), pose as told, and the force (3,) on the indenter to the pose as it is."""
+"""Maps time (s), commanded pose, and the force (3,) on the indenter to the true pose."""
 ResponseFilter = Callable[[Response], Response]
 ImageFilter = Callable[[SeenImage], FloatArray]
 """Returns (H, W, 3) pixels."""
@@ -113,7 +113,7 @@ ImageFilter = Callable[[SeenImage], FloatArray]
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect of the library; one file in `gap/effects` holds one, as `EFFECT`.
+    """An effect of the library; one file in `effects/builtin` holds one, as `EFFECT`.
 
     Attributes:
         name: of its file.
@@ -124,7 +124,7 @@ class Effect:
         excited_by: whether a trajectory of a data set does.
         taken_for: effects, or parameters, that look alike.
         gel, motion, response, image: its hooks, each None where it does not act. The first three
-            are told the recording that they are for; in the live sensor there is none.
+            are given the recording that they are for; in the live sensor there is none.
     """
 
     name: str

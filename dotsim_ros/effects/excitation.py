@@ -1,4 +1,4 @@
-"""What a recording does to the gel: the questions by which effects say whether it excites them."""
+"""What a recording does to the gel: the conditions under which it excites an effect."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ import numpy as np
 from dotsim_ros.measured.recording import STILL_M, TOUCH_M, Phase, Recording
 
 STRAINING_M = 1.0e-3
-"""A press that is shallower strains the gel too little to tell one elastic law from another."""
+"""A shallower press strains the gel too little to distinguish one elastic law from another."""
 
 REVERSAL_COSINE = -0.5
 """Two moves one after the other whose directions are this far apart go there and back."""
 
 LATER_S = 10.0
-"""What changes with time is not seen in a recording that ends sooner after the session's start."""
+"""A recording that ends sooner after the session's start does not show what changes with time."""
 
 
 def touches(recording: Recording) -> bool:

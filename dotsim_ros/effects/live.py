@@ -74,7 +74,7 @@ class FilteredSensor(Protocol):
 
     @property
     def skin(self) -> SkinMesh:
-        """At rest."""
+        """The skin at rest."""
 
     @property
     def camera(self) -> FisheyeCamera:
@@ -96,7 +96,7 @@ class LiveEffects:
         sensor: whose gel has the effects already.
 
     Attributes:
-        act_in_time: whether a frame may differ from the one before though nothing was told.
+        act_in_time: whether a frame may differ from the one before without a new command.
     """
 
     def __init__(self, effects: Sequence[Active], sensor: FilteredSensor) -> None:
@@ -113,17 +113,17 @@ class LiveEffects:
         self.begin()
 
     def begin(self) -> None:
-        """Begin a trajectory: nothing is remembered; the session's time goes on."""
+        """Begin a trajectory: nothing is remembered; the session's time continues."""
         self._stamp_s = 0.0
         self._motion = motion_filters(self._effects)
         self._response = response_filters(self._effects)
         self._image = image_filters(self._effects)
 
     def moved(self, pose: Pose, force_n: FloatArray, step_s: float) -> Pose:
-        """Return where the indenter is when it is told to be at a pose.
+        """Return the indenter's true pose for a commanded one.
 
         Args:
-            pose: as told.
+            pose: as commanded.
             force_n: (3,) of the gel on the indenter in the frame before.
             step_s: since then.
         """

@@ -23,7 +23,7 @@ FAST_M_S = 2.0e-3
 """An indenter that moves faster under load moves the image enough to blur or skew it."""
 
 SourceMap = Callable[[SeenImage], tuple[FloatArray, FloatArray]]
-"""From an image to x and y (H, W each), px, of where in it each new pixel looks."""
+"""Maps an image to x and y (H, W each), px, of the place in it that each new pixel shows."""
 
 
 def any_frame(recording: Recording) -> bool:
@@ -73,7 +73,7 @@ def sampled(pixels: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _asked_for(place: FloatArray) -> FloatArray:
-    """Return where OpenCV's cubic must be asked to look, to look at a place.
+    """Return the coordinates for OpenCV's cubic interpolation that sample an image at a place.
 
     Its kernel is that of Keys ("Cubic convolution interpolation for digital image processing",
     1981) with a = -0.75, which shows a straight slope at f^3 - 1.5 f^2 + 1.5 f of a pixel where it

@@ -10,7 +10,7 @@ from dotsim_ros.effects.excitation import touches
 from dotsim_ros.geometry.pose import Pose
 
 OFFSET_M = 0.5e-3
-"""Largest error of an arm's calibration that is taken for one; more is a wrong sensor file."""
+"""Largest pose offset that is taken for an error of calibration; more is a wrong sensor file."""
 
 
 def shifted(pose: Pose, shift_m: FloatArray) -> Pose:

@@ -4,16 +4,16 @@ Version 5. Data in which no effect gains more than its limit have no gap, unless
 any model could remove gain more than theirs: then it is unknown. Otherwise, of the effects past
 their limits, the one that gains most, once refitted, is named, with those that gain nearly as much;
 or two, where each gains more than its limit beside the other and both gain much more than the best
-one. The gap is unknown where they explain too little of it; of it is what patterns could remove,
-and the effects themselves if skin and force told two sizes of them, and all by which the data
-differ more than data without any effect. Naming the effect that predicts left-out trajectories best
-was tried on the development half of the study: it names as many right, and makes sets where gains
-do not.
+one. The gap is unknown where they explain too little of it. Counted as gap are what patterns could
+remove, what the effects could if their sizes in skin and force were free to differ, and all by
+which the data differ more than data without any effect. Naming the effect that predicts left-out
+trajectories best was tried on the development half of the study: it names as many right, and makes
+sets where gains do not.
 
-Version 4 did not ask whether skin and force tell the same size, and took a skin that is seen late
-for a pose that is told early. Version 3 was the same beside fewer nuisances: the twin's own error,
-which looks like a gel 2 % thinner, a delay of 8 ms and a softer arm, was taken for such effects
-where there was enough data. Version 2 looked for a second effect only where the first explained too
+Version 4 did not ask whether skin and force give the same size, and took a latency of the skin for
+a pose that is ahead of its time. Version 3 had fewer nuisances: the twin's own error, which looks
+like a gel 2 % thinner, a delay of 8 ms and a softer arm, was taken for such effects where there was
+enough data. Version 2 looked for a second effect only where the first explained too
 little, and beside that one alone: of two effects the smaller was never named. It judged by patterns
 alone what was left, and took a leaning base for a thinner gel. Version 1 had one limit for all
 effects, another covariance, and used the skin of shallow contacts.
@@ -29,7 +29,7 @@ RULE_VERSION = 5
 SCREENED = 3
 """So many effects are refitted, together with those that gain nearly as much."""
 CLOSE = 30.0
-"""Effects are refitted that gain less than the first by no more than this."""
+"""Effects whose gain is less than the first one's by no more than this are refitted."""
 EXPLAINED = 0.8
 """An effect that explains less of what could be removed is not the whole answer."""
 LARGEST_IN_CHANNEL = 2.0
@@ -41,11 +41,11 @@ OTHER_LAW = 0.1
 """Another effect must gain more than its limit by this share of what the first one gains: no law of
 the library is that of the real effect, and what it misses looks like something else."""
 APART = 3.1
-"""Effects that are fewer deviations apart are not told from each other."""
+"""Effects that are fewer deviations apart are not distinguished from each other."""
 SAME = APART**2
 """Gains, in squared deviations, that differ by less."""
 ALIKE = 0.9
-"""Cosine from which two effects need a whitened size of 14 to be told apart."""
+"""Cosine from which two effects need a whitened size of 14 to be distinguished."""
 STABLE_SHARE = 0.9
 """A name that fewer bootstrap repetitions give is not stable."""
 NULL_DRAWS = 200
@@ -55,7 +55,7 @@ than the nuisances. In the commissioning of a second unit, with nothing missing,
 3.2 times; the margin is a guess. Effects that the model's own error imitates have larger factors,
 which come with the discrepancy."""
 MISFIT_OF_UNITS = 0.45
-"""By how much an observable's objective may be larger than the discrepancy's own presses leave:
+"""Excess of an observable's objective that is allowed over what the discrepancy's presses leave:
 the commissioning of a second unit, with nothing missing, is off by 0.34; the margin is a guess."""
 MISFIT_SINCE = 0.2
 """The same against the unit's own commissioning."""

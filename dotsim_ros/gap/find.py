@@ -1,76 +1,200 @@
-"""The search with images: the mechanical search as it is, then the camera's effects.
-
-Skins come from the twin's gel at the poses of the images, with the mechanical effects that were
-named; where a mechanical gap is unknown, only frames without contact are looked at, since the skin
-of the others is not known.
-"""
+"""The whole search in one call: skin and force first, then the camera's effects in the images."""
 
 from __future__ import annotations
 
 import hashlib
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.effects.effect import Effect
+from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, Effect
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
-from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.gap import decision
-from dotsim_ros.gap.findings import (
-    Candidate,
-    ChannelGap,
-    Findings,
-    OpticalFindings,
-    TileGap,
-    Verdict,
-)
-from dotsim_ros.gap.images.case import (
-    HEIGHT,
-    IDLE,
-    WIDTH,
-    OpticalCase,
-    Shot,
-    excited,
-    optical_case,
-)
-from dotsim_ros.gap.images.fit import (
-    Fitted,
-    ImageSearch,
-    OpticalAnswer,
-    mean_squares,
-    without_effects,
-)
-from dotsim_ros.gap.images.model import TwinCamera
-from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, load_optical_null
-from dotsim_ros.gap.images.reading import (
-    MeasuredImages,
-    check_same_unit,
-    holds_images,
-    read_images,
-)
-from dotsim_ros.gap.images.tiles import COLOURS
-from dotsim_ros.gap.presses.search import find_gap
+from dotsim_ros.effects.overlay import Overlay
+from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
+from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
+from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
+from dotsim_ros.gap.images.reading import holds_images
+from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest, Progress
-from dotsim_ros.gap.report import wording
-from dotsim_ros.gel.make import skin_of
-from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.measurement import one_of_each, protocol_of
+from dotsim_ros.gap.report.write import write_findings
+from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.specification import SensorSpecification, given_sensor
 
-IMAGE = "image"
-MECHANICAL = ("skin", "force")
-LEAST_TRAJECTORIES = 4
-RESAMPLED = 200
+MECHANICAL = (SKIN, FORCE)
+CHANNELS = (*MECHANICAL, IMAGE)
 
 
 def channels_of(measured: Path) -> tuple[str, ...]:
     """Return the channels that are used where none were asked for: skin, force, and the images
     where the bags of a data set hold them and idle images lie beside them."""
-    return (*MECHANICAL, IMAGE) if all(holds_images(measured)) else MECHANICAL
+    return CHANNELS if all(holds_images(measured)) else MECHANICAL
+
+
+def find_gap(
+    measured: str | Path | DataSet,
+    *,
+    sensor: str | Path | SensorSpecification = "sensor_a",
+    out: str | Path | None = None,
+    reference: str | Path | None = None,
+    indenters: str | Path | None = None,
+    effects: Sequence[str | Path] = (),
+    channels: Sequence[str] | None = None,
+    candidates: Sequence[str] = (),
+    alpha: float = 0.02,
+    budget: int | None = None,
+    seed: int = 0,
+    workers: int = 2,
+    discrepancy: str | Path | None = None,
+    optical_noise: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Findings:
+    """Find where a calibrated sensor and its measurements disagree, and name the missing effect.
+
+    It starts processes, so a script calls it below `if __name__ == "__main__":`.
+
+    Args:
+        measured: folder of the data set, or the data set.
+        sensor: the calibrated twin: a name, a YAML file or a specification.
+        out: folder of the report, with the solves, from which an interrupted run resumes,
+            and the overlay of the effects that were named; None writes and keeps nothing.
+        reference: folder of the unit's commissioning, to find what has changed since.
+        indenters: folder of the indenters' meshes; by default looked for beside the data.
+        effects: folders of your own effects.
+        channels: of "skin", "force" and "image"; by default all that the data hold.
+        candidates: names of the effects to look for; by default all.
+        alpha: chance of a name on data without an effect.
+        budget: most solves of a trajectory; by default no limit.
+        seed: of all draws.
+        workers: processes.
+        discrepancy: file of the model's own error; by default the shipped one.
+        optical_noise: file of the images' noise; by default the shipped one.
+        progress: called with each step's name, how much of it is done, and of how much.
+
+    Returns:
+        What was found; its verdict is `Verdict.UNUSABLE` where the data cannot be used.
+
+    Raises:
+        FileNotFoundError: a data set, sensor, indenter or file that is not there.
+        ValueError: an argument that is out of range or names nothing, before anything is read of
+            the data or written.
+    """
+    _check_arguments(
+        channels=channels,
+        candidates=candidates,
+        library=load_effects(effects),
+        alpha=alpha,
+        budget=budget,
+        workers=workers,
+    )
+    for path in (indenters, discrepancy, optical_noise):
+        if path is not None and not Path(path).exists():
+            raise FileNotFoundError(f"there is nothing at {path}")
+    twin = given_sensor(sensor)
+    folder = measured.directory if isinstance(measured, DataSet) else Path(measured)
+    overlay = None
+    with tempfile.TemporaryDirectory() as temporary:
+        try:
+            request = GapRequest(
+                measured=folder,
+                sensor=twin,
+                directory=Path(temporary if out is None else out) / "run",
+                reference=_path(reference),
+                indenters=_path(indenters),
+                effects=tuple(map(Path, effects)),
+                channels=tuple(channels or channels_of(folder)),
+                candidates=tuple(candidates),
+                alpha=alpha,
+                budget=budget,
+                seed=seed,
+                workers=workers,
+                discrepancy=_path(discrepancy),
+                optical_noise=_path(optical_noise),
+            )
+            findings, overlay = find_gap_with_images(request, progress or _silent)
+        except ValueError as error:
+            findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
+    if out is not None:
+        write_findings(Path(out), findings, overlay, effects=tuple(map(Path, effects)))
+    return findings
+
+
+def fit_optical_noise(
+    measured: str | Path,
+    out: str | Path,
+    *,
+    sensor: str | Path | SensorSpecification = "sensor_a",
+    run_folder: str | Path | None = None,
+    reference: str | Path | None = None,
+    indenters: str | Path | None = None,
+    effects: Sequence[str | Path] = (),
+    workers: int = 2,
+    progress: Progress | None = None,
+) -> OpticalNull:
+    """Estimate the images' noise from data without an effect; `find_gap` takes it as
+    `optical_noise`.
+
+    It starts processes, so a script calls it below `if __name__ == "__main__":`.
+
+    Args:
+        measured: folder of a data set with images.
+        out: file to write it to.
+        sensor, reference, indenters, effects, workers, progress: as for `find_gap`.
+        run_folder: where solves are kept; by default they are not.
+
+    Raises:
+        FileNotFoundError, ValueError: images that cannot be used; the text says why.
+    """
+    twin = given_sensor(sensor)
+    with tempfile.TemporaryDirectory() as temporary:
+        request = GapRequest(
+            measured=Path(measured),
+            sensor=twin,
+            directory=Path(temporary if run_folder is None else run_folder),
+            reference=_path(reference),
+            indenters=_path(indenters),
+            effects=tuple(map(Path, effects)),
+            workers=workers,
+        )
+        null = fit_noise_of_images(request, progress or _silent)
+    save_optical_null(null, Path(out))
+    return null
+
+
+def _path(given: str | Path | None) -> Path | None:
+    return None if given is None else Path(given)
+
+
+def _silent(_step: str, _done: int, _total: int) -> None:
+    """Show nothing."""
+
+
+def _check_arguments(
+    *,
+    channels: Sequence[str] | None,
+    candidates: Sequence[str],
+    library: Mapping[str, Effect],
+    alpha: float,
+    budget: int | None,
+    workers: int,
+) -> None:
+    """Refuse what no search could be run with.
+
+    Raises:
+        ValueError: an argument is out of range or names nothing.
+    """
+    strange = sorted(set(channels or ()) - set(CHANNELS))
+    if strange:
+        raise ValueError(f"no channel {', '.join(strange)}; known are {', '.join(CHANNELS)}")
+    unknown = sorted(set(candidates) - set(library))
+    if unknown:
+        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
+    if not 0.0 < alpha < 1.0:
+        raise ValueError(f"alpha is {alpha}, expected between 0 and 1")
+    for name, count in (("budget", budget), ("workers", workers)):
+        if count is not None and count < 1:
+            raise ValueError(f"{name} is {count}, expected 1 or more")
 
 
 def find_gap_with_images(
@@ -95,7 +219,7 @@ def find_gap_with_images(
     if channels and mechanical:
         names = tuple(e.name for e in mechanical) if request.candidates else ()
         only = replace(request, channels=channels, candidates=names)
-        findings, overlay = find_gap(only, progress)
+        findings, overlay = search_presses(only, progress)
     if IMAGE not in request.channels or not optical:
         if findings is None:
             raise ValueError(
@@ -104,9 +228,9 @@ def find_gap_with_images(
             )
         return findings, overlay
     try:
-        seen, found, digest, solves = _find_optical(request, optical, findings, overlay, progress)
+        seen, found, digest, solves = find_optical(request, optical, findings, overlay, progress)
     except (ValueError, FileNotFoundError) as error:
-        seen, found, digest, solves = _unusable(str(error)), (), "", 0
+        seen, found, digest, solves = unusable_images(str(error)), (), "", 0
     if findings is None:
         findings = Findings(
             Verdict.NO_GAP,
@@ -142,378 +266,3 @@ def combined(findings: Findings, optical: OpticalFindings) -> Findings:
         warnings=findings.warnings + optical.warnings,
         optical=optical,
     )
-
-
-def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
-    """Return what the images of a data set show in which nothing is missing.
-
-    Args:
-        request: the data set, its twin and indenters; with a reference, that idle frame is the
-            twin's.
-        progress: told the steps.
-
-    Raises:
-        FileNotFoundError, ValueError: images that cannot be used; the text says why.
-    """
-    case, _ = _case_without_gap(request, progress)
-    count = len(case.shots) - 1
-    effects = [e for e in load_effects(request.effects).values() if e.image is not None]
-    source = f"{count} trajectories of {request.measured.name} with {request.sensor.name}"
-    return fit_optical_null(
-        case,
-        effects,
-        sensor=request.sensor.name,
-        source=source,
-        progress=lambda done, total: progress("noise of the images", done, total),
-    )
-
-
-def case_of(request: GapRequest, progress: Progress) -> OpticalCase:
-    """Return the images of a data set beside those of the twin without any effect.
-
-    Raises:
-        FileNotFoundError, ValueError: images that cannot be used; the text says why.
-    """
-    return _case_and_solves(request, progress)[0]
-
-
-def _case_and_solves(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    images, model = _images_and_model(request)
-    skins, solves, _ = _skins(request, images, None, progress)
-    case = optical_case(
-        images, model, skins, progress=lambda done, total: progress("images", done, total)
-    )
-    return case, solves
-
-
-def _case_without_gap(request: GapRequest, progress: Progress) -> tuple[OpticalCase, int]:
-    """Return the images of a data set in which nothing is missing, and how many solves it took.
-
-    Raises:
-        FileNotFoundError, ValueError: as `case_of`; or too few trajectories.
-    """
-    case, solves = _case_and_solves(request, progress)
-    count = len(case.shots) - 1
-    if count <= LEAST_TRAJECTORIES:
-        raise ValueError(
-            f"{count} trajectories with images are too few to tell what a model errs by, "
-            f"expected more than {LEAST_TRAJECTORIES}"
-        )
-    return case, solves
-
-
-def _null_of(
-    request: GapRequest, effects: Sequence[Effect], progress: Progress
-) -> tuple[OpticalNull, list[str], int]:
-    """Return what images show where nothing is missing, what limits that, and how many solves it
-    took. Nothing is missing in a reference: it tells the sizes of effects that the file does not
-    know, such as the user's own."""
-    null = load_optical_null(request.optical_noise)
-    unknown = [effect for effect in effects if not null.knows(effect)]
-    if not unknown:
-        return null, [], 0
-    reason, solves = "", 0
-    if request.reference is not None:
-        try:
-            reference = replace(request, measured=request.reference)
-            case, solves = _case_without_gap(reference, progress)
-            source = f"{len(case.shots) - 1} trajectories of {request.reference.name}"
-            told = wording.told_by_reference(unknown, source)
-            return null.with_effects(unknown, case), [told], solves
-        except (FileNotFoundError, ValueError) as error:
-            reason = str(error)
-    return null, [wording.not_tried_warning(unknown, LEAST_TRAJECTORIES + 1, reason)], solves
-
-
-def _unusable(reason: str) -> OpticalFindings:
-    text = f"The images cannot be used: {reason}"
-    return OpticalFindings(Verdict.UNUSABLE, text, warnings=(text,))
-
-
-def _find_optical(
-    request: GapRequest,
-    effects: Sequence[Effect],
-    findings: Findings | None,
-    overlay: Overlay | None,
-    progress: Progress,
-) -> tuple[OpticalFindings, tuple[FoundEffect, ...], str, int]:
-    """Return the optical part, its effects for the overlay, the hash of the images, and how many
-    solves it took."""
-    images, model = _images_and_model(request)
-    null, limits, reference_solves = _null_of(request, effects, progress)
-    warnings = [*images.warnings, *limits]
-    known = [effect for effect in effects if null.knows(effect)]
-    not_tried = [effect for effect in effects if effect not in known]
-    if not known:
-        sentence = f"Images: not searched. {wording.not_tried_sentence(not_tried)}"
-        names = tuple(effect.name for effect in not_tried)
-        nothing = OpticalFindings(
-            Verdict.UNUSABLE, sentence, not_tried=names, warnings=tuple(warnings)
-        )
-        return nothing, (), images.digest, reference_solves
-    skins, solves, left_out = _skins(request, images, overlay, progress)
-    warnings += left_out
-    case = optical_case(
-        images, model, skins, progress=lambda done, total: progress("images", done, total)
-    )
-    if findings is not None and findings.verdict is Verdict.UNKNOWN:
-        case = case.without_contact()
-        warnings.append(
-            "what is missing in the gel is unknown, so the skin in contact is not known: only "
-            "frames without contact were searched for effects of the camera"
-        )
-    warnings += wording.image_warnings(
-        null.sensor, null.source, request.sensor.name, len(case.shots) - 1
-    )
-    random = np.random.default_rng([request.seed, 1])
-    locked = _locked(case, findings, random)
-    chosen = [shot for shot in case.shots if shot.name not in locked]
-    tried, silent = excited({e.name: e for e in known}, chosen)
-    if not tried:
-        raise ValueError("no image excites any effect of the camera; record presses with images")
-    progress("screen the images", 0, 1)
-    search = ImageSearch(case, chosen, tried, null, alpha=request.alpha, seed=request.seed)
-    progress("screen the images", 1, 1)
-    answer = search.answer()
-    library = {effect.name: effect for effect in effects}
-    seen = _optical_findings(case, search, answer, locked, null, library, silent, random, warnings)
-    if not_tried:
-        sentence = f"{seen.sentence} {wording.not_tried_sentence(not_tried)}"
-        names = tuple(effect.name for effect in not_tried)
-        seen = replace(seen, sentence=sentence, not_tried=names)
-    found = tuple(
-        FoundEffect(one.effect.name, answer.estimates[one.effect.name]) for one in answer.named
-    )
-    return seen, found, images.digest, solves + reference_solves
-
-
-def _images_and_model(request: GapRequest) -> tuple[MeasuredImages, TwinCamera]:
-    """Return the images, and the model of the twin's at their size.
-
-    Raises:
-        FileNotFoundError, ValueError: as `read_images`; or images of another unit.
-    """
-    skin = skin_of(request.sensor.gel)
-    images = read_images(request.measured, skin=skin, indenters=request.indenters)
-    height, width = images.idle_images.shape[1:3]
-    idle, owner = None, f"the idle frame of {request.sensor.name}"
-    if request.reference is not None:
-        reference = read_images(request.reference, skin=skin, indenters=request.indenters)
-        idle, owner = reference.idle, "that of the reference"
-        check_same_unit(idle, images.idle, owner=owner)
-    camera = request.sensor.camera
-    if width * camera.height != height * camera.width:
-        raise ValueError(
-            f"they are {width}x{height}, the camera of {request.sensor.name} has "
-            f"{camera.width}x{camera.height}, another aspect ratio: they come from another camera"
-        )
-    model = TwinCamera(request.sensor, width=width, height=height, idle=idle)
-    check_same_unit(model.idle, images.idle, owner=owner)
-    return images, model
-
-
-def _skins(
-    request: GapRequest, images: MeasuredImages, overlay: Overlay | None, progress: Progress
-) -> tuple[dict[str, FloatArray], int, list[str]]:
-    """Return the twin's skin (F, V, 3) by trajectory, how many solves it took, and what could not
-    be solved."""
-    sensor = request.sensor
-    active = () if overlay is None else active_effects(overlay, load_effects(request.effects))
-    recordings = [one.recording for one in images.trajectories]
-    with open_solver(
-        sensor,
-        skin_of(sensor.gel),
-        request.directory / "solves",
-        folders=request.effects,
-        workers=request.workers,
-    ) as solver:
-        answers, failures = solver.run_each(
-            [request_of(r, values_of(sensor), effects=active) for r in recordings],
-            lambda done, total: progress("skins of the images", done, total),
-        )
-        count = solver.solve_count
-    skins = {
-        recording.name: answer.skin_position_m
-        for recording, answer in zip(recordings, answers, strict=True)
-        if answer is not None
-    }
-    return skins, count, [f"no image of the twin's: {text}" for text in failures]
-
-
-def _locked(
-    case: OpticalCase, findings: Findings | None, random: np.random.Generator
-) -> tuple[str, ...]:
-    """Return the names of the trajectories that are kept locked: those of the mechanical search,
-    else one of each repeated protocol."""
-    names = [shot.name for shot in case.shots]
-    if findings is not None:
-        return tuple(name for name in findings.locked if name in names)
-    pressed = [shot for shot in case.shots if shot.recording is not None]
-    places = one_of_each([protocol_of(s.recording) for s in pressed if s.recording], random)
-    return tuple(sorted(pressed[place].name for place in places))
-
-
-def _optical_findings(
-    case: OpticalCase,
-    search: ImageSearch,
-    answer: OpticalAnswer,
-    locked: Sequence[str],
-    null: OpticalNull,
-    library: Mapping[str, Effect],
-    silent: Sequence[str],
-    random: np.random.Generator,
-    warnings: Sequence[str],
-) -> OpticalFindings:
-    judged = case.of(locked) or [s for s in search.shots if s.name != IDLE] or search.shots
-    before = [shot.residual for shot in judged]
-    after = without_effects(case, judged, answer.named)
-    squares = [mean_squares(judged, one, search.noise, case) for one in (before, after)]
-    sizes = np.array([one.size for one in before])
-    closed = _closed(squares, sizes, null.usual_excess, random) if answer.named else None
-    warnings = list(warnings)
-    if answer.stability is not None and answer.stability < decision.STABLE_SHARE:
-        warnings.append(
-            f"the name of the images' effect is not stable: {answer.stability:.0%} of bootstrap "
-            "repetitions over trajectories agree; record more trajectories"
-        )
-    gap = _colour_gap(judged, before, after, search, null)
-    return OpticalFindings(
-        verdict=answer.verdict,
-        sentence=wording.optical_sentence(
-            answer.verdict,
-            [(one.effect, answer.estimates[one.effect.name]) for one in answer.named],
-            [library[name] for name in answer.alternatives],
-            gap,
-            nearest=library[answer.scores[0].name] if answer.scores[0].fit > 0.0 else None,
-        ),
-        named=tuple(one.effect.name for one in answer.named),
-        alternatives=answer.alternatives,
-        statistic=answer.statistic,
-        threshold=answer.threshold,
-        explained=answer.explained,
-        excess=answer.excess,
-        largest_excess=answer.largest_excess,
-        candidates=_candidates(answer, library, silent),
-        gap=gap,
-        share_closed=None if closed is None else closed[0],
-        share_closed_low=None if closed is None else closed[1],
-        share_closed_high=None if closed is None else closed[2],
-        stability=answer.stability,
-        tiles=_tiles(case, judged, before, after, search),
-        warnings=tuple(warnings),
-        trajectories=tuple(shot.name for shot in search.shots),
-        locked=tuple(locked),
-        frame_count=sum(len(shot.measured) for shot in case.shots),
-        noise_source=null.source,
-    )
-
-
-def _closed(
-    squares: Sequence[FloatArray], sizes: FloatArray, floor: float, random: np.random.Generator
-) -> tuple[float, float, float] | None:
-    """Return the share of the gap closed, (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2), with its interval
-    by a bootstrap over trajectories; None where there was no gap."""
-    draws = random.integers(len(sizes), size=(RESAMPLED, len(sizes)))
-    shares = []
-    for drawn in [np.arange(len(sizes)), *draws]:
-        before, after = (float(np.average(s[drawn], weights=sizes[drawn])) for s in squares)
-        if before <= floor:
-            continue
-        shares.append((before - after) / (before - floor))
-    if not shares or float(np.average(squares[0], weights=sizes)) <= floor:
-        return None
-    low, high = np.percentile(shares, [2.5, 97.5]).tolist()
-    return shares[0], min(low, shares[0]), max(high, shares[0])
-
-
-def _colour_gap(
-    shots: Sequence[Shot],
-    before: Sequence[FloatArray],
-    after: Sequence[FloatArray],
-    search: ImageSearch,
-    null: OpticalNull,
-) -> ChannelGap:
-    """Return the RMS of the tiles' colours, in grey levels; recalibrated: with one gain and one
-    black level of the camera for all."""
-
-    def level(values: Sequence[FloatArray]) -> float:
-        return float(
-            np.sqrt(np.mean(np.concatenate([v[..., COLOURS].ravel() for v in values]) ** 2))
-        )
-
-    colours = np.concatenate([one[..., COLOURS].ravel() for one in before])
-    columns = np.stack(
-        [
-            np.concatenate([search.case.meter.colour(s.film.pixels).ravel() for s in shots]),
-            np.ones(len(colours)),
-        ],
-        axis=1,
-    )
-    fitted = columns @ np.linalg.lstsq(columns, colours, rcond=None)[0]
-    expected = [search.noise.deviation(shot.change) for shot in shots]
-    left = np.concatenate([one[..., COLOURS].ravel() for one in after])
-    left = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
-    return ChannelGap(
-        IMAGE,
-        "levels",
-        level(before),
-        float(np.sqrt(np.mean((colours - fitted) ** 2))),
-        float(np.sqrt(np.mean(left**2))),
-        float(np.sqrt(null.usual_excess)) * level(expected),
-    )
-
-
-def _tiles(
-    case: OpticalCase,
-    shots: Sequence[Shot],
-    before: Sequence[FloatArray],
-    after: Sequence[FloatArray],
-    search: ImageSearch,
-) -> tuple[TileGap, ...]:
-    """Return the RMS of each tile's observables in expected deviations."""
-    deviation = [search.noise.deviation(shot.change) for shot in shots]
-    rms = [
-        np.sqrt(
-            np.mean(
-                np.concatenate([r / d for r, d in zip(values, deviation, strict=True)]) ** 2,
-                axis=(0, 2),
-            )
-        )
-        for values in (before, after)
-    ]
-    centre = case.meter.grid.centre_px / [WIDTH, HEIGHT]
-    return tuple(
-        TileGap(float(x), float(y), float(first), float(second))
-        for (x, y), first, second in zip(centre.tolist(), *rms, strict=True)
-    )
-
-
-def _candidates(
-    answer: OpticalAnswer, library: Mapping[str, Effect], silent: Sequence[str]
-) -> tuple[Candidate, ...]:
-    fitted: dict[str, Fitted] = {one.effect.name: one for one in answer.named}
-    result = []
-    for score in answer.scores:
-        effect = library[score.name]
-        if not score.is_excited:
-            continue
-        own = fitted.get(score.name)
-        values = score.values if own is None else own.score.values
-        result.append(
-            Candidate(
-                score.name,
-                effect.title,
-                True,
-                score.statistic,
-                values[effect.parameters[0].name],
-                score.explained,
-                None,
-                answer.estimates.get(score.name, ()),
-            )
-        )
-    hidden = [score.name for score in answer.scores if not score.is_excited]
-    result += [
-        Candidate(name, library[name].title, False, 0.0, library[name].parameters[0].none or 0.0)
-        for name in [*silent, *hidden]
-    ]
-    return tuple(result)

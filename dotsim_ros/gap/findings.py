@@ -81,7 +81,7 @@ class ResidualPlace:
 
 @dataclass(frozen=True)
 class ChannelGap:
-    """A channel's RMS on the locked trajectories, in its own unit.
+    """A channel's RMS on the held-out trajectories, in its own unit.
 
     Attributes:
         channel, unit: "skin" in m, "force" in N, "image" in grey levels.
@@ -122,7 +122,7 @@ class WorstFrame:
 
 @dataclass(frozen=True)
 class Pair:
-    """Two effects that the protocols hardly tell apart.
+    """Two effects that the protocols hardly distinguish.
 
     Attributes:
         first, second: their names.
@@ -159,11 +159,11 @@ class TileGap:
 
 @dataclass(frozen=True)
 class OpticalFindings:
-    """What the images told.
+    """What was found in the images.
 
     Attributes:
         verdict, sentence: the answer, and in words.
-        named, alternatives: effects that are added, and those that the first is not told from.
+        named, alternatives: effects that are added, and those not distinguished from the first.
         statistic, threshold: the largest score, and what 1 - alpha of data without any effect stay
             below.
         explained: share of what could be removed that the best effects take away.
@@ -171,14 +171,14 @@ class OpticalFindings:
             1 - alpha of data without any effect stay below.
         candidates: in the order of their rank; the score is the statistic, `explained` is of the
             signature at the probe.
-        gap: of the tiles' colours on the locked trajectories, in grey levels.
+        gap: of the tiles' colours on the held-out trajectories, in grey levels.
         share_closed, share_closed_low, share_closed_high: of the gap of all observables of tiles,
             in expected deviations, with its interval; None if nothing was added.
         stability: share of bootstrap repetitions that gave the same name; None if nothing was
             named.
         tiles: where in the image the gap is.
         warnings: what cannot be concluded, and why.
-        trajectories, locked: names used for the search, and kept locked.
+        trajectories, locked: names used for the search, and held out.
         frame_count: images.
         noise_source: where the thresholds come from.
         not_tried: effects whose sizes in images without any effect are not known.
@@ -216,7 +216,7 @@ class Findings:
         verdict: the answer.
         sentence: the answer in words.
         named: effects that are added to the model; several where several act.
-        alternatives: effects that the data cannot tell from the first named one.
+        alternatives: effects that the data cannot distinguish from the first named one.
         statistic, threshold, alpha: the largest score, what 1 - alpha of data without any effect
             stay below, and alpha.
         p_value: share of simulated nulls with a larger score.
@@ -224,21 +224,21 @@ class Findings:
         candidates: in the order of their rank.
         calibrated: the nuisances as fitted, with their prior's centre as `low` to `high`.
         places: where the gap is.
-        gaps: by channel on the locked trajectories.
+        gaps: by channel on the held-out trajectories.
         share_closed, share_closed_low, share_closed_high: of the gap, with its interval; None if
             nothing was added.
-        fallback: of an unknown effect, the gaps of the locked trajectories with a smooth
+        fallback: of an unknown effect, the gaps of the held-out trajectories with a smooth
             correction that is no physics in place of effects; empty otherwise.
         stability: share of bootstrap repetitions that gave the same name; None if nothing was
             named.
-        pairs: effects that cannot be told apart.
+        pairs: effects that cannot be distinguished.
         worst: the worst frame.
         warnings: what cannot be concluded, and why.
-        trajectories, locked: names used for the search, and kept locked.
+        trajectories, locked: names used for the search, and held out.
         solve_count, seconds: the cost.
         data_hash: of the measured data.
         sensor: name of the sensor's file.
-        optical: what the images told, whose names, sentence and warnings are among those above;
+        optical: findings in the images, whose names, sentence and warnings are among those above;
             None where none were searched.
     """
 

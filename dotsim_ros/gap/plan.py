@@ -1,4 +1,4 @@
-"""What a set of protocols can tell, before anyone measures: sizes that can be found, and effects
+"""What a set of protocols can identify, before anyone measures: detectable sizes, and effects
 that look alike (step 7 of the method)."""
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ pass a limit of about 40 (`decision.HEAVIER` times the threshold of simulated nu
 
 
 def plan(request: GapRequest) -> dict[str, Any]:
-    """Return what the protocols of a data set can tell.
+    """Return what the protocols of a data set can identify.
 
     Args:
         request: whose `measured` holds the poses; what else it holds is not used.
@@ -42,7 +42,7 @@ def plan(request: GapRequest) -> dict[str, Any]:
     """
     data_set = read_data_set(request.measured)
     # That of the planned measurement, where it is known.
-    has_mesh = (data_set.directory / "skin_mesh.npz").is_file()
+    has_mesh = data_set.has_skin_mesh
     skin = data_set.skin_mesh() if has_mesh else skin_of(request.sensor.gel)
     recordings, warnings = read_poses(request.measured, skin=skin, indenters=request.indenters)
     library = load_effects(request.effects)

@@ -141,6 +141,44 @@ class SingleExplicitGel:
         )
 
 
+def make_gel_batch(
+    specification: SensorSpecification,
+    *,
+    indenter: Indenter,
+    environment_count: int,
+    skin: SkinMesh | None = None,
+    device: str = "cpu",
+    progress: Callable[[float], None] | None = None,
+) -> ImplicitGel:
+    """Return independent worlds of one gel, which are solved together.
+
+    Args:
+        specification: of the sensor; its camera has no part in it.
+        indenter: what presses in all of them.
+        environment_count: number of worlds.
+        skin: the skin's markers; None for the sensor's own.
+        device: Warp's name of the device.
+        progress: told the finished share of tables that are computed once and cached.
+
+    Raises:
+        ValueError: the specification asks for another method than the implicit one.
+    """
+    s = specification
+    if s.solver.method != "implicit":
+        raise ValueError(f"solver.method is {s.solver.method!r}, expected 'implicit' for a batch")
+    return ImplicitGel(
+        body_of(s.gel),
+        skin_of(s.gel) if skin is None else skin,
+        material_of(s.material),
+        contact=s.contact,
+        solver=s.solver,
+        indenter=indenter,
+        environment_count=environment_count,
+        device=device,
+        progress=progress,
+    )
+
+
 def make_gel(
     specification: SensorSpecification,
     skin: SkinMesh,
@@ -151,16 +189,13 @@ def make_gel(
 ) -> Gel:
     """Return the gel that a specification asks for."""
     s = specification
-    body = body_of(s.gel)
     if s.solver.method == "implicit":
         return SingleImplicitGel(
-            ImplicitGel(
-                body,
-                skin,
-                material_of(s.material),
-                contact=s.contact,
-                solver=s.solver,
+            make_gel_batch(
+                s,
                 indenter=indenter,
+                environment_count=1,
+                skin=skin,
                 device=device,
                 progress=progress,
             )
@@ -170,7 +205,7 @@ def make_gel(
     assert isinstance(law, NeoHookean)
     return SingleExplicitGel(
         ExplicitGel(
-            body,
+            body_of(s.gel),
             skin,
             material=law,
             density_kg_m3=s.material.density_kg_m3,

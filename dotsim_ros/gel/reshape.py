@@ -1,8 +1,8 @@
 """Shapes that follow smoothly from a reference shape, and how fast a shape's points move with them.
 
 A gel of a slightly different radius, discretised anew, has other particles: its response is no
-smooth function of the radius. A reshaped body instead carries the particles, markers and bonded
-points of its reference along, so that it is one and its derivatives exist. The grid stays.
+smooth function of the radius. A reshaped body instead moves the particles, markers and bonded
+points of its reference, so that the response is smooth and its derivatives exist. The grid stays.
 """
 
 from __future__ import annotations
@@ -46,11 +46,6 @@ class ReshapedDome(Dome):
         ratio = moved / radius
         return points_m * ratio[:, None], ratio**2 * stretch, ratio**2
 
-    def to_reference(self, points_m: FloatArray) -> FloatArray:
-        """Return where points (P, 3) of this dome are in the reference."""
-        back = ReshapedDome(self.reference.outer_radius_m, self.reference.core_radius_m, self)
-        return back.from_reference(points_m)[0]
-
 
 @dataclass(frozen=True)
 class ReshapedPad(Pad):
@@ -64,10 +59,6 @@ class ReshapedPad(Pad):
         x, y, z = np.divide(self.size_m, self.reference.size_m)
         ones = np.ones(len(points_m))
         return points_m * [x, y, z], x * y * z * ones, x * y * ones
-
-    def to_reference(self, points_m: FloatArray) -> FloatArray:
-        """Return where points (P, 3) of this pad are in the reference."""
-        return points_m * np.divide(self.reference.size_m, self.size_m)
 
 
 @dataclass(frozen=True)

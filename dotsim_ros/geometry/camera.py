@@ -132,12 +132,6 @@ class FisheyeCamera:
         )
 
     @property
-    def camera_matrix(self) -> FloatArray:
-        """Return K (3, 3), as CameraInfo has it."""
-        x, y = self.principal_point_px
-        return np.array([[self.focal_px, 0.0, x], [0.0, self.focal_px, y], [0.0, 0.0, 1.0]])
-
-    @property
     def widest_angle_rad(self) -> float:
         """Return the largest angle from the axis that the distortion gives an image of its own."""
         return _widest_angle(self.distortion)

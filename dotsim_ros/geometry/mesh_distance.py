@@ -48,7 +48,7 @@ class ClosedMesh(Hashable, Protocol):
 
 @functools.lru_cache(maxsize=32)
 def _hierarchy(mesh: ClosedMesh) -> wp.Mesh:
-    """Return a mesh's bounding volumes: to build them takes longer than to ask them."""
+    """Return a mesh's bounding volumes, kept: building them takes longer than querying them."""
     return wp.Mesh(
         points=wp.array(mesh.vertices_m * MILLIMETRES_PER_METRE, dtype=wp.vec3, device="cpu"),
         indices=wp.array(mesh.triangles.reshape(-1), dtype=wp.int32, device="cpu"),

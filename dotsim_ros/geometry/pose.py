@@ -61,13 +61,56 @@ class Pose:
             ]
         )
 
+    @staticmethod
+    def above_apex(
+        depth_m: float = 0.0, *, x_m: float = 0.0, y_m: float = 0.0, yaw_rad: float = 0.0
+    ) -> ApexPose:
+        """Return a pose that a sensor takes from its own apex, dome or pad; see `ApexPose`.
+
+        Raises:
+            ValueError: a number is not finite.
+        """
+        return ApexPose(depth_m, x_m, y_m, yaw_rad)
+
     def apply(self, points: ArrayLike) -> FloatArray:
         """Return points (..., 3) of the child frame in the parent frame."""
         return np.asarray(points, dtype=np.float64) @ self.rotation().T + self.position_m
 
 
+@dataclass(frozen=True)
+class ApexPose:
+    """A pose of the indenter told from the apex of whichever sensor it is given to.
+
+    The apex is where the sensor's axis, z of the base frame, meets the skin at rest. The indenter's
+    axis is parallel to the sensor's. Depth is measured along that axis from the plane through the
+    apex: a tip beside the axis of a dome lies less deep below the skin there.
+
+    Attributes:
+        depth_m: of the tip below the apex; negative above it.
+        x_m, y_m: of the tip beside the sensor's axis, base frame.
+        yaw_rad: rotation of the indenter about its own axis.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
+
+    depth_m: float = 0.0
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        _vector([self.depth_m, self.x_m, self.y_m, self.yaw_rad], 4, "a pose above the apex")
+
+    def on(self, apex_m: ArrayLike) -> Pose:
+        """Return the pose in the base frame of a sensor whose apex is at (3,)."""
+        tip = _vector(apex_m, 3, "apex_m") + np.array([self.x_m, self.y_m, -self.depth_m])
+        half = 0.5 * self.yaw_rad
+        return Pose(tip, np.array([0.0, 0.0, np.sin(half), np.cos(half)]))
+
+
 def quaternion_product(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Return the (4,) rotation that does `second`, then `first`, of unit length."""
+    """Return the (4,) unit quaternion of the rotation `second` followed by `first`."""
     x, y, z, w = first.tolist()
     u, v, t, s = second.tolist()
     product = np.array(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from dotsim_ros.arrays import FloatArray
@@ -31,16 +31,6 @@ class SignedDistanceGrid:
     origin_m: FloatArray
     spacing_m: float
     coefficients: NDArray[np.float32]
-
-    def sample(self, points: ArrayLike) -> FloatArray:
-        """Return the distance (N,) at points (N, 3); outside of the grid it grows with the
-        distance to the grid's box."""
-        position = (np.asarray(points, dtype=np.float64) - self.origin_m) / self.spacing_m
-        upper = np.array(self.coefficients.shape) - 1.5
-        inside = np.clip(position, 0.5, upper)
-        value = ndimage.map_coordinates(self.coefficients, inside.T, order=2, prefilter=False)
-        outside = np.linalg.norm(position - inside, axis=1) * self.spacing_m
-        return np.asarray(value + outside, dtype=np.float64)
 
 
 def sample_on_grid(

@@ -1,4 +1,4 @@
-"""The outer skin of the gel: triangle meshes of fixed topology, carried by the gel.
+"""The outer skin of the gel: triangle meshes of fixed topology that move with the gel.
 
 Both meshes are made of nearly equilateral triangles: rows of vertices with a varying count would
 need half as many more for the same longest edge.
@@ -66,6 +66,11 @@ class SkinMesh:
     @property
     def vertex_count(self) -> int:
         return len(self.rest_position_m)
+
+    @property
+    def apex_m(self) -> FloatArray:
+        """Where the sensor's axis, z of the base frame, meets the skin of a dome or pad: (3,)."""
+        return np.array([0.0, 0.0, self.rest_position_m[:, 2].max()])
 
 
 def skin_of_triangles(rest_position_m: ArrayLike, triangles: ArrayLike) -> SkinMesh:

@@ -61,7 +61,7 @@ class FittedNetwork:
         images = []
         for completion, warped in zip(added, press.warped, strict=True):
             match BASES[self.kind]:
-                case "carried":
+                case "warped":
                     base = warped.astype(np.float32)
                 case "idle":
                     base = rest.idle.astype(np.float32)
@@ -144,7 +144,7 @@ def fit_network(
             `CPU_WIDTH` at most on a CPU.
         directory: where the training leaves its state and resumes from; None for nowhere.
         recipe: how it is trained; None for the kind's own.
-        progress: told after every epoch.
+        progress: called after every epoch.
 
     Raises:
         ValueError: no such kind, a size or budget out of range, fewer than ten frames, images of
@@ -159,7 +159,7 @@ def fit_network(
         network = make_network(kind)
     pixels = network_size(kind, camera, size, device)
     examples = make_examples(kind, train, rest, camera, pixels)
-    if BASES[kind] == "carried":
+    if BASES[kind] == "warped":
         # Its output is zero at rest whatever its weights are.
         examples = examples.only_touched()
         if not len(examples.frame):

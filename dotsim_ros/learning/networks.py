@@ -176,7 +176,7 @@ _GIVEN = 4 + 4 + 2 + 1 + 3 + 3
 """Channels that the coefficients are read off."""
 CHANGE_SCALE = 4.0
 OFFSET_SCALE = 0.3
-"""Bring coefficients and inputs to one order of magnitude, as equal weight decay asks."""
+"""Bring coefficients and inputs to one order of magnitude, as equal weight decay requires."""
 MOVED_SHARE = 2e-6
 """Mean square change of the depth, over the largest depth, at which half of what is learned
 acts: 0.1 mm of tip depth on a dome."""

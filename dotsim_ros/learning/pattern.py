@@ -1,10 +1,10 @@
 """The idle image with samples between its own, learned from presses.
 
 An idle image shows each point of the skin at one place between the pixels. Warped by half a pixel,
-a pattern whose edges are sharper than pixels is off by what interpolation does not know; on images
+a pattern whose edges are sharper than pixels has an error of interpolation; on images
 of 320x240 that is more than their noise. Presses show the same points at many other places, so they
-tell the samples between: those are the least squares of what the warping skin makes of them
-against what was measured. (Super-resolution from known motion; Elad and Feuer, "Restoration of a
+identify the samples between: those whose warped image fits the measured ones best, by least
+squares. (Super-resolution from known motion; Elad and Feuer, "Restoration of a
 single superresolution image from several blurred, noisy, and undersampled measured images", 1997.)
 The samples at the idle image's own pixels lose noise in the same solve.
 """
@@ -29,11 +29,11 @@ from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData
 
 PRIOR_WEIGHT = 0.7
-"""Of a sample interpolated in the idle image, against one measured pixel."""
+"""Weight of a sample interpolated in the idle image, relative to one measured pixel."""
 OUTLIER_LEVELS = 10.0
 """Differences above this many grey levels are errors of the motion and count ever less (Cauchy)."""
 LEAST_GAIN = 0.2
-"""Darker pixels tell nothing of the pattern."""
+"""Darker pixels do not identify the pattern."""
 ROUNDS = 2
 ITERATIONS = 60
 TOLERANCE = 1e-4
@@ -41,7 +41,7 @@ TOLERANCE = 1e-4
 
 @dataclass(frozen=True)
 class _Samples:
-    """What the N lit pixels of one frame tell of the samples.
+    """The equations of the N lit pixels of one frame for the samples.
 
     Attributes:
         first: (N,) number of the upper left of the four samples around where the pixel looks.
@@ -111,7 +111,7 @@ def _samples_of(
     brightness: Float32Array,
     measured: ImageArray,
 ) -> _Samples:
-    """Return what one frame tells.
+    """Return the equations of one frame.
 
     Args:
         view: of its skin.
@@ -152,8 +152,8 @@ def _solved(
     """Return the samples (S, 3) that meet the frames best.
 
     Args:
-        frames: what they tell.
-        pattern: (S, 3) samples so far, which tell outliers.
+        frames: their equations.
+        pattern: (S, 3) samples so far, which show outliers.
         given: (S, 3) samples before anything was measured.
         width: of a row of samples.
     """

@@ -12,7 +12,7 @@ from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import write_image
 from dotsim_ros.twin.footage import OpticalPress
 
-COLUMNS = ("measured", "carried", "predicted", "error of warped x4", "error of predicted x4")
+COLUMNS = ("measured", "warped", "predicted", "error of warped x4", "error of predicted x4")
 ERROR_GAIN = 4.0
 TITLE_PX = 18
 

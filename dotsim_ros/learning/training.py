@@ -107,7 +107,7 @@ class Trained:
 def base_image(kind: str, rest: Tensor, image: Tensor) -> Tensor:
     """Return what the network's output is added to, to be broadcast to (N, 3, f h, f w)."""
     match BASES[kind]:
-        case "carried":
+        case "warped":
             return image
         case "idle":
             return rest[:, CARRIED]

@@ -22,7 +22,7 @@ from msg_adapters import BagTypes, Message
 
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 BAG_TYPES = BagTypes(TYPESTORE.types)
-"""For the encoders of `msg_adapters`, to make messages that `BagFile` writes."""
+"""Message types for the encoders of `msg_adapters`, to make messages that `BagFile` writes."""
 
 BAG_VERSION: Literal[9] = 9
 
@@ -184,10 +184,6 @@ class BagReader:
     def topics(self) -> dict[str, str]:
         """Return the message type of each topic that holds messages."""
         return {c.topic: c.msgtype for c in self._reader.connections if c.msgcount > 0}
-
-    def message_count(self, topic: str) -> int:
-        """Return how many messages a topic holds."""
-        return sum(c.msgcount for c in self._reader.connections if c.topic == topic)
 
     def messages(self, *topics: str) -> Iterator[BagMessage]:
         """Yield the messages of the given topics in the order of their log time.

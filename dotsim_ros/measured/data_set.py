@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh, skin_of_triangles
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, Trajectory, read_trajectory
 
@@ -49,6 +50,11 @@ class DataSet:
 
     directory: Path
     entries: tuple[DataSetEntry, ...]
+
+    @property
+    def has_skin_mesh(self) -> bool:
+        """Whether the clouds of the bags list the vertices of a skin that is there."""
+        return (self.directory / "skin_mesh.npz").is_file()
 
     def skin_mesh(self) -> SkinMesh:
         """Return the skin whose vertices the bags' clouds list.
@@ -126,3 +132,28 @@ def read_data_set(directory: str | Path) -> DataSet:
         raise ValueError(f"{index}: expected a list under the key 'trajectories'")
     entries = tuple(_entry(directory, number, record) for number, record in enumerate(records))
     return DataSet(directory, entries)
+
+
+def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None) -> Indenter:
+    """Return an indenter by its name.
+
+    Args:
+        data_set: that names it.
+        name: of the indenter.
+        indenters: folder of meshes; None looks in the data set, then in those beside it.
+
+    Raises:
+        FileNotFoundError: no mesh of this name; the text lists where it was looked for.
+    """
+    if indenters is not None:
+        places = [Path(indenters)]
+    else:
+        beside = sorted(data_set.directory.resolve().parent.glob("*/indenters"))
+        places = [data_set.directory / "indenters", *beside]
+    for place in places:
+        if (place / f"{name}.stl").is_file():
+            return load_mesh(place / f"{name}.stl")
+    raise FileNotFoundError(
+        f"no mesh {name}.stl in {', '.join(map(str, places)) or 'any folder'}; name the folder of "
+        "the indenters with --indenters"
+    )

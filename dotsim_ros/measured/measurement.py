@@ -1,4 +1,4 @@
-"""Reads a measured data set for the gap finder, and says what of it cannot be used."""
+"""Reads a measured data set for the gap finder, and reports what of it cannot be used."""
 
 from __future__ import annotations
 
@@ -9,19 +9,17 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.check import BadBagError, check_bag
-from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, read_data_set
-from dotsim_ros.measured.presses import press_of
+from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.measured.reading import BadBagError, read_motion, read_observation
 from dotsim_ros.measured.recording import Recording, phases_of
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
 
 CHANNELS = ("pose", "wrench", "skin")
-LOCKED_SHARE = 0.4
+HELD_OUT_SHARE = 0.4
 """At most this share of the trajectories is kept for the figures after the search."""
 IGNORED = ("truth.json", "truth.yaml")
-"""Files that say what was done to a data set: never read, and their presence is told."""
+"""Files that say what was done to a data set: never read; that they are there is reported."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ def read_measurement(
         if _lies_in(folder, name)
     ]
     skin, vertex_count = own_skin, None
-    if (folder / "skin_mesh.npz").is_file():
+    if data_set.has_skin_mesh:
         skin = data_set.skin_mesh()
         vertex_count = skin.vertex_count
     digest = hashlib.sha256((folder / INDEX).read_bytes())
@@ -116,8 +114,7 @@ def read_poses(
     session_s = 0.0
     for entry in data_set.entries:
         try:
-            trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
-            press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
+            press = read_motion(entry, topics=topics)
             indenter = find_indenter(data_set, entry.indenter, indenters)
         except (FileNotFoundError, ValueError) as error:
             warnings.append(f"{entry.name} was left out: {error}")
@@ -150,42 +147,17 @@ def _read(
     indenters: str | Path | None,
     topics: Topics,
 ) -> Recording:
-    check_bag(entry, vertex_count=vertex_count, topics=topics)
-    trajectory = read_trajectory(entry.bag, topics=topics, channels=CHANNELS)
-    press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
-    if press.skin_position_m is None and press.force_n is None:
-        raise BadBagError(
-            f"neither {topics.skin} nor {topics.wrench} in the bag; record one of them"
-        )
-    indenter = find_indenter(data_set, entry.indenter, indenters)
+    found = read_observation(
+        data_set,
+        entry,
+        vertex_count=vertex_count,
+        topics=topics,
+        indenter_of=lambda name: find_indenter(data_set, name, indenters),
+    )
+    press, indenter = found.press, found.indenter
     depth_m = np.asarray(tip_depth_m(skin, press.poses))
     phase = phases_of(press.poses, press.stamp_s, depth_m)
     return Recording(press, indenter, session_s, depth_m, phase)
-
-
-def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None) -> Indenter:
-    """Return an indenter by its name.
-
-    Args:
-        data_set: that names it.
-        name: of the indenter.
-        indenters: folder of meshes; None looks in the data set, then in those beside it.
-
-    Raises:
-        FileNotFoundError: no mesh of this name; the text lists where it was looked for.
-    """
-    if indenters is not None:
-        places = [Path(indenters)]
-    else:
-        beside = sorted(data_set.directory.resolve().parent.glob("*/indenters"))
-        places = [data_set.directory / "indenters", *beside]
-    for place in places:
-        if (place / f"{name}.stl").is_file():
-            return load_mesh(place / f"{name}.stl")
-    raise FileNotFoundError(
-        f"no mesh {name}.stl in {', '.join(map(str, places)) or 'any folder'}; name the folder of "
-        "the indenters with --indenters"
-    )
 
 
 def protocol_of(recording: Recording) -> str:
@@ -196,8 +168,8 @@ def protocol_of(recording: Recording) -> str:
 
 
 def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[int]:
-    """Return the places of the trajectories to keep locked: one of each protocol that is repeated,
-    those repeated most first, and at most `LOCKED_SHARE` of all.
+    """Return the places of the trajectories to hold out: one of each protocol that is repeated,
+    those repeated most first, and at most `HELD_OUT_SHARE` of all.
 
     Args:
         protocols: of each trajectory, by `protocol_of`.
@@ -207,7 +179,7 @@ def one_of_each(protocols: Sequence[str], random: np.random.Generator) -> list[i
     for place, protocol in enumerate(protocols):
         groups.setdefault(protocol, []).append(place)
     repeated = sorted((m for m in groups.values() if len(m) > 1), key=len, reverse=True)
-    most = int(LOCKED_SHARE * len(protocols) + 0.5)
+    most = int(HELD_OUT_SHARE * len(protocols) + 0.5)
     return sorted(int(random.choice(members)) for members in repeated[:most])
 
 

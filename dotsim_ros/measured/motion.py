@@ -57,7 +57,7 @@ class Motion:
         )
 
     def sampled(self, rate_hz: float) -> Iterator[tuple[float, Pose]]:
-        """Yield (time in seconds, pose) at a steady rate, and at the very end.
+        """Yield (time in seconds, pose) at a constant rate, and at the very end.
 
         Raises:
             ValueError: the rate is not positive.

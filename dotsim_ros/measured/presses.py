@@ -11,8 +11,7 @@ from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import DataSetEntry
-from dotsim_ros.measured.trajectory import Trajectory, read_trajectory
+from dotsim_ros.measured.trajectory import Trajectory
 
 LARGEST_COORDINATE_M = 1.0
 """A tactile sensor and what presses it are smaller; more is a length in millimetres."""
@@ -158,14 +157,3 @@ def press_of(trajectory: Trajectory, *, name: str, indenter: str) -> Press:
         skin_position_m=None if skin is None else skin.position_m.astype(np.float64),
         force_n=None if wrench is None else wrench.force_n,
     )
-
-
-def read_press(entry: DataSetEntry) -> Press:
-    """Read a press of a data set; its images are left alone.
-
-    Raises:
-        FileNotFoundError: no bag there.
-        ValueError: as `read_trajectory` and `press_of`; the message names the bag.
-    """
-    trajectory = read_trajectory(entry.bag, channels=("pose", "wrench", "skin"))
-    return press_of(trajectory, name=entry.name, indenter=entry.indenter)

@@ -55,11 +55,6 @@ class ShippedPress:
     gel: str
     centre_m: FloatArray
 
-    @property
-    def depth_m(self) -> float:
-        """How much nearer to the dome's centre the tip ends than it first touches."""
-        return FIRST_CONTACT_RADIUS_M - float(np.linalg.norm(self.centre_m[-1]))
-
     def poses(self, *, outer_radius_m: float, indenter_radius_m: float) -> list[Pose]:
         """Return the indenter's poses on a dome, tip frame in the base frame.
 

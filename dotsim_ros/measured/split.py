@@ -25,22 +25,6 @@ class Split:
     test: tuple[str, ...]
 
 
-def hold_out(
-    names: Iterable[str], count: int = HELD_OUT_COUNT, seed: int = 0
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return (train, test): `count` names drawn by a seed are the test; both are sorted.
-
-    The order of the names does not matter.
-
-    Raises:
-        ValueError: a name twice, or a count that leaves nothing to fit on or to judge on.
-    """
-    ordered = _checked(names, count)
-    drawn = np.random.default_rng(seed).choice(len(ordered), size=count, replace=False)
-    test = {ordered[index] for index in drawn}
-    return tuple(n for n in ordered if n not in test), tuple(n for n in ordered if n in test)
-
-
 def hold_out_of_protocols(
     names: Iterable[str], count: int = HELD_OUT_COUNT, seed: int = 0
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -48,11 +32,12 @@ def hold_out_of_protocols(
 
     Names that differ in the number at their end alone are repeats of one protocol. Some of every
     protocol stay to fit on, and, as far as `count` goes, one of every protocol is judged on: a draw
-    that holds out every slide leaves nothing that tells friction, one without a slide does not
+    that holds out every slide leaves no data that identify friction, one without a slide does not
     judge it.
 
     Raises:
-        ValueError: as `hold_out`, or more to hold out than there are repeats.
+        ValueError: a name twice, a count that leaves nothing to fit on or to judge on, or more to
+            hold out than there are repeats.
     """
     ordered = _checked(names, count)
     random = np.random.default_rng(seed)

@@ -34,7 +34,7 @@ class Topics:
 
 MEASURED_TOPICS = Topics()
 RECORDED_TOPICS = Topics(wrench="/wrench", skin="/points", image="/image_raw")
-"""Of a bag that `tactile_record` wrote with its nodes in the root namespace."""
+"""Topics of a bag that `tactile_record` wrote with its nodes in the root namespace."""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ import numpy as np
 from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
 
 DEPTH_EDGES_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3)
-"""Depths of the tip between which frames are told apart."""
+"""Depths of the tip that divide frames into groups."""
 
 
 FULL_SCALE = 255.0
@@ -24,7 +24,7 @@ SIGNIFICANT_SHARE = 0.01
 SSIM_SIGMA_PX = 1.5
 """Width of the Gaussian window of SSIM, as published."""
 LARGEST_PSNR_DB = 100.0
-"""Of an image without any error, whose ratio is infinite."""
+"""PSNR given to an image without any error, whose ratio is infinite."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ def _score(square: FloatArray, similarity: FloatArray) -> ImageScore:
 
 
 def depth_ranges() -> list[tuple[str, float, float]]:
-    """Return name, least and greatest depth (m) of the ranges that frames are told apart by."""
+    """Return name, least and greatest depth (m) of the ranges that group the frames."""
     edges = (-np.inf, *DEPTH_EDGES_M, np.inf)
     names = ["untouched"]
     names += [f"{1e3 * low:g} to {1e3 * high:g} mm" for low, high in pairwise(DEPTH_EDGES_M)]

@@ -181,7 +181,7 @@ def score_press(
 
     Args:
         press: what was measured.
-        prediction: what a model says.
+        prediction: of a model.
         indenter: that pressed.
         skin: the measured skin at rest.
         seed: of the samples of the surfaces.
@@ -251,7 +251,7 @@ def floor_scores(
     """Return what a perfect prediction would get: the measured surface against itself resampled,
     and forces against those measured.
 
-    What does not sample is zero here; `measurement_noise` tells what it cannot fall below.
+    Scores that use no samples are zero here; `measurement_noise` gives their lower bound.
     """
     measured = _measured_skin(press, skin)
     perfect = Prediction(measured, press.force_n)
@@ -381,7 +381,7 @@ def evaluate_model(
         skin: the measured skin at rest.
         seed: of the samples.
         from_depth_m: depth of the tip from which frames are judged.
-        progress: told the name of each press that is done.
+        progress: called with the name of each press that is done.
 
     Raises:
         ValueError: the model could not be made.

@@ -170,7 +170,7 @@ def weighted_rms(values: FloatArray, weight: FloatArray) -> float:
     """
     total = float(weight.sum())
     if not total > 0.0:
-        raise ValueError("weights that sum to zero weigh nothing")
+        raise ValueError("the weights sum to zero, expected a positive sum")
     return float(np.sqrt(np.sum(weight * values**2) / total))
 
 

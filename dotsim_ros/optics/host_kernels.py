@@ -364,7 +364,7 @@ def warp_idle(
     run: int,
     image: wp.array3d(dtype=wp.uint8),
 ):
-    """`kernels.carry_idle`, the three colours at once."""
+    """`kernels.warp_idle`, the three colours at once."""
     y, block = wp.tid()
     warp_block(
         y,

@@ -1,5 +1,5 @@
-"""Tells whether idle images show the gel untouched: by each other, and by the first frames of
-presses whose indenter is still off the gel.
+"""Checks that idle images show the gel without contact: against each other, and against the first
+frames of presses whose indenter is still off the gel.
 
 Two images of one scene differ by noise that neighbouring pixels do not share, so a blur takes it
 away; a contact moves the pattern over many pixels and stays. On the stand-in data set, whose images
@@ -30,7 +30,7 @@ BLOCK_PX = 8
 QUIET_SHARE = 0.25
 TOLERANCE_LEVELS = 3.0
 TOLERANCE_DEVIATIONS = 3.2
-"""A blurred difference is a contact's where it exceeds the levels plus so many deviations of the
+"""A blurred difference counts as contact where it exceeds the levels plus so many deviations of the
 unblurred one: noise of one deviation leaves 0.7 of it as the largest of an image if it is white,
 and up to four if a few pixels are far off, as those of a path tracer."""
 

@@ -106,7 +106,7 @@ class ImageRenderer:
         skin_mesh: the skin, as of that renderer.
         idle_image: (H, W, 3) uint8, of the camera's size (`fit_idle_image` brings any to it).
         lighting: the LEDs.
-        vignetting: of the camera, which the pattern moves beneath.
+        vignetting: of the camera; it stays while the pattern moves.
         fine: (2 H - 1, 2 W - 1, 3) uint8, the idle image with samples half-way between its own,
             and with the rim's colours beyond the lit disc; None to interpolate them.
         completion: what to add to the warped image; None for nothing.

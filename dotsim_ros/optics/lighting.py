@@ -10,8 +10,6 @@ from dotsim_ros.arrays import Float32Array
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.specification import LightingSpecification, VignettingSpecification
 
-RED, GREEN, BLUE = np.eye(3)
-
 _STATED = LightingSpecification()
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind
+from dotsim_ros.geometry.surface import meridian
 from dotsim_ros.reference.deck import (
     EARLY_M,
     MM,
@@ -24,11 +25,10 @@ from dotsim_ros.reference.deck import (
     material_lines,
 )
 from dotsim_ros.reference.mesh import growing_marks, halved_marks
-from dotsim_ros.reference.surface import meridian
 from dotsim_ros.specification import ContactSpecification, GelSpecification
 
 WEDGE_COUNT = 180
-"""Of a full turn."""
+"""Number of wedges in a full turn."""
 
 GROWTH = 1.15
 """Ratio of the sizes of two neighbouring elements away from the contact."""
@@ -82,7 +82,7 @@ def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> DomeS
     """
     if gel.shape != "dome" or not gel.core_radius_m > 0.0:
         raise ValueError(
-            "the reference knows domes around a rigid core alone, not gel.shape "
+            "the reference is for domes around a rigid core only, not for gel.shape "
             f"{gel.shape!r} with a core of {gel.core_radius_m} m"
         )
     outer, spacing = gel.outer_radius_m, settings.spacing_m

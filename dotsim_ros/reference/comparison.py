@@ -18,7 +18,7 @@ from dotsim_ros.measured.trajectory import Trajectory
 from dotsim_ros.specification import SensorSpecification
 
 STEP_S = 0.05
-"""Of a quasi-static gel; it has no effect."""
+"""Time step of our gel; without effect, since it is quasi-static."""
 
 MOVE_M = 0.25e-3
 """Our gel is moved at most so far at once, about a frame of the sensor at 5 mm/s: friction depends
@@ -95,7 +95,7 @@ def compare(
         skin: whose vertices the trajectory lists.
         indenter: the rigid shape.
         trajectory: with poses, skin and wrench; the first frame is without contact.
-        progress: told the finished share of tables that are computed once and cached.
+        progress: called with the finished share of tables that are computed once and cached.
 
     Raises:
         ValueError: the trajectory lacks poses, skin or wrench, or our gel refuses a pose.

@@ -24,7 +24,7 @@ EARLY_M = ONSET_M - 0.5 * SMOOTHING_M
 indenter, that penetration and gap share the error. Here the indenter's surface is moved instead."""
 
 WEDGE_THICKNESS_M = 0.1e-3
-"""Of the layer of elements that carries the indenter's surface; it is rigid, so any will do."""
+"""Thickness of the elements behind the indenter's surface; they are rigid, so any will do."""
 
 NEVER = 1_000_000
 """Printed every so many increments; the last one of a step is printed anyway."""

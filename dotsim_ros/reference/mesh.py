@@ -241,31 +241,6 @@ def dome_mesh(
     return DomeMesh(node, element, skin_element, skin_face, bonded)
 
 
-# In the order that makes a right-handed triple of edges.
-_CORNER_NEIGHBOURS = (
-    (1, 3, 4),
-    (2, 0, 5),
-    (3, 1, 6),
-    (0, 2, 7),
-    (7, 5, 0),
-    (4, 6, 1),
-    (5, 7, 2),
-    (6, 4, 3),
-)
-
-
-def corner_volumes(mesh: DomeMesh) -> FloatArray:
-    """Return (E, 8) scaled triple products of the edges at each corner: 1 for a brick, at most 0
-    where an element is turned inside out."""
-    corner = mesh.node_m[mesh.element[:, :8]]
-    products = []
-    for own, others in enumerate(_CORNER_NEIGHBOURS):
-        edges = corner[:, others] - corner[:, own : own + 1]
-        edges /= np.linalg.norm(edges, axis=2, keepdims=True)
-        products.append(np.linalg.det(edges))
-    return np.stack(products, axis=1)
-
-
 def _face_shapes(at: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the 8 shape functions (M, 8) of a quadratic face and their derivatives (M, 8, 2)."""
     r, s = at[:, :1], at[:, 1:]

@@ -1,4 +1,4 @@
-"""A press on the dome as CalculiX is asked for it."""
+"""A press on the dome, as the input of CalculiX."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from dotsim_ros.gel.make import law_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.measured.scripted import Site
 from dotsim_ros.reference.axisymmetric import AxisymmetricSettings
 from dotsim_ros.reference.deck import Deck, StepControl, near_part
 from dotsim_ros.reference.mesh import dome_mesh, pressed_place
-from dotsim_ros.reference.surface import indenter_surface
 from dotsim_ros.specification import SensorSpecification
 
 START_GAP_M = 20e-6
-"""Between skin and tip in the first frame, so that it is one without contact."""
+"""Gap between skin and tip in the first frame, so that it is one without contact."""
 
 SHEAR_STEP_M = 0.25e-3
 """The indenter is dragged at most this far in a frame."""
@@ -103,7 +103,7 @@ def reference_deck(
     """
     gel = specification.gel
     if gel.shape != "dome":
-        raise ValueError(f"the reference knows domes alone, not gel.shape {gel.shape!r}")
+        raise ValueError(f"the reference is for domes only, not for gel.shape {gel.shape!r}")
     place = pressed_place(skin.rest_position_m, indenter, poses)
     mesh = dome_mesh(
         core_radius_m=gel.core_radius_m,
@@ -169,7 +169,7 @@ class ReferencePress:
 
     @property
     def name(self) -> str:
-        """Of its trajectory; what it does not tell is in the notes."""
+        """Name of its trajectory; what the name leaves out is in the notes."""
         friction = self.specification.contact.friction_coefficient
         return (
             f"{self.specification.name}_{self.indenter.name}_depth{1e3 * self.depth_m:g}"

@@ -81,7 +81,7 @@ def calculix_path() -> str:
 
 
 def calculix_version() -> str:
-    """Return the version that CalculiX tells of itself.
+    """Return the version that CalculiX reports.
 
     Raises:
         CalculixMissingError: it is not installed.
@@ -112,9 +112,9 @@ def solve(
     """
     with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as temporary:
         folder = Path(temporary) if keep is None else keep
-        told = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
+        reason = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
         steps = read_steps(folder, deck)
-    return Solution(steps, failure_of(len(steps), len(deck.poses) - 1, told))
+    return Solution(steps, failure_of(len(steps), len(deck.poses) - 1, reason))
 
 
 def solve_section(
@@ -127,7 +127,7 @@ def solve_section(
     """As `solve`, for a problem of two dimensions: node displacements have no y."""
     with tempfile.TemporaryDirectory(prefix="dotsim_reference_") as temporary:
         folder = Path(temporary) if keep is None else keep
-        told = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
+        reason = execute(deck.text(), folder, thread_count=thread_count, time_limit_s=time_limit_s)
         efforts = read_efforts(folder / f"{JOB}.sta")
         tables = read_tables(folder / f"{JOB}.dat")
     skin = [rows for quantity, name, rows in tables if (quantity, name) == _SKIN_MOVED]
@@ -140,20 +140,20 @@ def solve_section(
         # The force that holds the indenter is opposite to the one that the gel exerts.
         force = np.array([0.0, 0.0, -WEDGE_COUNT * float(reaction[:, 2].sum())])
         steps.append(SolvedStep(displacement, force, np.zeros(3), *efforts.get(number, (0, 0))))
-    return Solution(tuple(steps), failure_of(len(steps), len(deck.depth_m) - 1, told))
+    return Solution(tuple(steps), failure_of(len(steps), len(deck.depth_m) - 1, reason))
 
 
-def failure_of(solved_count: int, step_count: int, told: str) -> str:
-    """Return what to say of a run that told why it ended, nothing where all steps were solved.
+def failure_of(solved_count: int, step_count: int, reason: str) -> str:
+    """Return the message for a run that ended for a reason, empty where all steps were solved.
 
     Raises:
         CalculixError: no step was solved.
     """
     if solved_count == 0:
-        raise CalculixError(f"CalculiX solved no step: {told}")
+        raise CalculixError(f"CalculiX solved no step: {reason}")
     if solved_count == step_count:
         return ""
-    return f"CalculiX stopped after {solved_count} of {step_count} frames: {told}"
+    return f"CalculiX stopped after {solved_count} of {step_count} frames: {reason}"
 
 
 def execute(text: str, folder: Path, *, thread_count: int, time_limit_s: float | None) -> str:
@@ -186,9 +186,9 @@ def execute(text: str, folder: Path, *, thread_count: int, time_limit_s: float |
             ).returncode
         except subprocess.TimeoutExpired:
             return f"it was ended after {time_limit_s:.0f} s"
-    told = _ERROR.findall(log_path.read_text(encoding="utf-8", errors="replace"))
-    if told:
-        return str(told[-1]).strip()
+    errors = _ERROR.findall(log_path.read_text(encoding="utf-8", errors="replace"))
+    if errors:
+        return str(errors[-1]).strip()
     return "" if status == 0 else f"it ended with status {status}"
 
 

@@ -29,7 +29,7 @@ class GelAnswer(Protocol):
 
     @property
     def wrench(self) -> Wrench:
-        """Of the gel on the indenter."""
+        """Force and torque of the gel on the indenter."""
 
     @property
     def converged(self) -> bool:

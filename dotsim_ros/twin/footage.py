@@ -1,8 +1,8 @@
-"""What the camera saw of measured presses, beside what the calibrated gel says it sees.
+"""What the camera saw of measured presses, beside what the calibrated sensor renders for them.
 
 Poses, images and idle images of a data set go in; the calibrated gel follows the poses, and its
 skin is rendered by the sensor's camera at the measured resolution. Following the poses takes most
-of the time, so the skins are kept on disk, under a name that depends on everything that they do.
+of the time, so the skins are kept on disk, under a key of everything that they depend on.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
@@ -20,12 +19,12 @@ from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
-from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
 from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import read_press_images
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
-from dotsim_ros.optics.idle import lights_of, lit_region
+from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -66,7 +65,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class OpticalPress:
-    """Frames of one trajectory: what the model sees beside what was measured.
+    """Frames of one trajectory: what the model renders beside what was measured.
 
     Attributes:
         name: of the trajectory.
@@ -104,7 +103,7 @@ class OpticalData:
 
 @dataclass(frozen=True)
 class FilmedPress:
-    """Measured images of one trajectory, and the skin that the gel says they show.
+    """Measured images of one trajectory, and the simulated skin that they show.
 
     Attributes:
         name: of the trajectory.
@@ -162,10 +161,10 @@ def read_filmed_data(
         sensor: its calibrated gel; its camera plays no part.
         presses: names of the trajectories; None for all that hold images.
         cache: folder of the skins that were computed before; None for the user's cache.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
         topics: where pose and image lie in the bags.
-        check: refuses frames that do not belong to the idle image; whoever looks for what changed
-            between them brings one that refuses less.
+        check: refuses frames that do not belong to the idle image; a search for what changed
+            between them needs one that refuses less.
 
     Raises:
         FileNotFoundError: no data set, bag or indenter there.
@@ -177,8 +176,8 @@ def read_filmed_data(
     say = progress or _ignore
     idle = _read_idle(data_set)
     entries = _entries(data_set, presses)
-    footage = [_read_footage(entry, idle, topics) for entry in entries]
-    frame_count = sum(press.frame_count for press, _ in footage)
+    footage = [read_press_images(entry, idle=idle, topics=topics) for entry in entries]
+    frame_count = sum(one.press.frame_count for one in footage)
     if frame_count < LEAST_FRAMES:
         raise ValueError(
             f"{data_set.directory}: {frame_count} frames with images in "
@@ -192,9 +191,9 @@ def read_filmed_data(
     check(
         idle,
         [
-            (f"{press.name}, frame {frame}", images[frame])
-            for press, images in footage
-            for frame in _untouched_frames(press, indenters[press.indenter], skin)
+            (f"{one.press.name}, frame {frame}", one.pixels[frame])
+            for one in footage
+            for frame in _untouched_frames(one.press, indenters[one.press.indenter], skin)
         ],
     )
     skin_of_press = _Follower(sensor, skin, cache or cache_directory() / "skins", say)
@@ -203,14 +202,14 @@ def read_filmed_data(
         idle,
         tuple(
             FilmedPress(
-                press.name,
-                press.indenter,
-                tip_depth_m(skin, press.poses),
-                images,
-                skin_of_press(press, indenters[press.indenter]),
-                press.stamp_s,
+                one.press.name,
+                one.press.indenter,
+                tip_depth_m(skin, one.press.poses),
+                one.pixels,
+                skin_of_press(one.press, indenters[one.press.indenter]),
+                one.press.stamp_s,
             )
-            for press, images in footage
+            for one in footage
         ),
     )
 
@@ -245,31 +244,6 @@ def with_measured_skin(
             )
         presses.append(replace(press, skin_position_m=measured.position_m))
     return FilmedData(skin, filmed.idle, tuple(presses))
-
-
-def read_optical_data(
-    directory: str | Path,
-    sensor: SensorSpecification,
-    *,
-    presses: Sequence[str] | None = None,
-    cache: Path | None = None,
-    progress: Progress | None = None,
-    topics: Topics = MEASURED_TOPICS,
-) -> OpticalData:
-    """Read the images of presses, and render what the sensor's camera sees of its gel.
-
-    Args and errors as `read_filmed_data`; the sensor's camera is used at the measured resolution,
-    with the lights and the vignetting that its idle image's description states.
-
-    Raises:
-        ValueError: also where the measured images have another aspect ratio than the camera's.
-    """
-    camera = camera_for(sensor, _read_idle(read_data_set(directory)), str(directory))
-    filmed = read_filmed_data(
-        directory, sensor, presses=presses, cache=cache, progress=progress, topics=topics
-    )
-    lighting, vignetting = lights_of(sensor)
-    return render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
 
 
 def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> FisheyeCamera:
@@ -356,59 +330,6 @@ def _entries(data_set: DataSet, presses: Sequence[str] | None) -> list[DataSetEn
     if not presses:
         raise ValueError("no press was named, expected at least one")
     return [by_name[name] for name in presses]
-
-
-def _read_footage(
-    entry: DataSetEntry, idle: ImageArray, topics: Topics
-) -> tuple[Press, ImageArray]:
-    """Return the poses at the images' stamps, and the images (F, H, W, 3)."""
-    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "image"))
-    pose, image = trajectory.pose, trajectory.image
-    if image is None:
-        raise ValueError(
-            f"{entry.bag} holds no image on {topics.image}; record the camera's images, or name "
-            "their topic"
-        )
-    if pose is None:
-        raise ValueError(
-            f"{entry.bag} holds no pose on {topics.pose}; record the indenter's pose, or name its "
-            "topic"
-        )
-    if image.pixels.shape[1:] != idle.shape:
-        raise ValueError(
-            f"{entry.bag}: images are {image.pixels.shape[2]}x{image.pixels.shape[1]}, but the "
-            f"idle images {idle.shape[1]}x{idle.shape[0]}; take both with one camera and setting"
-        )
-    within = (image.stamp_ns >= pose.stamp_ns[0]) & (image.stamp_ns <= pose.stamp_ns[-1])
-    if not within.any():
-        raise ValueError(
-            f"{entry.bag}: no image was taken while poses were recorded; record both at once, "
-            "stamped by one clock"
-        )
-    stamps = image.stamp_ns[within]
-    press = Press(
-        entry.name,
-        entry.indenter,
-        _poses_at(stamps, pose.stamp_ns, pose.poses()),
-        1e-9 * stamps.astype(np.float64),
-    )
-    return press, image.pixels[within]
-
-
-def _poses_at(
-    wanted_ns: NDArray[np.int64], stamp_ns: NDArray[np.int64], poses: Sequence[Pose]
-) -> list[Pose]:
-    """Return the poses at stamps that lie within those of the given ones."""
-    found = []
-    for wanted in wanted_ns.tolist():
-        after = int(np.searchsorted(stamp_ns, wanted))
-        if stamp_ns[after] == wanted:
-            found.append(poses[after])
-            continue
-        before = after - 1
-        share = (wanted - stamp_ns[before]) / (stamp_ns[after] - stamp_ns[before])
-        found.append(interpolate(poses[before], poses[after], float(share)))
-    return found
 
 
 def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[int]:

@@ -34,12 +34,12 @@ REFERENCE_MODULUS_PA = 3.0e5
 """Young's modulus that everything is solved with."""
 
 TOLERANCE_M = 1.0e-6
-"""Of the solves: the differences between two of them move the skin by some 10 um."""
+"""Tolerance of the solves: the differences between two of them move the skin by some 10 um."""
 
 ITERATIONS = 40
 
 TABLE_SPACING = 0.5
-"""Between the Poisson's ratios that have a table of the refinement, in log(1/2 - nu)."""
+"""Distance between Poisson's ratios that have a table of the refinement, in log(1/2 - nu)."""
 
 LARGEST_TABLE_COORDINATE = -1.0
 """No table above nu = 0.13 or below nu = 0.4997."""
@@ -65,7 +65,7 @@ class GelSimulator:
     Args:
         specification: the sensor; its solver must be implicit and quasi-static.
         skin: the skin's markers.
-        progress: told the finished share of each table that is computed.
+        progress: called with the finished share of each table that is computed.
         tolerance_m: of the solves.
 
     Raises:

@@ -1,5 +1,5 @@
-"""Solves presses in a pool of processes; every solve is kept on disk, so that a run that was killed
-goes on, and nothing is solved twice."""
+"""Solves presses in a pool of processes; every solve is kept on disk, so that an interrupted run
+can be resumed, and nothing is solved twice."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
 
 TOLERANCE_M = 5.0e-6
-"""Of the solves: effects are tried at sizes that move the skin by tens of micrometres, and a solve
+"""Tolerance of the solves: effects move the skin by tens of micrometres where tried, and a solve
 to a fifth of this takes more than twice as long."""
 
 DECIDED_BY = ("dotsim_ros.twin.solver",)
 """The code, with all that it imports, that decides a solve."""
 
 Progress = Callable[[int, int], None]
-"""Told how many solves are done, and of how many."""
+"""Called with the number of solves done, and of all."""
 
 
 @dataclass(frozen=True)

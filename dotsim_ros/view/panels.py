@@ -51,12 +51,12 @@ def coloured(values: FloatArray, low: float, high: float, colours: str) -> Image
 class PanelImages:
     """Draws moments of one bag, all on the same scales.
 
-    The skin's motion is that which its cloud tells; a cloud of bare positions is compared with
-    the first one. Images are compared with the first one.
+    The skin's motion is the displacement that its cloud holds; a cloud of positions alone is
+    compared with the first one. Images are compared with the first one.
 
     Args:
         moments: every moment of the bag; read once, none is kept.
-        rest_m: (V, 3) the skin at rest, instead of what the clouds tell.
+        rest_m: (V, 3) the skin at rest, instead of the one that the clouds give.
 
     Raises:
         ValueError: the bag shows nothing.

@@ -14,7 +14,7 @@ FLAT_RATIO = 0.3
 
 
 def rest_position_m(cloud: msg_adapters.Cloud) -> FloatArray:
-    """Return the (V, 3) points of a cloud before they moved, as far as the cloud tells."""
+    """Return the (V, 3) points of a cloud at rest, as far as the cloud holds them."""
     position = np.asarray(cloud.position, dtype=np.float64)
     return position if cloud.displacement is None else position - cloud.displacement
 

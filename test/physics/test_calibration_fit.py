@@ -32,8 +32,8 @@ from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.check import Observation
 from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import Observation
 from dotsim_ros.measured.trajectory import (
     PoseChannel,
     SkinChannel,

@@ -134,7 +134,7 @@ def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
     assert training["epochs"] >= 1
     assert training["cut_short"]
     page = (tmp_path / "out" / "optics.md").read_text()
-    assert "images of 64x48, **broken off by the time allowed**" in page
+    assert "images of 64x48, **cut short by the time budget**" in page
     # One row anew, with another camera; the others stay.
     other = [*command, "--splits", "hard", "--models", "carried", "--keep"]
     other[other.index(str(calibrated))] = str(calibrated / "easy.yaml")

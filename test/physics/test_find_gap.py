@@ -18,7 +18,7 @@ from dotsim_ros.evaluation.gap.hidden.laws import LAWS
 from dotsim_ros.evaluation.gap.hidden.reality import Truth
 from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
 from dotsim_ros.gap.findings import Findings, Verdict
-from dotsim_ros.gap.presses.search import find_gap
+from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.specification import load_sensor
@@ -46,7 +46,7 @@ def searched(
     measure_unit(data, sensor, skin, Truth(effects), seed=SEED, only=PROTOCOLS)
     (data / "truth.json").write_text("{}", encoding="utf-8")
     steps: list[str] = []
-    found = find_gap(
+    found = search_presses(
         GapRequest(
             measured=data,
             sensor=sensor,

@@ -24,8 +24,9 @@ from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.evaluation.gap.hidden.images import LAWS, Takes
 from dotsim_ros.evaluation.gap.hidden.reality import Truth
 from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
-from dotsim_ros.gap import find as optical_find
+from dotsim_ros.gap.find import find_gap_with_images
 from dotsim_ros.gap.findings import Findings, Verdict
+from dotsim_ros.gap.images import find as optical_find
 from dotsim_ros.gap.images.model import Film, TwinCamera
 from dotsim_ros.gap.images.reading import MeasuredImages, read_images
 from dotsim_ros.gap.presses.search_state import GapRequest
@@ -145,7 +146,7 @@ def searched(
     reference: Path | None = None,
     effects: tuple[Path, ...] = (),
 ) -> tuple[Findings, Overlay | None]:
-    return optical_find.find_gap_with_images(
+    return find_gap_with_images(
         GapRequest(
             measured=data,
             sensor=sensor,
@@ -163,8 +164,8 @@ def searched(
 
 
 OWN_EFFECT = """
-from dotsim_ros.gap.effect import IMAGE, Effect, EffectParameter
-from dotsim_ros.gap.optical_terms import any_frame, radius_square
+from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter
+from dotsim_ros.effects.optical_terms import any_frame, radius_square
 
 
 def _image(values):

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,6 +52,7 @@ class Executable:
         parameters: ROS parameters of the node.
         arguments: further ROS arguments.
         code: Python code to run in the module's place.
+        script: Python file to run in the module's place.
     """
 
     def __init__(
@@ -60,8 +62,11 @@ class Executable:
         arguments: Sequence[str] = (),
         *,
         code: str = "",
+        script: Path | None = None,
     ) -> None:
         program = ["-c", code] if code else ["-m", module]
+        if script is not None:
+            program = [str(script)]
         command = [sys.executable, "-u", *program, "--ros-args", *arguments]
         for name, value in (parameters or {}).items():
             command += ["-p", f"{name}:={value}"]

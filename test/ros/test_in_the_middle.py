@@ -218,5 +218,5 @@ def test_a_bug_in_the_frames_ends_the_node_with_status_1(method: str) -> None:
             assert node.exit_status() == 1, node.log
         finally:
             client.close()
-        assert "the frames broke off" in node.log
+        assert "the loop of frames failed" in node.log
         assert f"RuntimeError: a bug in {method}" in node.log

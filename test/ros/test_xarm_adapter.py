@@ -298,7 +298,7 @@ def test_a_driver_that_does_not_answer_is_given_up_and_taken_up_again(rig: Rig) 
         ({"err": 24}, "error 24"),
         ({"mode": 0}, "mode 0, expected 5"),
         ({"state": 4}, "state 4 (stopped)"),
-        ({"is_silent": True}, "the arm's state was heard"),
+        ({"is_silent": True}, "the arm's state was last received"),
     ],
 )
 def test_an_arm_that_is_not_ready_is_left_alone_and_why_is_said(

@@ -12,7 +12,7 @@ from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinate
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate, median_estimate
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.check import Omission
+from dotsim_ros.measured.reading import Omission
 from dotsim_ros.specification import SensorSpecification
 
 NAMES = ("E", "nu", "friction")

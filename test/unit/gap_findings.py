@@ -115,7 +115,7 @@ def of_set() -> Findings:
     return replace(
         named(),
         verdict=Verdict.SET,
-        sentence="Coulomb slip or a pose offset is missing: these data do not tell them apart.",
+        sentence="Coulomb slip or a pose offset is missing: these data do not distinguish them.",
         alternatives=("pose_offset",),
         stability=0.6,
         worst=None,

@@ -171,7 +171,7 @@ def test_an_arm_that_is_not_heard_of_is_not_commanded():
     link = VelocityLink(LinkLimits(silence_s=0.5))
     link.command(velocity(0.05), 0.0, along_tool=False)
     assert link.next_call(0.0, has_service=True) is None
-    assert "has not been heard" in link.detail
+    assert "has not been received" in link.detail
     link.hear(decode_robot_state(robot_message()), 0.0)
     assert link.next_call(0.05, has_service=True) is not None
     link.answered(0, "")

@@ -11,7 +11,7 @@ import warp as wp
 from dotsim_ros.baselines import difftactile, fem_kernels
 from dotsim_ros.baselines.difftactile import (
     DiffTactile,
-    DivergenceError,
+    DiffTactileDivergenceError,
     DynamicGel,
     FitTrials,
     GelConstants,
@@ -186,7 +186,7 @@ def test_a_softer_contact_lets_the_skin_in(gel: DynamicGel, skin: SkinMesh) -> N
 
 def test_a_gel_that_blows_up_is_told(gel: DynamicGel, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(difftactile, "STEP_SHARE", 3.0)
-    with pytest.raises(DivergenceError, match="frame 0: the gel diverged"):
+    with pytest.raises(DiffTactileDivergenceError, match="frame 0: the gel diverged"):
         gel.run(press_to(0.002).poses, BALL, CONSTANTS)
 
 
@@ -221,5 +221,5 @@ def test_presses_that_tell_nothing_are_refused(gel: DynamicGel, skin: SkinMesh) 
     rest = skin.rest_position_m[None]
     apart = Press("apart", "ball", away.poses, away.stamp_s, rest, np.zeros((1, 3)))
     trials = FitTrials(gel, {"ball": BALL})
-    with pytest.raises(ValueError, match="a modulus cannot be told"):
+    with pytest.raises(ValueError, match="a modulus cannot be estimated"):
         difftactile.fit([apart], {"ball": BALL}, skin, trials=trials)

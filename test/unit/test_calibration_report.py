@@ -27,7 +27,7 @@ def test_the_page_says_what_the_figures_hold() -> None:
     assert f"nu {numbers['parameters']['nu']['joint']['value']:.4g} (" in page.lead
     assert f"E, Pa {numbers['parameters']['E']['joint']['value'] / 100:.0f}00 (" in page.lead
     assert "no message on /indenter/pose" in text
-    assert "The data tell all parameters that were asked for." in text
+    assert "The data identify all parameters that were asked for." in text
     alternatives = [image.alt for image in images_of(page)]
     assert alternatives[0].startswith("E of single presses")
     assert "E from skin alone 1," in alternatives[3]

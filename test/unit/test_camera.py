@@ -40,8 +40,10 @@ def test_agrees_with_opencv_in_front_of_the_camera():
     random = np.random.default_rng(1)
     points = random.normal(size=(200, 3))
     points[:, 2] = np.abs(points[:, 2]) + 0.05
+    matrix = np.diag([camera.focal_px, camera.focal_px, 1.0])
+    matrix[:2, 2] = camera.principal_point_px
     expected, _ = cv2.fisheye.projectPoints(
-        points[:, None, :], np.zeros(3), np.zeros(3), camera.camera_matrix, camera.distortion
+        points[:, None, :], np.zeros(3), np.zeros(3), matrix, camera.distortion
     )
     assert camera.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
 
@@ -91,7 +93,7 @@ def test_sensor_file_sets_the_angle_at_half_the_height():
     direction = camera.unproject([319.5, 239.5 + 240.0])
     assert np.degrees(np.arctan2(direction[1], direction[2])) == pytest.approx(86.0)
     assert camera.pose.position_m == pytest.approx([0.0, 0.0, 0.0025])
-    assert camera.camera_matrix[0, 0] == pytest.approx(240.0 / np.radians(86.0))
+    assert camera.focal_px == pytest.approx(240.0 / np.radians(86.0))
 
 
 def test_camera_of_a_disc_shows_the_rim_at_its_angle():

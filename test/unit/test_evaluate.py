@@ -22,10 +22,10 @@ from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
-from dotsim_ros.measured.presses import Prediction, Press, press_of, read_press
+from dotsim_ros.measured.presses import Prediction, Press, press_of
+from dotsim_ros.measured.reading import read_observation
 from dotsim_ros.measured.split import (
     Split,
-    hold_out,
     hold_out_of_protocols,
     leave_one_indenter_out,
 )
@@ -135,7 +135,8 @@ def perfect(measured: Press) -> Prediction:
 
 
 def test_press_is_what_was_written(data_set: DataSet) -> None:
-    read = read_press(data_set.entries[0])
+    entry = data_set.entries[0]
+    read = read_observation(data_set, entry, vertex_count=SKIN.vertex_count).press
     assert (read.name, read.indenter, read.frame_count) == ("ball_0", "ball", 4)
     assert read.stamp_s == pytest.approx([1.0, 1.1, 1.2, 1.3])
     assert read.force_n == pytest.approx(trajectory().wrench.force_n)  # type: ignore[union-attr]
@@ -202,22 +203,22 @@ def press_poses(way: list[tuple[Pose, float, bool]]) -> list[Pose]:
 
 def test_held_out_presses_depend_on_the_seed_alone() -> None:
     names = [f"press_{k}" for k in range(28)]
-    train, test = hold_out(names)
+    train, test = hold_out_of_protocols(names)
     assert (len(train), len(test)) == (19, 9)
     assert sorted(train + test) == sorted(names)
-    assert hold_out(names[::-1]) == (train, test)
-    assert hold_out(names, seed=1)[1] != test
+    assert hold_out_of_protocols(names[::-1]) == (train, test)
+    assert hold_out_of_protocols(names, seed=1)[1] != test
 
 
 @pytest.mark.parametrize("count", [0, 3, -1])
 def test_split_without_train_or_test_is_refused(count: int) -> None:
     with pytest.raises(ValueError, match="cannot be held out"):
-        hold_out(["a", "b", "c"], count)
+        hold_out_of_protocols(["a_0", "a_1", "a_2"], count)
 
 
 def test_a_name_twice_is_refused() -> None:
     with pytest.raises(ValueError, match="a more than once"):
-        hold_out(["a", "b", "a"], 1)
+        hold_out_of_protocols(["a", "b", "a"], 1)
 
 
 def test_a_stratified_draw_fits_and_judges_every_protocol() -> None:
@@ -373,7 +374,7 @@ def test_broken_bag_is_left_out_and_named(tmp_path: Path) -> None:
     unknown = replace(data.entries[0], name="odd", indenter="teapot")
     measured = read_measured(DataSet(tmp_path, (*data.entries, broken, unknown)))
     assert len(measured.presses) == 6
-    assert "no pose" in measured.left_out["blind"]
+    assert "no message on /indenter/pose" in measured.left_out["blind"]
     assert "teapot" in measured.left_out["odd"]
 
 

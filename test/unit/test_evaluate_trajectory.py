@@ -151,7 +151,7 @@ def test_what_exceeds_a_limit_is_named() -> None:
 def test_a_trial_that_was_never_led_or_latched_early_is_told() -> None:
     still = recording_of()
     row = judge(replace(still, command=0.0 * still.command), reference_path("line"), LIMITS)
-    assert "not led" in row["ended"]
+    assert "never moved the arm" in row["ended"]
     latched = recording_of(
         seconds=1.5, state="latched", reason="workspace", detail="too far", stops={"workspace": 1}
     )

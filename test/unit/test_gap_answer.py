@@ -129,7 +129,7 @@ def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
         answer.verdict, [], [], [], nearest=EFFECT, sizes=sizes, place="the skin at the rim"
     )
     told, other = (f"{size:.2g} s" for size in sizes)
-    assert f"late, but the skin tells size = {told} and the force {other}: one effect" in text
+    assert f"late, but the skin gives size = {told} and the force {other}: they should" in text
 
 
 def test_without_anything_there_is_no_gap(

@@ -208,5 +208,5 @@ def test_surface_that_cannot_be_sampled_is_refused() -> None:
 
 
 def test_weights_of_nothing_are_refused() -> None:
-    with pytest.raises(ValueError, match="weigh nothing"):
+    with pytest.raises(ValueError, match="the weights sum to zero, expected a positive sum"):
         weighted_rms(np.ones(3), np.zeros(3))

@@ -27,7 +27,7 @@ from dotsim_ros.measured.scripted import (
     turned,
     twist,
 )
-from dotsim_ros.measured.shipped_presses import DOME_CENTRE_MM, read_presses
+from dotsim_ros.measured.shipped_presses import DOME_CENTRE_MM, FIRST_CONTACT_RADIUS_M, read_presses
 
 RADIUS_M = 0.01575
 ALL_PRESSES = Path(__file__).parents[3] / "shared" / "real" / "densetact" / "presses.npz"
@@ -216,7 +216,8 @@ def test_real_presses_meet_the_dome_from_outside(presses):
         # The first points scatter about the sphere that was fitted to them.
         assert -0.5e-3 < gap[0] < 1.4e-3
         assert -6.3e-3 < gap[-1] < -3.5e-3
-        assert press.depth_m == pytest.approx(-gap[-1], abs=0.6e-3)
+        depth_m = FIRST_CONTACT_RADIUS_M - np.linalg.norm(press.centre_m[-1])
+        assert depth_m == pytest.approx(-gap[-1], abs=0.6e-3)
         assert centres[:, 2].min() > 0.0
         # One straight line in steps of a tenth of a millimetre, tip first.
         steps = np.diff(centres, axis=0)

@@ -172,7 +172,7 @@ def test_broken_noise_files_are_refused(tmp_path):
 def test_an_effect_whose_scatter_is_not_known_is_told_apart(null, signatures):
     assert null.knows(LIBRARY["gamma"])
     assert not null.knows(LIBRARY["motion_blur"])
-    with pytest.raises(ValueError, match="knows nothing of motion_blur"):
+    with pytest.raises(ValueError, match="does not hold the effect motion_blur"):
         null.variances("motion_blur", signatures["gamma"][0])
     # A file of the user's that takes a shipped effect's name, with another parameter.
     gamma = LIBRARY["gamma"]
@@ -357,4 +357,4 @@ def test_the_report_keeps_the_parts_apart(tmp_path: Path):
 def test_an_abbreviation_keeps_its_capitals_in_a_sentence(name, told):
     gap = ChannelGap("image", "levels", 2.0, 2.0, 1.0, 1.0)
     sentence = optical_sentence(Verdict.UNKNOWN, (), (), gap, nearest=LIBRARY[name])
-    assert f"Nearest comes: {told}" in sentence
+    assert f"The nearest is: {told}" in sentence

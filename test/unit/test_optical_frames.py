@@ -10,6 +10,7 @@ import trimesh
 import yaml
 
 from dotsim_ros.measured.trajectory import ImageChannel, PoseChannel, Trajectory, write_trajectory
+from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.idle_check import (
     check_untouched,
     difference,
@@ -17,7 +18,12 @@ from dotsim_ros.optics.idle_check import (
     read_idle_images,
 )
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.twin.footage import read_filmed_data, read_optical_data, with_measured_skin
+from dotsim_ros.twin.footage import (
+    camera_for,
+    read_filmed_data,
+    render_filmed,
+    with_measured_skin,
+)
 
 HEIGHT, WIDTH = 60, 80
 RADIUS_M = 0.01575
@@ -112,7 +118,14 @@ def sensor():
 
 
 def test_model_lies_beside_what_was_measured(data_set, sensor, cache):
-    data = read_optical_data(data_set, sensor, cache=cache)
+    filmed = read(data_set, sensor, cache)
+    lighting, vignetting = lights_of(sensor)
+    data = render_filmed(
+        filmed,
+        camera_for(sensor, filmed.idle, str(data_set)),
+        lighting=lighting,
+        vignetting=vignetting,
+    )
     assert [press.name for press in data.presses] == ["ball_0", "ball_1", "ball_2"]
     assert (data.camera.width, data.camera.height) == (WIDTH, HEIGHT)
     press, count = data.presses[0], len(DEPTHS_M)
@@ -208,10 +221,10 @@ def test_images_of_another_size_are_refused(data_set, sensor, cache):
         read(data_set, sensor, cache)
 
 
-def test_images_that_do_not_fit_the_camera_are_refused(data_set, sensor, cache):
+def test_images_that_do_not_fit_the_camera_are_refused(sensor):
     wide = replace(sensor, camera=replace(sensor.camera, width=640, height=640))
     with pytest.raises(ValueError, match=r"do not fit the camera: .*aspect ratio"):
-        read_optical_data(data_set, wide, cache=cache)
+        camera_for(wide, pattern(), "measured/unit")
 
 
 def test_images_of_another_time_than_the_poses_are_refused(data_set, sensor, cache):

@@ -33,7 +33,6 @@ from dotsim_ros.gap.images.search import (
     alike,
     camera_nuisances,
     probes_of,
-    score_optical,
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import estimate_noise
@@ -111,7 +110,7 @@ def test_whitening_leaves_unit_covariance():
 
 
 def test_noise_takes_several_trajectories(noise):
-    with pytest.raises(ValueError, match="3 trajectories tell nothing of a model's error"):
+    with pytest.raises(ValueError, match="3 trajectories are too few to estimate a model's error"):
         estimate_noise(
             [np.ones((2, 3, 6))] * 3, [np.ones((2, 3, 6))] * 3, np.ones((3, 6)), np.ones((3, 2))
         )
@@ -258,7 +257,7 @@ def test_what_the_data_do_not_show_is_not_excited(noise, nuisances):
     library = load_effects()
     # Nothing moves in these films.
     signatures = signatures_of([library["motion_blur"], library["gamma"]], FILMS, METER)
-    scores = score_optical(null_residual(0), signatures, noise, nuisances, CHANGES)
+    scores = OpticalSearch(signatures, noise, nuisances, CHANGES).score(null_residual(0))
     found = {score.name: score for score in scores}
     assert not found["motion_blur"].is_excited
     assert found["gamma"].is_excited

@@ -27,8 +27,8 @@ from dotsim_ros.evaluation.gap.hidden.rendered_unit import IDLE_COUNT, Studio, c
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
-from dotsim_ros.reference.data_set import ReferenceDataSet
 from dotsim_ros.specification import load_sensor
 
 SKIN = skin_of(load_sensor("sensor_a").gel)
@@ -60,19 +60,23 @@ def renderer_of(mitsuba):
     return made
 
 
+def pressed_skins():
+    """Return the skins (3, V, 3) of a press at the apex."""
+    beside = np.linalg.norm(REST_M - [0.0, 0.0, RADIUS_M], axis=1)
+    dent = 2.0e-3 * np.exp(-0.5 * (beside / 3.0e-3) ** 2)[:, None] * [0.0, 0.0, -1.0]
+    return np.stack([REST_M + share * dent for share in (0.0, 0.5, 1.0)]).astype(np.float32)
+
+
 @pytest.fixture(scope="module")
 def studio(mitsuba, tmp_path_factory):
     """A studio whose source is one press at the apex."""
     folder = tmp_path_factory.mktemp("source")
-    data_set = ReferenceDataSet(folder, SKIN)
-    beside = np.linalg.norm(REST_M - [0.0, 0.0, RADIUS_M], axis=1)
-    dent = 2.0e-3 * np.exp(-0.5 * (beside / 3.0e-3) ** 2)[:, None] * [0.0, 0.0, -1.0]
-    skins = np.stack([REST_M + share * dent for share in (0.0, 0.5, 1.0)])
+    data_set = DataSetWriter(folder, SKIN)
     stamp = np.array([1_000_000_000, 3_000_000_000, 5_000_000_000])
     trajectory = Trajectory(
         pose=PoseChannel(stamp, np.full((3, 3), RADIUS_M), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))),
         wrench=WrenchChannel(stamp, np.zeros((3, 3)), np.zeros((3, 3))),
-        skin=SkinChannel(stamp, skins.astype(np.float32)),
+        skin=SkinChannel(stamp, pressed_skins()),
         name="press",
     )
     indenter = replace(load_indenter("sphere_4mm"), name="sphere_4mm")
@@ -200,7 +204,7 @@ def test_a_map_of_the_coat_is_looked_up_where_it_was_drawn():
 
 def difference_of(studio, name, session_s=0.0):
     """Return what the largest size of a law does to the light of a press (H, W, 3), of white."""
-    skin = studio.smooth_skins(studio.source_skins("press"))[-1]
+    skin = studio.smooth_skins(pressed_skins())[-1]
     size = LAWS[name].sizes[-1]
     light = [
         studio.light(unit, skin, session_s, seed=7)
@@ -283,7 +287,7 @@ def test_a_data_set_of_a_unit_is_whole_and_its_noise_the_seed_s(studio, tmp_path
 
 
 def test_smoothing_takes_noise_and_leaves_dents(studio):
-    skins = studio.source_skins("press").astype(np.float64)
+    skins = pressed_skins().astype(np.float64)
     noisy = skins + 0.04e-3 * np.random.default_rng(0).standard_normal(skins.shape)
     smooth = studio.smooth_skins(noisy)
     assert (smooth[0] - REST_M).std() < 0.012e-3

@@ -165,7 +165,7 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
     examples = PolicyExamples(frames, PATHS, CONTACT, SIDE)
 
     def training(folder, count=32):
-        return policy_training.Training(
+        return policy_training.PolicyTraining(
             examples, 2, recipe(count), seed=3, key="key", checkpoint=tmp_path / folder / "state.pt"
         )
 

@@ -56,16 +56,16 @@ def pair_of(pressed: NDArray[np.uint8]) -> RealPair:
 
 def test_a_known_press_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     search = PressSearch(pair_of(pattern()), COARSE, DISC, Lighting(), Vignetting())
-    pressed = search.carrying.warp(search.view(TRUTH))
+    pressed = search.warping.warp(search.view(TRUTH))
     start = BallPose(0.2, 0.2, 1.5e-3)
     monkeypatch.setattr(real_pair, "EVALUATIONS", 30)
     found, view = search.best(
         {start: search.view(start)},
-        lambda v: -pattern_likeness(search.carrying.warp(v), pressed, disc_mask()),
+        lambda v: -pattern_likeness(search.warping.warp(v), pressed, disc_mask()),
     )
     assert (found.x, found.y) == pytest.approx((TRUTH.x, TRUTH.y), abs=0.03)
     assert found.depth_m == pytest.approx(TRUTH.depth_m, abs=0.3e-3)
-    warped = search.carrying.warp(view)
+    warped = search.warping.warp(view)
     left = 1.0 - pattern_likeness(warped, pressed, disc_mask())
     assert left < 0.3 * (1.0 - pattern_likeness(pattern(), pressed, disc_mask()))
 

@@ -11,14 +11,15 @@ from dotsim_ros.cli.main import main
 from dotsim_ros.gel.material import MooneyRivlin, NeoHookean, Yeoh
 from dotsim_ros.geometry.indenter import load_indenter, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.scripted import Site
 from dotsim_ros.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
-from dotsim_ros.reference.data_set import ReferenceDataSet, read_solved_presses
+from dotsim_ros.reference.data_set import read_solved_presses
 from dotsim_ros.reference.deck import EARLY_M, Deck, StepControl
 from dotsim_ros.reference.mesh import (
     MeshedPress,
-    corner_volumes,
     dome_mesh,
     interpolate_skin,
     pressed_place,
@@ -31,7 +32,6 @@ from dotsim_ros.reference.press import (
 )
 from dotsim_ros.reference.results import solved_press, stamps_ns
 from dotsim_ros.reference.run import CalculixError, CalculixMissingError, calculix_path, solve
-from dotsim_ros.reference.surface import indenter_surface
 from dotsim_ros.specification import (
     ContactSpecification,
     GelSpecification,
@@ -62,6 +62,31 @@ def _mesh(tilt_deg=0.0, spacing_m=1.2e-3, radius_m=3e-3):
         press=MeshedPress(pole, radius_m),
         spacing_m=spacing_m,
     )
+
+
+# In the order that makes a right-handed triple of edges.
+CORNER_NEIGHBOURS = (
+    (1, 3, 4),
+    (2, 0, 5),
+    (3, 1, 6),
+    (0, 2, 7),
+    (7, 5, 0),
+    (4, 6, 1),
+    (5, 7, 2),
+    (6, 4, 3),
+)
+
+
+def corner_volumes(mesh):
+    """Return (E, 8) scaled triple products of the edges at each corner: 1 for a brick, at most 0
+    where an element is turned inside out."""
+    corner = mesh.node_m[mesh.element[:, :8]]
+    products = []
+    for own, others in enumerate(CORNER_NEIGHBOURS):
+        edges = corner[:, others] - corner[:, own : own + 1]
+        edges /= np.linalg.norm(edges, axis=2, keepdims=True)
+        products.append(np.linalg.det(edges))
+    return np.stack(products, axis=1)
 
 
 @pytest.mark.parametrize("tilt_deg", [0.0, 20.0, 40.0])
@@ -410,7 +435,7 @@ def test_measured_data_is_no_reference(tmp_path):
 def test_broken_off_or_changed_trajectory_does_not_count_as_solved(reference, tmp_path):
     _, out = reference
     _, (solved,) = read_solved_presses(out)
-    data_set = ReferenceDataSet(tmp_path, read_data_set(out).skin_mesh())
+    data_set = DataSetWriter(tmp_path, read_data_set(out).skin_mesh())
     press = ReferencePress(solved.specification, sphere(4e-3), 0.5e-3, 1, tilt_deg=25.0)
     name, notes = solved.trajectory.name, press.notes()
     assert not data_set.holds(name, notes)

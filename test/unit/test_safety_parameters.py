@@ -90,7 +90,7 @@ def test_every_miss_over_40_ms_is_on_a_line_or_counted_on_the_next():
     misses = MissCounter("inference", period_s=1.0)
     lines = [misses.note(late_s, 0.1 * tick) for tick, late_s in enumerate([0.01, 0.05] * 10)]
     told = [line for line in lines if line is not None]
-    assert (misses.count, misses.told) == (20, 10)
+    assert (misses.count, misses.reported) == (20, 10)
     assert [line.unlogged for line in told] == [0, 4]
     assert misses.worst_s == 0.05
 

@@ -4,10 +4,10 @@ Si, Zhang, Ben, Romero, Xian, Liu, Gan: "DIFFTACTILE: A Physics-based Differenti
 Simulator for Contact-rich Robotic Manipulation", ICLR 2024 (arXiv 2403.08716), and Zhao, Qian,
 Duan, Luo: "FOTS: A Fast Optical Tactile Simulator for Sim2Real Learning of Tactile-motor Robot
 Manipulation Skills", RA-L 2024 (arXiv 2404.19217): a perceptron of a few layers takes the surface's
-normal and the position of one pixel and gives its colour; pixels know nothing of each other.
+normal and the position of one pixel and gives its colour; pixels are independent of each other.
 
 Both learn the colour itself on a sensor without a pattern. On one with a pattern that would charge
-them for a texture that five numbers cannot carry, so here the network gives the change of the
+them for a texture that five numbers cannot represent, so here the network gives the change of the
 colour, which is added to the idle image. FOTS's shadow, which it projects from the object's mesh,
 is left out.
 """
@@ -65,7 +65,7 @@ class PerPixelImage:
     name: str
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
-        """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`."""
+        """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`."""
         grid = pixel_grid(rest)
         images = []
         for normal in press.normal:

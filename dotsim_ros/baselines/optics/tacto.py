@@ -30,7 +30,6 @@ from dotsim_ros.baselines.optics.pixels import (
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
-LIGHTS = 3
 SEARCH_PIXELS = 20_000
 GENERATIONS = 40
 POPULATION_FACTOR = 8
@@ -136,7 +135,7 @@ class TactoImage:
     name: str = "tacto"
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
-        """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`.
+        """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`.
 
         Args:
             press: with the depth and the normals of Tacto's own, clipped skin.

@@ -8,7 +8,7 @@ contact. It is fitted by least squares on presses with known shape; entries that
 take those of their neighbours.
 
 The paper's gel is flat. Here the normal is turned first by the rotation that takes the normal of
-the same pixel at rest to a flat gel's, so that the gradient is zero at rest. The magnitude is told
+the same pixel at rest to a flat gel's, so that the gradient is zero at rest. The magnitude is given
 as the angle of the slope. The paper's shadows, from a second table measured with single pins, are
 left out, as no such presses exist.
 """
@@ -128,7 +128,7 @@ class TaximImage:
     name: str = "taxim"
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
-        """Return images (F, H, W, 3); see `evaluation.optics.ImageModel`."""
+        """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`."""
         grid = pixel_grid(rest)
         terms = polynomial_terms(grid.position).astype(np.float32)
         return np.stack([self._frame(normal, grid, terms, rest) for normal in press.normal])

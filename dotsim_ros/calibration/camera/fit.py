@@ -3,8 +3,8 @@
 Least squares over pixels of training presses, by turns for the lens (pixels that the skin moves
 across) and for the lights (every lit pixel, blurred more). Errors of the skin are shared by whole
 patches and by all frames of a press, so that the many pixels count as few observations; against
-those weigh the priors, which decide where the images tell two parameters only together, such as
-focal length and radial term, or centre and tilt.
+those weigh the priors, which decide where the images identify two parameters only in combination,
+such as focal length and radial term, or centre and tilt.
 
 The idle image constrains the lens by its rim alone, which is round about the optical axis: the
 camera's own stop cuts it out. Where a circle fits the rim, its centre is a prior of the principal
@@ -40,13 +40,13 @@ from dotsim_ros.twin.footage import FilmedData, FilmedPress
 Progress = Callable[[str], None]
 
 LEAST_DEPTH_M = 1.0e-3
-"""Frames less deep tell little."""
+"""Shallower frames hold little information."""
 LARGEST_FRAME_COUNT = 40
 
 PATCH_PX = 16.0
 """Size over which errors of the skin are alike: one observation."""
 MOVED_PX = 0.3
-"""Motion of the skin in the image from which a pixel tells of the lens."""
+"""Least motion of the skin in the image for a pixel to be used to fit the lens."""
 STRIDE_PX = 3
 LENS_BLUR_PX = 1.0
 LENS_SPAN_PX = 6.0
@@ -190,7 +190,7 @@ def fit_camera(
         lens: parameters of the lens that are free.
         lights: parameters of the lights that are free.
         rounds: how often lens and lights take turns.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
 
     Raises:
         ValueError: no frame is deep enough.
@@ -269,8 +269,8 @@ def _chosen_frames(presses: Sequence[FilmedPress]) -> list[tuple[FilmedPress, in
     ]
     if not deep:
         raise ValueError(
-            f"no frame is {1e3 * LEAST_DEPTH_M:g} mm deep, so the images do not tell the camera; "
-            "press deeper, or leave the camera as stated"
+            f"no frame is {1e3 * LEAST_DEPTH_M:g} mm deep, so the images do not identify the "
+            "camera; press deeper, or leave the camera as stated"
         )
     count = min(len(deep), LARGEST_FRAME_COUNT)
     return [deep[index] for index in np.unique(np.linspace(0, len(deep) - 1, count).astype(int))]
@@ -329,7 +329,10 @@ class _Problem:
             measured.append(self._blurred(press.measured[frame])[mask].ravel())
         self._measured = np.concatenate(measured)
         if self._measured.size == 0:
-            raise ValueError("no pixel of the chosen frames moves, so they do not tell the camera")
+            raise ValueError(
+                "no pixel of the chosen frames moves, so they do not identify the camera; record "
+                "deeper presses"
+            )
         self.observations = max(area / (PATCH_PX * scale) ** 2, 1.0)
 
     def _blurred(self, image: ImageArray) -> Float32Array:

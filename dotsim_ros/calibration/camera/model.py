@@ -1,7 +1,7 @@
 """The camera and its lights as numbers that a fit can change.
 
-A parameter is a step away from a model that is given, in a unit of its own and with a prior
-deviation that says how far a unit is from what its maker states.
+A parameter is a change of a given model, in a unit of its own and with a prior deviation: how far
+a sensor may be from what its maker states.
 """
 
 from __future__ import annotations
@@ -257,7 +257,7 @@ LENS = (
 """Where the camera looks, and how; the focal length moves by its logarithm."""
 
 POSITION = (_place(0), _place(1), _place(2))
-"""Where the camera stands, which a few presses hardly tell."""
+"""Where the camera stands, which a few presses hardly identify."""
 
 
 def _light(name: str, step: float, prior: float, *, least: float = -np.inf) -> CameraParameter:
@@ -319,7 +319,7 @@ LIGHTS = (
     _azimuth(2),
     _falloff(),
 )
-"""What the coat is lit by, and how the camera answers."""
+"""What the coat is lit by, and how the camera responds."""
 
 
 def with_gloss(model: CameraModel) -> CameraModel:

@@ -5,7 +5,7 @@ al., "Fast optical flow using dense inverse search", 2016) from the warped to th
 both with the brightness of each neighbourhood taken out, is averaged over patches of 12 pixels (at
 240 of height) that the skin moved across by at least half a pixel and that hold texture. Its length
 is how far from its place the model puts a piece of the pattern; it holds the error of the skin as
-well as that of the camera. Untouched frames, where the warped image is the idle image, tell how
+well as that of the camera. Untouched frames, where the warped image is the idle image, show how
 much of it is the measure's own noise.
 """
 
@@ -30,7 +30,7 @@ from dotsim_ros.twin.footage import FilmedData
 PATCH_PX = 12
 MOTION_PX = 0.5
 TEXTURE_LEVELS = 8.0
-"""Standard deviation of a patch's brightness from which its motion can be told."""
+"""Least standard deviation of a patch's brightness for its motion to be measured."""
 NEIGHBOURHOOD_PX = 6.0
 RIM_MARGIN_PX = 9
 
@@ -77,7 +77,7 @@ def score_frames(
     Args:
         filmed: images and shapes of the skin.
         model: camera, at the images' resolution, and lights.
-        progress: told which press is done.
+        progress: called with the name of each press that is done.
     """
     renderer = SkinRenderer(model.camera, filmed.skin)
     images = {

@@ -1,4 +1,4 @@
-"""Adhesion: the skin clings to the indenter that leaves, and pulls.
+"""Adhesion: the skin sticks to the indenter as it is withdrawn, and pulls on it.
 
 Johnson, Kendall and Roberts, "Surface energy and the contact of elastic solids", 1971, on release
 alone: a skin that is pressed on does not cling, one that is pulled off does. From the deepest point
@@ -67,7 +67,7 @@ class ClingingContact:
         return float(4.0 / 3.0 * self.modulus_pa * np.sqrt(self.radius_m * pressed) * pressed)
 
     def force_n(self, depth_m: float) -> float | None:
-        """Return the force on the way out, negative where it pulls; None once it is broken off."""
+        """Return the force on the way out, negative where it pulls; None once contact is lost."""
         if depth_m >= self.depth_at(self.widest_m):
             fallen_m = self.deepest_m - depth_m
             return self.hertz_n(self.deepest_m) - 2.0 * self.modulus_pa * self.widest_m * fallen_m

@@ -1,4 +1,4 @@
-"""Backlash: the indenter follows the told position with play, and stays behind at each reversal.
+"""Backlash: the indenter follows the commanded position with play, and lags at each reversal.
 
 The play operator of hysteresis (Krasnosel'skii and Pokrovskii, "Systems with hysteresis", 1989) on
 the position: what follows is dragged once what leads is farther from it than half the play.

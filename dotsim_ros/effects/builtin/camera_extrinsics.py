@@ -1,7 +1,7 @@
 """Camera extrinsics: the camera is turned about its own place.
 
 A camera that turns without moving sees the same rays elsewhere, whatever their depth, so the
-image is resampled exactly but for the lens's radial distortion, which an image does not tell. A
+image is resampled exactly but for the lens's radial distortion, which is not known here. A
 camera that has moved sees a parallax that depends on depth: that is left out.
 """
 

@@ -1,4 +1,4 @@
-"""Force drift: the force gauge's gain moves away, steadily, as the session goes on."""
+"""Force drift: the force gauge's gain changes at a constant rate over the session."""
 
 from __future__ import annotations
 

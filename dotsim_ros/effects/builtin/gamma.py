@@ -1,4 +1,4 @@
-"""Gamma: the camera answers to light by another power than when the twin was made."""
+"""Gamma: the camera responds to light by another power than when the twin was made."""
 
 from __future__ import annotations
 

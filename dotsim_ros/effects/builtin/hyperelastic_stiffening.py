@@ -1,7 +1,7 @@
 """Hyperelastic stiffening: the gel stiffens more, or less, at large strain than the twin's.
 
 Yeoh, "Some forms of the strain energy function for rubber", 1993: the energy's second coefficient.
-The third one shows the same, later; two of them cannot be told apart by presses of a fingertip.
+The third one shows the same at larger strain; presses of a fingertip cannot distinguish the two.
 """
 
 from __future__ import annotations

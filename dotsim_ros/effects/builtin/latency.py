@@ -1,4 +1,4 @@
-"""Latency: the pose is told ahead of what acts; the gel is where the pose was a while ago."""
+"""Latency: the recorded pose is ahead of the true one; the gel is where the pose was earlier."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ EFFECT = Effect(
     parameters=(EffectParameter("latency_s", "s", 0.0, 0.0, 0.15, (0.03, 0.1)),),
     channels=(SKIN, FORCE),
     protocol="there and back at two speeds, the faster 20 mm/s or more; at one speed and in one "
-    "direction a latency is hardly told from an offset of the pose",
+    "direction a latency can hardly be distinguished from an offset of the pose",
     excited_by=_moves_in_contact,
     taken_for=("backlash", "viscoelastic_relaxation", "pose_offset"),
     motion=_motion,

@@ -1,4 +1,4 @@
-"""Mullins softening: what was loaded once answers softer below that load.
+"""Mullins softening: a gel that was loaded once is softer below that load.
 
 The pseudo-elastic form of Ogden and Roxburgh, "A pseudo-elastic model for the Mullins effect in
 filled rubber", 1999, on the response as a whole: below the largest load so far, the force is

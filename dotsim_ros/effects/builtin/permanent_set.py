@@ -2,7 +2,7 @@
 
 Every marker remembers its largest displacement, and keeps a share of it. As it goes back, what it
 keeps grows in proportion to how far it has gone back: at the largest displacement the indenter
-still says where the skin is. The force that a set takes from the next contact is left out.
+still determines where the skin is. The force that a set takes from the next contact is left out.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from dotsim_ros.measured.recording import TOUCH_M, Phase, Recording
 
 UNKNOWN_RADIUS_M = 2.0e-3
 SAMPLES = 96
-"""Of a cross-section, along each side of the box around the indenter."""
+"""Samples of a cross-section along each side of the box around the indenter."""
 
 
 def contact_radius_m(indenter: Indenter, depth_m: float) -> float:

@@ -1,4 +1,4 @@
-"""Pose offset along z: every pose lies higher or lower than it is told, base frame.
+"""Pose offset along z: every true pose lies above or below the recorded one, base frame.
 
 Errors of rotation are left to the offsets along x and y: about the base they move the contact by
 the sensor's height, and a round indenter that turns about its tip presses alike.

@@ -1,4 +1,4 @@
-"""Pose offset along x: every pose lies beside where it is told, base frame."""
+"""Pose offset along x: every true pose lies beside the recorded one, base frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pose offset along y: every pose lies beside where it is told, base frame."""
+"""Pose offset along y: every true pose lies beside the recorded one, base frame."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
 """Thermal drift: the gel grows stiffer or softer while its light warms it.
 
-The stiffness goes to a new value exponentially, as a body does that is heated evenly and cooled by
-its surface. Only the force shows it: in a quasi-static press by a rigid indenter the skin does not
-depend on Young's modulus. Rubber's modulus goes with the absolute temperature, 0.3 % a kelvin
-(Treloar, "The physics of rubber elasticity", 1975); the range is that of some thirty kelvins.
+The stiffness approaches a new value exponentially, like the temperature of a body that is heated
+evenly and cooled at its surface. Only the force shows it: in a quasi-static press by a rigid
+indenter the skin does not depend on Young's modulus. Rubber's modulus is proportional to the
+absolute temperature, 0.3 % a kelvin (Treloar, "The physics of rubber elasticity", 1975); the range
+is that of some thirty kelvins.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""`find-gap --demo`: draws a hidden effect, seals it, finds it, opens the seal.
+"""`find-gap --demo`: draws a hidden effect, publishes its hash, searches for it, reveals it.
 
 The reality is our own gel with another law than the library's, on another unit, with the errors of
-model and instruments: quick to make, and kinder than a measured sensor. `docs/gap_finder.md` says
+model and instruments: quick to make, and easier than a measured sensor. `docs/gap_finder.md` says
 how the finder does on data of other solvers.
 """
 
@@ -18,7 +18,7 @@ from dotsim_ros.gap.findings import Findings
 
 SENSOR = "sensor_a"
 NULL_SHARE = 0.1
-"""Of the seeds, in which nothing is hidden."""
+"""Share of the seeds for which nothing is hidden."""
 SKIN_SPACING_M = 1.2e-3
 
 
@@ -44,7 +44,7 @@ def is_right(findings: Findings, truth: Truth) -> bool:
 def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
     from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
-    from dotsim_ros.gap.presses.search import find_gap
+    from dotsim_ros.gap.presses.search import search_presses
     from dotsim_ros.gap.presses.search_state import GapRequest
     from dotsim_ros.gap.report.write import write_findings
     from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -54,7 +54,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
     sensor = load_sensor(SENSOR)
     truth = demo_truth(seed)
     directory.mkdir(parents=True, exist_ok=True)
-    print(f"sealed: sha256 {truth.digest()}", flush=True)
+    print(f"hidden effect drawn, sha256 {truth.digest()}", flush=True)
     data = directory / "measured"
     shutil.rmtree(data, ignore_errors=True)
     progress = PrintedProgress()
@@ -74,12 +74,12 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
         seed=seed,
         workers=workers,
     )
-    findings, overlay = find_gap(request, progress)
+    findings, overlay = search_presses(request, progress)
     write_findings(directory, findings, overlay)
     write_truth(directory / "truth_opened.json", truth, seed=seed)
     hidden = ", ".join(f"{name} ({size:.3g} {LAWS[name].unit})" for name, size in truth.effects)
     print(f"\n{findings.sentence}")
-    print(f"the seal holds: {hidden or 'nothing'} (sha256 {truth.digest()[:12]}...)")
+    print(f"hidden was {hidden or 'nothing'} (sha256 {truth.digest()[:12]}...)")
     right = is_right(findings, truth)
     print("the finder was right" if right else "the finder was wrong")
     return 0 if right else 1

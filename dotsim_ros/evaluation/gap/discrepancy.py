@@ -2,7 +2,7 @@
 are apart, what the twin is off by, and how much effects gain by it.
 
 All of it comes from the presses that are named, and from no other. How much effects gain is
-cross-fitted: one half of the presses tells the covariances and the bias, the other half shows what
+cross-fitted: one half of the presses gives the covariances and the bias, the other half shows what
 effects gain beside them, and the other way round, for several draws of the halves: the limit of
 latency from one draw alone was twice that from another.
 """
@@ -33,7 +33,7 @@ from dotsim_ros.measured.recording import Recording
 SPLITS = 4
 """Draws of the halves."""
 LIMIT_DRAWS = 15
-"""From each half."""
+"""Cases drawn from each half."""
 NULLS_OF_DRAW = 10
 QUANTILE = 0.98
 MARGIN = 1.5
@@ -42,7 +42,7 @@ by less than halves do."""
 
 
 def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> Discrepancy:
-    """Return all that some presses tell.
+    """Return the discrepancy that some presses show.
 
     Args:
         source: of the presses.

@@ -1,4 +1,4 @@
-"""From which size on the gap finder takes notice of an effect: its detection limits.
+"""Detection limits: from which size on the gap finder detects an effect.
 
 The library's own law is added to presses in which nothing is missing, at growing sizes, until the
 effect gains more than its limit.

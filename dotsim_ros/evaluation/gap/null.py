@@ -28,7 +28,7 @@ def residuals_without_effect(
         sensor: calibrated to it.
         directory: where solves are kept.
         workers: processes.
-        progress: told the solves.
+        progress: called with the number of solves done, and of all.
     """
     rest_m, values = measurement.skin.rest_position_m, values_of(sensor)
     with open_solver(sensor, measurement.skin, directory, workers=workers) as solver:

@@ -54,8 +54,8 @@ def gap_page(figures: dict[str, Any]) -> str:
             "# The gap finder on hidden effects\n",
             "Presses of an independent finite-element solver in which nothing is missing; a hidden "
             "effect adds what a law of its own, none of the library's, makes of our gel. Half of "
-            "the presses tell the finder how far model and measurement are apart without an "
-            "effect, what the twin is off by, and how much effects gain by it; the cases are drawn "
+            "the presses show the finder how far model and measurement are apart without an "
+            "effect, the twin's bias, and how much effects gain by it; the cases are drawn "
             "from the other half, then the halves change places: eight trajectories (twelve in a "
             "quarter of the single effects), Young's modulus off by 5 % (one deviation). Effects "
             "are simulated at several sizes beforehand, in place of the refits of a search. "
@@ -181,10 +181,10 @@ def gap_page(figures: dict[str, Any]) -> str:
                     for law, answers in figures["confusion"].items()
                 ],
             ),
-            "## What the halves tell\n",
-            "What the twin is off by, as each half says it to the finder before the other half is "
+            "## What the halves show\n",
+            "The twin's bias, as estimated from each half for the finder before the other half is "
             "searched, and by how much an effect must gain more than all do on simulated nulls "
-            "(4 where less is told).\n",
+            "(4 where the data show less).\n",
             _table(
                 ("", "first half", "second half"),
                 [

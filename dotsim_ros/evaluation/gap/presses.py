@@ -46,7 +46,7 @@ class Source:
         sensor: calibrated to it.
         run: folder of the solves.
         workers: processes.
-        progress: told each step's share.
+        progress: called with the step, the number of solves done, and of all.
     """
 
     directory: Path
@@ -199,7 +199,7 @@ def search_of(
         request=request,
         case=case,
         chosen=list(chosen),
-        locked=[],
+        held_out=[],
         noise=ChannelNoise(),
         discrepancy=discrepancy,
         random=np.random.default_rng(seed),

@@ -23,7 +23,7 @@ from dotsim_ros.gap.presses.evidence import Variant
 from dotsim_ros.gap.presses.inference import lengths
 
 SHARES = (0.4, 0.6, 0.8)
-"""Of the way from none to each end of an effect's range."""
+"""Sizes that are hidden, as shares of the way from none to each end of an effect's range."""
 
 
 @dataclass(frozen=True)

@@ -60,7 +60,7 @@ DECIDED_BY = ("dotsim_ros.evaluation.gap.study",)
 STIFFNESS_DECOY = 0.05
 LIMIT_SEARCHES = 5
 PAIRS = 12
-"""For each repeat and half."""
+"""Cases with a pair of effects, for each repeat and half."""
 DESIGNS = ((0.25, CASE_SIZE), (0.5, CASE_SIZE), (1.0, CASE_SIZE), (1.0, 12))
 """Shares of a law's full size, and presses of a case."""
 IMITATED = 0.9
@@ -148,8 +148,8 @@ def run_study(
     left_out: list[str] = []
     solves = 0
     limits: dict[str, Any] = {}
-    for number, (told, tested) in enumerate(((first, second), (second, first))):
-        known.append(calibrated_discrepancy(source, told, seed))
+    for number, (known_half, tested) in enumerate(((first, second), (second, first))):
+        known.append(calibrated_discrepancy(source, known_half, seed))
         with open_presses(source, tested, known[-1]) as presses:
             changes = _hidden_changes(presses, source, laws, seed)
             random = np.random.default_rng([seed, 1, number])

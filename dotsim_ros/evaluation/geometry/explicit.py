@@ -25,7 +25,7 @@ from dotsim_ros.twin.follow import follow
 
 PAPER_YOUNGS_MODULUS_PA = 27_575.0
 SEARCHED_POISSON_RATIOS = (0.303, 0.40, 0.45, 0.48)
-"""From the paper's own value to a gel nearly incompressible."""
+"""The search's values, from the paper's own to those of a nearly incompressible gel."""
 
 CLEARANCE_M = 0.3e-3
 """The explicit gel takes its first pose for granted, so that it must lie outside."""

@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.evaluation.table import GEOMETRY_COLUMNS, entry_list, markdown_table
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import DataSet
-from dotsim_ros.measured.presses import Press, read_press
+from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import read_observation
 from dotsim_ros.measured.split import (
     HELD_OUT_COUNT,
     Split,
@@ -68,13 +69,12 @@ def read_measured(data: DataSet) -> Measured:
     left_out: dict[str, str] = {}
     for entry in data.entries:
         try:
-            press = read_press(entry)
-            if press.indenter not in indenters:
-                indenters[press.indenter] = load_mesh(data.indenter_mesh(press.indenter))
+            found = read_observation(data, entry, vertex_count=skin.vertex_count)
         except (ValueError, OSError) as error:
             left_out[entry.name] = str(error)
             continue
-        presses[press.name] = press
+        presses[found.press.name] = found.press
+        indenters.setdefault(found.press.indenter, found.indenter)
     if not presses:
         reasons = "; ".join(left_out.values())
         raise ValueError(f"{data.directory}: no press can be read: {reasons}")
@@ -114,7 +114,7 @@ def evaluate_geometry(
         factories: makes each model, by name.
         seed: of the samples of the surfaces.
         from_depth_m: depth of the tip from which frames are judged.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
 
     Raises:
         ValueError: a model could not be made, or no frame is deep enough.

@@ -110,7 +110,7 @@ def runtime_rows(
         indenters: by name.
         skin: the measured skin at rest.
         efforts: the rows.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
     """
     rows = []
     for effort in efforts:
@@ -167,7 +167,7 @@ class _Errors:
     def add(self, press: Press, prediction: Prediction, indenter: Indenter, skin: SkinMesh) -> None:
         measured, force = press.skin_position_m, press.force_n
         if measured is None:
-            raise ValueError(f"{press.name}: no skin was measured, so no error can be told")
+            raise ValueError(f"{press.name}: no skin was measured, so no error can be computed")
         for frame in judged_frames(press, skin).tolist():
             region = contact_region(measured[frame], press.poses[frame], indenter)
             predicted = prediction.skin_position_m[frame]

@@ -2,7 +2,7 @@
 
 The recording (Rancho-zhao/FOTS, `mlp_calib/`, MIT) holds images of a ball of known diameter, with
 the circle of contact marked by hand in each, and one image without contact. The pose of the ball
-and the force were not recorded, so the shape of the gel is told from the circle:
+and the force were not recorded, so the shape of the gel is inferred from the circle:
 
 - by this package's gel: a flat pad pressed by the ball, as deep as makes the circle of contact. The
   pad is wide, so the press is solved once in its middle, and its displacement, a function of the
@@ -61,7 +61,7 @@ SENSOR = SensorSpecification(
 )
 """The pad's thickness is not recorded; silicone as its maker states that of a DenseTact."""
 CAMERA_DISTANCE_M = 0.03
-"""From the pad's face; such sensors are about as large."""
+"""Distance of the camera from the pad's face; such sensors are about as large."""
 PINHOLE = (1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0)
 """Coefficients of the tangent's series: an equidistant lens with them is a pinhole."""
 FIRST_DEPTH_M = 0.4e-3
@@ -342,7 +342,7 @@ def evaluate_gelsight(
         settings: how models are fitted; the seed draws the presses held out too.
         state: folder of a network's training.
         held_out: how many.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
 
     Raises:
         FileNotFoundError, ValueError: as `read_ball_presses`, or too few presses.

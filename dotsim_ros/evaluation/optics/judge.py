@@ -1,4 +1,4 @@
-"""Models of the image, judged on measured frames: scores, and what they come to."""
+"""Models of the image, judged on measured frames: scores and their summaries."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ Factory = Callable[[Sequence[OpticalPress], Rest, FisheyeCamera], ImageModel]
 
 @dataclass(frozen=True)
 class Idle:
-    """The idle image of the gel at rest, whatever presses: the floor."""
+    """The idle image, whatever presses the gel: the floor."""
 
     name: str = "idle"
 
@@ -256,11 +256,11 @@ def scores_from_json(rows: Iterable[Mapping[str, Any]]) -> list[ImageFrameScores
 def ceilings(data: OpticalData, idle_images: ImageArray) -> dict[str, float]:
     """Return what no model can pass, from measured images that show the same.
 
-    `camera_noise_db`: a noiseless image against one with the camera's noise, told from the
+    `camera_noise_db`: a noiseless image against one with the camera's noise, estimated from the
     differences of the idle images, each of which has the noise twice. `two_renderings_db`: the idle
     image against the frames before anything touched; on a stand-in sensor they are another
     rendering of the same scene. `one_rendering_db`: a frame against an image without any noise,
-    told from the differences of those frames, each of which has the noise of its own.
+    estimated from the differences of those frames, each of which has the noise of its own.
 
     Args:
         data: the measured frames.

@@ -103,8 +103,8 @@ def factory_of(
     Args:
         name: one of `NAMES`.
         settings: how it is fitted.
-        state: folder in which a network's training leaves its state, to go on from it.
-        progress: told what is being done.
+        state: folder in which a network's training leaves its state, to resume from.
+        progress: called with a line that says what is being done.
 
     Raises:
         ValueError: no such model, or one that needs torch where that is not installed.

@@ -1,9 +1,9 @@
 """How much of one real image of a press the motion of the gel explains.
 
 Of a real DenseTact there is one pair of images, idle and pressed, without a pose. The press is
-fitted to the image: a ball on the dome, where and how deep, so that the idle image that the gel
-carries along comes closest to the measured one. No learned model takes part; what is told is how
-much the floor, the idle image, rises by motion alone, and by motion with first-order shading.
+fitted to the image: a ball on the dome, where and how deep, so that the warped image comes closest
+to the measured one. No learned model takes part; reported is how much better than the floor, the
+idle image, an image is by motion alone, and by motion with first-order shading.
 
 The press is searched without gradients: a grid of directions and depths around where the image
 changes most, then Nelder and Mead's simplex (1965).
@@ -164,7 +164,7 @@ class PressSearch:
         skin = skin_of(sensor.gel)
         self._gel = make_gel(sensor, skin, sphere(BALL_RADIUS_M))
         self._renderer = SkinRenderer(self.camera, skin)
-        self.carrying = ImageRenderer(self.camera, skin, pair.idle, lighting=UNCHANGING)
+        self.warping = ImageRenderer(self.camera, skin, pair.idle, lighting=UNCHANGING)
         self.shading = ImageRenderer(
             self.camera, skin, pair.idle, lighting=lighting, vignetting=vignetting
         )
@@ -230,8 +230,8 @@ def evaluate_real_pair(
 ) -> dict[str, Any]:
     """Return the figures of the idle image and of the images of the presses that fit best.
 
-    Rows: `idle`; `warped_by_pattern`, the motion alone of the press whose pattern is most like the
-    measured one; `warped`, the motion alone of the press of least squared error of the image;
+    Rows: `idle`; `carried_by_pattern`, the warped image of the press whose pattern is most like the
+    measured one; `carried`, the warped image of the press of least squared error of the image;
     `shaded_by_pattern`, the first press with first-order shading; `shaded`, motion and shading of
     the press of least squared error.
 
@@ -240,7 +240,7 @@ def evaluate_real_pair(
         sensor: the gel; its camera's place.
         disc: where the lit disc lies in the images.
         lighting, vignetting: of the real sensor, as far as they are known.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
     """
     search = PressSearch(pair, sensor, disc, lighting, vignetting)
     # The disc's rim does not move and would outweigh the pattern.
@@ -264,11 +264,11 @@ def evaluate_real_pair(
     grid = search.grid()
     progress("fitting the press to the pattern")
     ball, view = search.best(
-        grid, lambda v: -pattern_likeness(search.carrying.warp(v), pair.pressed, inner)
+        grid, lambda v: -pattern_likeness(search.warping.warp(v), pair.pressed, inner)
     )
-    rows["carried_by_pattern"] = row(search.carrying.warp(view), ball)
+    rows["carried_by_pattern"] = row(search.warping.warp(view), ball)
     rows["shaded_by_pattern"] = row(search.shading.warp(view), ball)
-    for name, renderer in (("carried", search.carrying), ("shaded", search.shading)):
+    for name, renderer in (("carried", search.warping), ("shaded", search.shading)):
         progress(f"fitting the press to the image, {name}")
         ball, view = search.best(grid, lambda v, r=renderer: squared(r.warp(v)))  # type: ignore[misc]
         rows[name] = row(renderer.warp(view), ball)
@@ -290,7 +290,7 @@ def real_pair_page(figures: dict[str, Any]) -> str:
     """Return the table as a Markdown page."""
     rows = [
         (
-            [name],
+            [name.replace("carried", "warped")],
             row
             | {f"mask_{key}": value for key, value in row["mask"].items()}
             | (row["press"] or {}),
@@ -302,8 +302,8 @@ def real_pair_page(figures: dict[str, Any]) -> str:
             "# One real press on a DenseTact\n",
             markdown_table(["image"], rows, REAL_PAIR_COLUMNS),
             f"The press, of a ball of {figures['ball_radius_mm']:g} mm radius, was fitted to the "
-            "image itself: no figure here is on held-out data. Carried: the idle image moved by "
-            "the gel; shaded: first-order shading as well, under lights told by eye. By pattern: "
+            "image itself: no figure here is on held-out data. warped: the idle image warped by "
+            "the gel; shaded: first-order shading as well, under lights set by eye. by_pattern: "
             "the press whose fine pattern, at even contrast, correlates best with the measured "
             "one; the others: the press of least squared error in the mask. x and y: unit vector "
             "from the dome's centre to the press.\n",

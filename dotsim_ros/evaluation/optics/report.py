@@ -149,11 +149,11 @@ def definitions() -> dict[str, str]:
         ),
         "by_trajectory": "whole trajectories are drawn; hard is the same both ways",
         "ceiling": (
-            "camera_noise_db: an image without noise against one with the camera's, told from the "
+            "camera_noise_db: an image without noise against one with the camera's, by the "
             "differences of the idle images; two_renderings_db: the idle image against the frames "
             "before anything touched, which on a rendered stand-in are another rendering of the "
-            "same scene; one_rendering_db: such a frame against an image without any noise, told "
-            "from the differences of those frames"
+            "same scene; one_rendering_db: such a frame against an image without any noise, "
+            "estimated from the differences of those frames"
         ),
     }
 
@@ -242,7 +242,7 @@ def _trainings(rows: Mapping[str, Any]) -> dict[str, str]:
         if training is None:
             words[model] = f"{row['fit_s'] / 60.0:.1f} minutes, its epochs were not counted"
             continue
-        ended = ", **broken off by the time allowed**" if training["cut_short"] else ""
+        ended = ", **cut short by the time budget**" if training["cut_short"] else ""
         words[model] = (
             f"{training['epochs']} epochs in {training['minutes']:.1f} minutes of CPU time, images "
             f"of {training['width_px']}x{training['height_px']}{ended}"

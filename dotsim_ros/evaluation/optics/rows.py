@@ -1,6 +1,6 @@
 """Rows of the optics table, kept on disk as soon as they are there.
 
-Fitting a network takes minutes to hours, so a run that was broken off goes on where it ended: a row
+Fitting a network takes minutes to hours, so an interrupted run resumes where it ended: a row
 is found again by the data, the frames of its split, its model, how that is fitted and the code that
 does it. Frames and models that are the same give the same row, whatever the split is called.
 """
@@ -53,7 +53,7 @@ class _Course(Protocol):
 
 @runtime_checkable
 class _TrainedModel(Protocol):
-    """A network: it says how its training went."""
+    """A network that reports how its training went."""
 
     trained: _Course
     size: tuple[int, int]
@@ -109,12 +109,12 @@ class RowMaker:
     """Makes rows, or finds those made before.
 
     Attributes:
-        data: the measured frames, with what the gel says of them.
+        data: the measured frames, with the simulated skin.
         clipped: gives the presses with Tacto's clipped skin, when a row needs them.
         refined: gives the same frames by an idle image that the frames of a split to fit on refine.
         cache: folder of the rows.
         settings: how models are fitted.
-        progress: told what is being done.
+        progress: called with a line that says what is being done.
     """
 
     data: OpticalData

@@ -12,7 +12,7 @@ from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.measured.data_set import DataSet
-from dotsim_ros.measured.presses import read_press
+from dotsim_ros.measured.reading import read_motion
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
@@ -45,7 +45,7 @@ def clipped_presses(
     for press in data.presses:
         if press.indenter not in indenters:
             indenters[press.indenter] = load_mesh(data_set.indenter_mesh(press.indenter))
-        poses = read_press(entries[press.name]).poses
+        poses = read_motion(entries[press.name]).poses
         presses[press.name] = clipped_press(press, poses, indenters[press.indenter], renderer)
     return presses
 

@@ -75,7 +75,7 @@ TRIAL_COLOURS = ("#1f5fa8", "#c0392b", "#2e8b57", "#7d3c98", "#b9770e")
 
 
 def drawn_places(path: str, position_m: FloatArray) -> tuple[FloatArray, FloatArray, str, str]:
-    """Return the two coordinates (mm) that a path is told best by, and their names."""
+    """Return the two coordinates (mm) that show a path best, and their names."""
     contact = DomeContact()
     tilt, depth_m = contact.tilt_and_depth(position_m)
     radius_mm = 1e3 * (contact.dome_radius_m + contact.ball_radius_m - 1.4e-3)

@@ -1,4 +1,4 @@
-"""Trajectories followed by touch alone: the settings, the trials, and what a recording is worth.
+"""Trajectories followed by touch alone: the settings, the trials, and the score of a recording.
 
 What runs the loop is handed in, so nothing here needs ROS.
 """
@@ -35,8 +35,8 @@ SIMULATED, TRANSFERRED, SHIFTED = "simulated", "transferred", "shifted"
 SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED)
 STIFFER, DIMMED, TILT_DEG = 1.1, 0.6, 1.0
 CAMERA_NOISE_LEVELS = 1.2
-"""Of the camera of `sensor_a`: shared/measured/README.md states it, differences of its five idle
-images tell the same."""
+"""Image noise of the camera of `sensor_a`, as its data set states it; differences of its five idle
+images confirm it."""
 START_SPREAD_M = 0.4e-3
 """Standard deviation along each axis of where a trial starts beside its path."""
 BRAKING_S = 0.3
@@ -117,7 +117,7 @@ class Loop(Protocol):
 
 @dataclass
 class TrajectoryTrials:
-    """The recordings of a plan, and what they are worth.
+    """The recordings of a plan, and their figures.
 
     Attributes:
         recordings: of each trial, by setting and path.
@@ -222,7 +222,7 @@ def run_trials(
         plan: what to try.
         loop: runs it.
         limits: that the motion is held against.
-        cache: folder of the recordings; a run that was broken off goes on.
+        cache: folder of the recordings; an interrupted run is resumed.
         contact: of the ball on the dome.
         progress: takes a line for each trial.
 
@@ -245,7 +245,7 @@ def run_trials(
                 row = judge(recording, path, limits)
                 trials.recordings.setdefault((setting.name, name), []).append(recording)
                 trials.rows.setdefault((setting.name, name), []).append(row)
-                progress(f"{setting.name}, {name}, trial {number + 1}: {told(row)}")
+                progress(f"{setting.name}, {name}, trial {number + 1}: {summary_of(row)}")
     return trials
 
 
@@ -271,7 +271,7 @@ def _tried(
     raise AssertionError("TRIES is at least one")
 
 
-def told(row: Mapping[str, Any]) -> str:
+def summary_of(row: Mapping[str, Any]) -> str:
     """Return a trial's figures on one line."""
     if "mean_error_mm" not in row:
         return f"not judged: {row['ended']}"
@@ -284,7 +284,7 @@ def told(row: Mapping[str, Any]) -> str:
 
 
 def judge(recording: LoopRecording, path: ReferencePath, limits: SafetyLimits) -> dict[str, Any]:
-    """Return what a recording is worth.
+    """Return the figures of a recording.
 
     Errors are distances from where the indenter was in the sensor's frame to the nearest point of
     the path, after the first APPROACH_S in which the arm was led; largest values are of the whole

@@ -31,7 +31,7 @@ class Shot:
         name: of the trajectory.
         recording: its motion; None for `IDLE`.
         measured: (F, H, W, 3), 0 to 255.
-        film: what the twin says.
+        film: what the twin predicts.
         residual: (F, T, 6) observables of measured against predicted.
         change: (F, T, 6) `contact_change` of the prediction.
     """
@@ -68,7 +68,7 @@ class OpticalCase:
     Attributes:
         shots: `IDLE` first.
         meter: that compared them.
-        camera: (T, 6) deviation by the camera's noise; NaN where a single idle image tells none.
+        camera: (T, 6) deviation by the camera's noise; NaN where there is a single idle image.
     """
 
     shots: tuple[Shot, ...]
@@ -110,7 +110,7 @@ def optical_case(
         model: of the twin's images, at their size.
         skins: (F, V, 3) of the sensor's skin by name of the trajectory; those that it lacks are
             left out.
-        progress: told the trajectories.
+        progress: called with the number of trajectories done, and of all.
     """
     # Loaded on use: it starts Warp.
     from dotsim_ros.optics.idle import lit_region

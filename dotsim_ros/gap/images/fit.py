@@ -68,7 +68,7 @@ class OpticalAnswer:
     Attributes:
         verdict: the answer.
         named: the effects.
-        alternatives: names of those that the first is not told from.
+        alternatives: names of those that cannot be distinguished from the first.
         scores: of all effects, the best first.
         statistic, threshold: the largest, and what 1 - alpha of data without any effect stay below.
         explained: share of what could be removed that the best effects take away.
@@ -249,7 +249,7 @@ class ImageSearch:
         return Fitted(effect, score, signatures[effect.name][0])
 
     def _alternatives(self, scores: Sequence[EffectScore], best: Fitted) -> tuple[str, ...]:
-        """Return the effects that the data do not tell from the best one."""
+        """Return the effects that the data do not distinguish from the best one."""
         order = sorted(scores, key=lambda score: score.name != best.effect.name)
         past = {score.name for score in scores if score.statistic > self.threshold}
         return tuple(n for n in alike(order, self.search.likeness())[1:] if n in past)

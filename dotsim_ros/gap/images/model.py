@@ -2,7 +2,7 @@
 
 The image of the calibrated gel is made by the frozen network from the twin's own idle frame, or
 from that of the unit's commissioning where there is one. The idle images that are searched are not
-used for it: whatever changed since then would be warped into every prediction and be seen no more.
+used for it: whatever changed since then would be in every prediction, and so could not be found.
 Optical effects act on these images.
 
 Importing this loads neither Warp nor ONNX Runtime.

@@ -1,7 +1,7 @@
 """What images show where nothing is missing: the file that thresholds of the images come from.
 
 It holds the covariance of the tiles, the sizes that the model's own error gives each effect, and
-how far whole trajectories lie from what the covariance says. It is made from images in which
+how far whole trajectories exceed what the covariance predicts. It is made from images in which
 nothing is wrong (`dotsim_ros find-gap --fit-optical-noise`); a file made with one sensor serves
 another's images as a guess, each of whose tiles takes the deviations of the nearest one.
 """
@@ -61,7 +61,7 @@ class OpticalNull:
         spurious: of the effects' sizes.
         excess: (J,) mean square of the whitened residual of each trajectory, by the covariance of
             the others.
-        sensor: whose images it was told from.
+        sensor: whose images it was estimated from.
         source: which ones, in words.
     """
 
@@ -128,13 +128,13 @@ class OpticalNull:
         That of the probe whose shape is nearest.
 
         Raises:
-            ValueError: the file knows nothing of this effect's parameters.
+            ValueError: the file does not hold this effect's parameters.
         """
         names = {d.name for d in signature.directions}
         known = self._known(name, names, set(signature.shape))
         if not known:
             raise ValueError(
-                f"the file of the images' noise knows nothing of {name} "
+                f"the file of the images' noise does not hold the effect {name} "
                 f"({', '.join(sorted(names))}); make it anew with find-gap --fit-optical-noise"
             )
         step = signature.directions[0].step
@@ -158,7 +158,7 @@ class OpticalNull:
     def largest_excess(self, alpha: float) -> float:
         """Return the mean square that one more trajectory exceeds with probability alpha.
 
-        Its logarithm is taken as normal, of the mean and the deviation that few trajectories tell.
+        Its logarithm is taken as normal, of the mean and the deviation that few trajectories have.
         Data of several trajectories scatter less if these are independent, which is not assumed.
         """
         logarithm = np.log(self.excess)
@@ -197,14 +197,16 @@ def fit_optical_null(
         sensor: name of the sensor.
         source: what the images are, in words.
         signatures: of the effects on the trajectories, where they were made before.
-        progress: told the trajectories.
+        progress: called with the number of trajectories done, and of all.
 
     Raises:
         ValueError: fewer than five trajectories, or a single idle image.
     """
     shots = [shot for shot in case.shots if shot.name != IDLE]
     if not np.all(np.isfinite(case.camera)):
-        raise ValueError("a single idle image tells no noise of the camera; record a few")
+        raise ValueError(
+            "the camera's noise cannot be estimated from a single idle image; record a few"
+        )
     residuals, changes = [s.residual for s in shots], [s.change for s in shots]
     films, centre = [s.film for s in shots], case.meter.grid.centre_px
     noise = estimate_noise(residuals, changes, case.camera, centre)
@@ -214,12 +216,12 @@ def fit_optical_null(
     excess = np.zeros(len(shots))
     for left_out in range(len(shots)):
         others = [k for k in range(len(shots)) if k != left_out]
-        told = estimate_noise(
+        of_others = estimate_noise(
             [residuals[k] for k in others], [changes[k] for k in others], case.camera, centre
         )
         own = camera_nuisances([films[left_out]], case.meter)
         excess[left_out] = np.mean(
-            freed([residuals[left_out]], told, own, [changes[left_out]]) ** 2
+            freed([residuals[left_out]], of_others, own, [changes[left_out]]) ** 2
         )
         if progress is not None:
             progress(left_out + 1, len(shots))

@@ -1,10 +1,10 @@
-"""Reads the images of a data set for the gap finder, and says what of them cannot be used."""
+"""Reads the images of a data set for the gap finder, and reports what of them cannot be used."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -12,19 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.gap.images.model import resized_image
-from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
-from dotsim_ros.measured.measurement import find_indenter
-from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.measured.reading import read_press_images
 from dotsim_ros.measured.recording import Recording, phases_of
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, PoseChannel, Topics, read_trajectory
+from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
 
 MOST_IMAGES = 300
-"""Of a data set; trajectories are thinned evenly to come to no more."""
+"""Most images of a data set that are used; trajectories are thinned evenly to this number."""
 LEAST_FRAMES = 4
-"""Of a trajectory that is thinned."""
+"""Least number of frames of a trajectory that is thinned."""
 
 ALIKE = 0.5
 """Correlation of the pattern of two idle frames of one unit; those of two units have 0.2 to 0.3 at
@@ -138,20 +135,6 @@ def read_images(
     )
 
 
-def resized_images(images: MeasuredImages, width: int, height: int) -> MeasuredImages:
-    """Return the same images at another size."""
-    if images.idle_images.shape[1:3] == (height, width):
-        return images
-    return replace(
-        images,
-        idle_images=_resized(images.idle_images, width, height),
-        trajectories=tuple(
-            replace(one, measured=_resized(one.measured, width, height))
-            for one in images.trajectories
-        ),
-    )
-
-
 def check_same_unit(idle: ImageArray, measured: ImageArray, *, owner: str) -> None:
     """Refuse images of another unit: the pattern of the coat is each unit's own.
 
@@ -216,10 +199,6 @@ def _most_frames(counts: Sequence[int]) -> int:
     return max(LEAST_FRAMES, MOST_IMAGES // max(len(counts), 1))
 
 
-def _resized(images: ImageArray, width: int, height: int) -> ImageArray:
-    return np.stack([resized_image(one, width, height) for one in images])
-
-
 def _duration_s(entry: DataSetEntry, topics: Topics) -> float:
     pose = read_trajectory(entry.bag, topics=topics, channels=("pose",)).pose
     return 0.0 if pose is None else 1e-9 * float(pose.stamp_ns[-1] - pose.stamp_ns[0])
@@ -235,49 +214,14 @@ def _read(
     topics: Topics,
     most: int,
 ) -> ImageTrajectory:
-    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "wrench", "image"))
-    pose, image, wrench = trajectory.pose, trajectory.image, trajectory.wrench
-    if image is None or pose is None:
-        missing = topics.image if image is None else topics.pose
-        raise ValueError(f"nothing on {missing} in the bag; record it, or name its topic")
-    if image.pixels.shape[1:] != idle_images.shape[1:]:
-        raise ValueError(
-            f"its images are {image.pixels.shape[2]}x{image.pixels.shape[1]}, the idle images "
-            f"{idle_images.shape[2]}x{idle_images.shape[1]}; take both with one camera and setting"
-        )
-    within = (image.stamp_ns >= pose.stamp_ns[0]) & (image.stamp_ns <= pose.stamp_ns[-1])
-    frames = np.flatnonzero(within)
-    if not len(frames):
-        raise ValueError("no image was taken while poses were recorded; stamp both by one clock")
-    if len(frames) > most:
-        frames = frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))]
-    stamp_ns = image.stamp_ns[frames]
-    stamp_s = 1e-9 * stamp_ns.astype(np.float64)
-    force = None
-    if wrench is not None:
-        times = 1e-9 * wrench.stamp_ns.astype(np.float64)
-        force = np.stack([np.interp(stamp_s, times, axis) for axis in wrench.force_n.T], axis=1)
-    poses = [_pose_at(pose, stamp) for stamp in stamp_ns.tolist()]
-    press = Press(entry.name, entry.indenter, poses, stamp_s, force_n=force)
-    depth_m = np.asarray(tip_depth_m(skin, poses))
-    began_s = session_s + 1e-9 * float(stamp_ns[0] - pose.stamp_ns[0])
+    found = read_press_images(entry, idle=idle_images[0], topics=topics, most=most)
+    press = found.press
+    depth_m = np.asarray(tip_depth_m(skin, press.poses))
     recording = Recording(
         press,
         find_indenter(data_set, entry.indenter, indenters),
-        began_s,
+        session_s + found.delay_s,
         depth_m,
-        phases_of(poses, stamp_s, depth_m),
+        phases_of(press.poses, press.stamp_s, depth_m),
     )
-    return ImageTrajectory(recording, image.pixels[frames])
-
-
-def _pose_at(pose: PoseChannel, stamp_ns: int) -> Pose:
-    """Return the pose at a time within those of the channel."""
-    after = int(np.searchsorted(pose.stamp_ns, stamp_ns))
-    later = Pose(pose.position_m[after], pose.quaternion_xyzw[after])
-    if pose.stamp_ns[after] == stamp_ns:
-        return later
-    before = after - 1
-    earlier = Pose(pose.position_m[before], pose.quaternion_xyzw[before])
-    lapse = float(pose.stamp_ns[after] - pose.stamp_ns[before])
-    return interpolate(earlier, later, float(stamp_ns - pose.stamp_ns[before]) / lapse)
+    return ImageTrajectory(recording, found.pixels)

@@ -12,7 +12,7 @@ tiles share looks like a small effect, and many frames make it significant. So e
 to trajectories in which nothing is wrong, one by one. The variance of these spurious sizes beyond
 their sampling error (by the estimator of Paule and Mandel, "Consensus values and weighting
 factors", Journal of Research of the National Bureau of Standards 87(5), 1982) is added to that of
-the size found, as if the error were the same in all trajectories. It is told from a few
+the size found, as if the error were the same in all trajectories. It is estimated from few
 trajectories: the statistic's threshold is that of Student's distribution, drawn with the
 signatures' products alone.
 """
@@ -385,7 +385,7 @@ class OpticalSearch:
         value, vector = np.linalg.eigh(self._gram)
         root = vector * np.sqrt(np.maximum(value, 0.0))
         draws = random.standard_normal((count, len(value))) @ root.T
-        # Student's: the variances are told from so many trajectories.
+        # Student's: the variances are estimated from so many trajectories.
         freedom = self._noise.trajectory_count
         draws /= np.sqrt(random.chisquare(freedom, (count, 1)) / freedom)
         # Noise over its own deviation has this distribution whatever part of it is the model's.
@@ -514,29 +514,8 @@ def freed(
     return _without(whitened[:, 1:], deviations)(whitened[:, 0])
 
 
-def score_optical(
-    residual: Sequence[FloatArray],
-    signatures: Mapping[str, Sequence[Signature]],
-    noise: TileNoise,
-    nuisances: Sequence[CameraNuisance],
-    changes: Sequence[FloatArray],
-    spurious: Spurious | None = None,
-) -> list[EffectScore]:
-    """Return the scores of optical effects, best first.
-
-    Args:
-        residual: (F, T, 6) of each trajectory, measured against predicted.
-        signatures, noise, nuisances, changes, spurious: as `OpticalSearch`, which scores many
-            residuals.
-
-    Raises:
-        ValueError: as `OpticalSearch`.
-    """
-    return OpticalSearch(signatures, noise, nuisances, changes, spurious).score(residual)
-
-
 def alike(scores: Sequence[EffectScore], likeness: Iterable[Likeness]) -> list[str]:
-    """Return the effects that the data cannot tell from the best one, the best first.
+    """Return the effects that the data cannot distinguish from the best one, the best first.
 
     Args:
         scores: best first.

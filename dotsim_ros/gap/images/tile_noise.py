@@ -1,12 +1,12 @@
 """How far tiles of measured images lie from the twin's where no effect is missing.
 
-Two parts: the camera's noise, told from repeats, and the model's own error, told from images of
-trajectories that nothing was fitted to and in which nothing is wrong. An observable's deviation is
-that of its tile at rest, and grows with what the contact changes there: a model errs where there
-is something to predict. Errors of one channel are partly white, partly shared by neighbouring tiles
-and frames with a correlation that falls exponentially in both, so that many frames of one
-trajectory do not count as so many answers. The three numbers of a channel are those of greatest
-likelihood.
+Two parts: the camera's noise, estimated from repeats, and the model's own error, estimated from
+images of trajectories that nothing was fitted to and in which no effect is missing. The deviation
+of an observable is that of its tile at rest, and grows with what the contact changes there: a model
+errs where there is something to predict. Errors of one channel are partly white, partly shared by
+neighbouring tiles and frames with a correlation that falls exponentially in both, so that many
+frames of one trajectory do not count as independent. The three numbers of a channel are those of
+greatest likelihood.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ LEAST_TRAJECTORIES = 4
 
 @dataclass(frozen=True)
 class Correlation:
-    """Of the errors of one channel.
+    """Correlation of the errors of one channel.
 
     Attributes:
         white: share of the variance that nothing shares.
@@ -64,7 +64,7 @@ class TileNoise:
         growth: (6,) deviation by the model's error, over what the contact changes.
         mixing: (6, 6) symmetric; turns deviations into channels that are not correlated.
         correlations: of those channels.
-        trajectory_count: how many trajectories it was told from.
+        trajectory_count: how many trajectories it was estimated from.
     """
 
     centre_px: FloatArray
@@ -140,7 +140,7 @@ def estimate_noise(
     """
     if len(residuals) < LEAST_TRAJECTORIES:
         raise ValueError(
-            f"{len(residuals)} trajectories tell nothing of a model's error, expected "
+            f"{len(residuals)} trajectories are too few to estimate a model's error, expected "
             f"{LEAST_TRAJECTORIES} at least that nothing was fitted to"
         )
     total, growth = _variances(np.concatenate(residuals), np.concatenate(changes))

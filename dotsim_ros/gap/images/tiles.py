@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from dotsim_ros.arrays import BoolArray, FloatArray, IntArray
 
 NAMES = ("red", "green", "blue", "sharpness", "shift_x", "shift_y")
-UNITS = ("level", "level", "level", "", "px", "px")
 """Observables of a tile."""
 COLOURS = slice(0, 3)
 SHARPNESS = 3
@@ -83,7 +82,7 @@ def tile_grid(lit: BoolArray, *, columns: int = 8, rows: int = 6) -> TileGrid:
     """
     height, width = lit.shape
     rim = RIM_PX * max(height / REFERENCE_HEIGHT, 1.0)
-    # Beyond the image's edge the disc goes on.
+    # Beyond the image's edge the disc continues.
     padded = cv2.copyMakeBorder(lit.astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_REPLICATE)
     distance = cv2.distanceTransform(padded, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     inside = distance > rim
@@ -205,7 +204,7 @@ class TileMeter:
         # What moves by d looks at x - d: the difference is -d . gradient.
         terms = np.stack([-slope_x, -slope_y, grey, np.ones_like(grey)], axis=-1)
         normal = self.grid.mean(terms[..., :, None] * terms[..., None, :])
-        # A tile without texture tells no motion: none is found there.
+        # A tile without texture does not identify a motion: none is found there.
         inverse = np.asarray(np.linalg.pinv(normal, rcond=1e-9), dtype=np.float64)
         return _Reference(self.grid.mean(image), grey, self._detail(grey), terms, inverse[:, :2])
 

@@ -198,7 +198,7 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
 
 
 def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked], list[Ranked]]:
-    """Return the verdict, the effects to add, and those that the first is not told from."""
+    """Return the verdict, the effects to add, and those not distinguished from the first."""
     for entry in _close(ranked):
         entry.explained = _explained(search, [entry])
         entry.held_out_gain = _held_out_gain(search, entry)
@@ -267,7 +267,7 @@ def _fit_by_channel(evidence: Evidence, columns: FloatArray) -> Fit:
 
 
 def sizes_by_channel(search: Search, entry: Ranked) -> tuple[float, float] | None:
-    """Return the size of an effect as the skin tells it and as the force does, None where they do
+    """Return the size of an effect as the skin gives it and as the force does, None where they do
     not disagree, or one of them says nothing of it."""
     columns = _by_channel(search, [entry])
     if not columns.any(axis=0).all():
@@ -321,7 +321,7 @@ def _held_out_gain(search: Search, entry: Ranked) -> float:
     each in turn, its size and the nuisances as uncertain as the others leave them.
 
     The score of one trajectory is the log of the probability of all data less that of the others
-    (Dawid 1984). A size that the others cannot tell costs little, one that they tell otherwise
+    (Dawid 1984). A size that the others do not identify costs little, one that they contradict
     costs much.
     """
     places = range(len(search.chosen))

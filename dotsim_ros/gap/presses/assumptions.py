@@ -18,7 +18,7 @@ from dotsim_ros.measured.recording import Recording
 
 SHIFT_STEP_M = 0.1e-3
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}
-"""Of the differences, in the parameters' coordinates: of the size of the priors."""
+"""Steps of the finite differences, in the parameters' coordinates: of the size of the priors."""
 TOLERANCES = {
     "thickness": ("thickness_error", {"thickness_share": -0.0225}),
     "delay": ("latency", {"latency_s": 0.01}),
@@ -28,7 +28,7 @@ TOLERANCES = {
 """Effects that are there to a small degree in any unit and setup, or that the model's own error
 looks like: the effect of each, and the step of the difference, in its first parameter."""
 BIASED = ("friction", *TOLERANCES)
-"""Nuisances whose means presses in which nothing is missing tell."""
+"""Nuisances whose means are estimated from presses in which no effect is missing."""
 SHARED, OWN, SINCE = "shared", "own", "since"
 
 
@@ -91,7 +91,7 @@ DIFFERENTIAL = (
     *_OWN_ERRORS,
     PressNuisance("E_since", "log", 0.02, SINCE),
 )
-"""Against the unit's own commissioning, which tells its constants; since then, its stiffness may
+"""Against the unit's own commissioning, which gives its constants; since then, its stiffness may
 have changed by what a laboratory's temperature does."""
 
 

@@ -22,7 +22,7 @@ INTERVAL_DRAWS = 100
 CHI_SQUARE = 3.84
 """95 % of one degree of freedom."""
 EXCESS = 2.0
-"""Least factor by which true data are worse than their covariance says: intervals without it hold
+"""Least factor by which true data exceed what their covariance predicts: intervals without it hold
 the truth in 85 % of the cases of a half, where 95 are meant."""
 FIRST_STEP = 0.02
 HALVINGS = 10

@@ -55,13 +55,13 @@ def findings_of(
         discrepancy=search.discrepancy,
     )
     measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
-    judged = search.locked or measured
+    judged = search.held_out or measured
     closed: tuple[float, float, float] | None = None
     if named:
         closed = share_closed(residuals, judged, search.random)
         if not np.isfinite(closed[0]):
             closed = None
-            search.warnings.append("the locked trajectories show no gap that could be closed")
+            search.warnings.append("the held-out trajectories show no gap that could be closed")
     if stability is not None and stability < decision.STABLE_SHARE:
         search.warnings.append(
             f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
@@ -113,7 +113,7 @@ def findings_of(
         worst=worst,
         warnings=tuple(search.warnings),
         trajectories=tuple(case.trajectories[k].recording.name for k in search.chosen),
-        locked=tuple(case.trajectories[k].recording.name for k in search.locked),
+        locked=tuple(case.trajectories[k].recording.name for k in search.held_out),
         data_hash=measurement.digest,
         sensor=request.sensor.name,
     )

@@ -30,7 +30,7 @@ SHALLOW_M = 1.5e-3
 """A surface that is off by d changes the force, which grows with the depth's power of 3/2 (Hertz),
 by the share 3/2 d / depth: the force's discrepancy is this share larger."""
 JUDGED_DEPTH_M = 0.5e-3
-"""Frames less deep tell nothing about the discrepancy."""
+"""Shallower frames do not identify the discrepancy."""
 SHRINKAGE = 0.3
 """Share of the diagonal, averaged over a ring, that a covariance from few presses is drawn to."""
 WAY_SHARE = 0.2

@@ -33,9 +33,6 @@ from dotsim_ros.measured.recording import Recording
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.solver import Progress
 
-SMALLEST_SEGMENT = 1.0e-3
-"""Share of an effect's range below which two of its nodes are one."""
-
 
 @dataclass(frozen=True)
 class EvidenceTrajectory:
@@ -274,7 +271,7 @@ class Case:
 
         Args:
             wanted: variants and sizes.
-            progress: told the solves.
+            progress: called with the number of solves done, and of all.
         """
         requests, owners = [], []
         for variant, size in wanted:
@@ -358,7 +355,7 @@ def make_trajectories(
         skin: the skin's markers.
         noise, discrepancy: of measurement and model.
         channels: that are used.
-        progress: told the solves.
+        progress: called with the number of solves done, and of all.
 
     Returns:
         The trajectories, those of the reference first, and what had to be left out.

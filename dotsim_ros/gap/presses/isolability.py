@@ -1,4 +1,4 @@
-"""Which effects the protocols tell apart, and which of them does it best (step 7 of the method)."""
+"""Which effects the protocols distinguish, and which one does so best (step 7 of the method)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Patterns that a residual may have whatever its cause: by channel, phase and region.
 
-They tell how much of a residual could be removed by any model at all, and where it lives, when no
-effect of the library explains it.
+They show how much of a residual any model could remove, and where it lies, when no effect of the
+library explains it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Tries every effect of the library on the evidence, and says what chance would have given."""
+"""Tries every effect of the library on the evidence, against what chance would give."""
 
 from __future__ import annotations
 

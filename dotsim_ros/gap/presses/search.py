@@ -26,7 +26,7 @@ from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
 
 
-def find_gap(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:
+def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:
     """Search a data set; return what was found, and the overlay if an effect was named.
 
     Raises:
@@ -78,14 +78,14 @@ def find_gap(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay
         case = Case(
             trajectories, nuisances, library, solver, values, measurement.skin.rest_position_m
         )
-        chosen, locked = _lock(case, random)
-        if not locked:
+        chosen, held_out = _hold_out(case, random)
+        if not held_out:
             warnings.append(
-                "no protocol was repeated: nothing could be kept locked, so the gain is shown on "
+                "no protocol was repeated: nothing could be held out, so the gain is shown on "
                 "the data that the effect was found in; repeat each protocol"
             )
         search = Search(
-            request, case, chosen, locked, noise, discrepancy, random, progress, warnings
+            request, case, chosen, held_out, noise, discrepancy, random, progress, warnings
         )
         findings, overlay = _run(search, measurement, reference)
     seconds = time.monotonic() - begun_s
@@ -106,12 +106,12 @@ def _read(request: GapRequest) -> tuple[Measurement, Measurement | None]:
     return measurement, reference
 
 
-def _lock(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]]:
-    """Return trajectories to search, and to keep locked: one of each repeated protocol."""
+def _hold_out(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]]:
+    """Return trajectories to search, and to hold out: one of each repeated protocol."""
     measured = [n for n, t in enumerate(case.trajectories) if not t.is_reference]
     places = one_of_each([protocol_of(case.trajectories[n].recording) for n in measured], random)
-    locked = [measured[place] for place in places]
-    return [n for n in range(len(case.trajectories)) if n not in locked], locked
+    held_out = [measured[place] for place in places]
+    return [n for n in range(len(case.trajectories)) if n not in held_out], held_out
 
 
 def _run(

@@ -20,7 +20,7 @@ from dotsim_ros.gap.presses.screening import Trial
 from dotsim_ros.specification import SensorSpecification
 
 Progress = Callable[[str, int, int], None]
-"""Told a step's name, and how much of it is done, of how much."""
+"""Called with a step's name, how much of it is done, and of how much."""
 PATTERN_DEVIATION = 20.0
 """Prior of a pattern, in its percents of the press."""
 
@@ -87,7 +87,7 @@ class Search:
     request: GapRequest
     case: Case
     chosen: list[int]
-    locked: list[int]
+    held_out: list[int]
     noise: ChannelNoise
     discrepancy: Discrepancy
     random: np.random.Generator
@@ -114,7 +114,7 @@ class Search:
     @cached_property
     def misfit_limit(self) -> float:
         """Largest objective of an observable that data without any effect leave, as the
-        commissioning tells where there is one."""
+        commissioning shows where there is one."""
         reference = [
             place for place, k in enumerate(self.chosen) if self.case.trajectories[k].is_reference
         ]

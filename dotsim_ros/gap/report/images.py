@@ -36,7 +36,7 @@ _MARKER = 330.0
 
 
 def image_sections(f: OpticalFindings, effects: Mapping[str, Effect]) -> tuple[Section, ...]:
-    """Return the sections on the images: what they told, where, and the effects that were tried.
+    """Return the sections on the images: what was found, where, and the effects that were tried.
 
     Args:
         f: what was found in the images.

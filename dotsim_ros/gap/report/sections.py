@@ -1,4 +1,4 @@
-"""The sections of a gap's report: what was found, in the order in which it is asked."""
+"""The sections of a gap's report: what was found, in the order in which a reader asks."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ TITLE = "Gap between simulation and measurement"
 LABELS = {
     Verdict.NO_GAP: ("No gap", "#2b7a4b"),
     Verdict.NAMED: ("Effect named", "#1763b6"),
-    Verdict.SET: ("Effects that cannot be told apart", "#a8610a"),
+    Verdict.SET: ("Effects that cannot be distinguished", "#a8610a"),
     Verdict.UNKNOWN: ("Unknown effect", "#7a3ea1"),
     Verdict.UNUSABLE: ("Data cannot be used", "#b3261e"),
 }
 CLOSED_RATIO = 1.2
-"""A channel whose RMS is at most this many floors has no gap left that can be seen."""
+"""A channel whose RMS is at most this many floors has no detectable gap left."""
 _STRONGEST_PLACES = 6
 _MOST_WARNINGS_FIRST = 5
 
@@ -105,7 +105,7 @@ def _at_a_glance(f: Findings, warns_first: bool) -> Section | None:
         if f.share_closed_low is not None and f.share_closed_high is not None:
             interval = f" ({percent(f.share_closed_low)} to {percent(f.share_closed_high)})"
         items.append(
-            f"Share of the gap closed on the locked trajectories: {percent(f.share_closed)}"
+            f"Share of the gap closed on the held-out trajectories: {percent(f.share_closed)}"
             f"{interval}."
         )
     if f.stability is not None:
@@ -151,7 +151,7 @@ def _gaps(f: Findings) -> Section | None:
             "constants fitted again; floor, what noise and discretisation alone leave. No effect "
             "was added, so there is no after."
         )
-    where = "Locked trajectories" if f.locked else "Trajectories of the search, none was locked"
+    where = "Held-out trajectories" if f.locked else "Trajectories of the search, none held out"
     blocks = (Gallery(tuple(gap_bars(gap, stages) for gap in f.gaps)), Paragraph(text))
     return Section(f"{where}: before, after and floor", blocks)
 
@@ -259,8 +259,8 @@ def _not_apart(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
         names = ", ".join(_title(f, name, effects) for name in f.alternatives)
         blocks.append(
             Paragraph(
-                f"These data do not tell {_title(f, f.named[0], effects)} from: {names}. The "
-                "first is in the overlay because it explains most; any of them may be true."
+                f"These data do not distinguish {_title(f, f.named[0], effects)} from: {names}. "
+                "The first is in the overlay because it explains most; any of them may be true."
             )
         )
     if f.pairs:
@@ -284,7 +284,7 @@ def _not_apart(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
                 "there, the one to repeat."
             )
         )
-    return Section("What cannot be told apart", tuple(blocks))
+    return Section("What cannot be distinguished", tuple(blocks))
 
 
 def _title(f: Findings, name: str, effects: Mapping[str, Effect]) -> str:
@@ -301,7 +301,7 @@ def _remains(f: Findings) -> Section | None:
         left = gap.after if f.named else gap.recalibrated
         if gap.floor > 0.0:
             ratio = left / gap.floor
-            seen = "no gap left that can be seen" if ratio <= CLOSED_RATIO else "a gap remains"
+            seen = "no detectable gap remains" if ratio <= CLOSED_RATIO else "a gap remains"
             lines.append(
                 f"{gap.channel}: {quantity(left, gap.unit)}, {ratio:.2f} times the floor: {seen}."
             )
@@ -316,8 +316,9 @@ def _remains(f: Findings) -> Section | None:
         blocks.append(
             Paragraph(
                 "Not physics: a smooth correction by phase and region, fitted beside the twin's "
-                f"constants where no effect fits, takes the locked trajectories from {closest}. It "
-                "is no effect, it is not in the overlay, and it says nothing of other protocols."
+                f"constants where no effect fits, changes the residual of the held-out "
+                f"trajectories: {closest}. It is not an effect, it is not in the overlay, and it "
+                "does not carry over to other protocols."
             )
         )
     parts = [p for p in f.places if p.count and ALL not in (p.channel, p.phase, p.region)]
@@ -352,9 +353,9 @@ def _not_tried(f: Findings, effects: Mapping[str, Effect]) -> Section | None:
         blocks += [Paragraph(text), Table(("effect", "what to record"), rows)]
     if f.optical is not None and f.optical.not_tried:
         titles = [effects[n].title if n in effects else n for n in f.optical.not_tried]
-        text = "How large these effects seem in images in which nothing is wrong is not known: "
+        text = "The apparent size of these effects in images without any of them is not known, so "
         text += "they are neither found nor excluded. dotsim_ros find-gap --fit-optical-noise FILE "
-        text += "learns it, --optical-noise FILE takes it."
+        text += "estimates it, --optical-noise FILE uses it."
         rows = tuple((title, name) for title, name in zip(titles, f.optical.not_tried, strict=True))
         blocks += [Paragraph(text), Table(("effect", "its file"), rows)]
     return Section("Not tried", tuple(blocks)) if blocks else None
@@ -373,7 +374,7 @@ def _cost(f: Findings, provenance: Mapping[str, str]) -> Section:
     items = [
         f"{f.solve_count} solves of a trajectory, {duration(f.seconds)}",
         f"Searched on: {', '.join(f.trajectories) or 'nothing'}",
-        f"Locked until the end: {', '.join(f.locked) or 'nothing'}",
+        f"Held out until the end: {', '.join(f.locked) or 'nothing'}",
         f"Sensor: {f.sensor or 'not named'}; data: {f.data_hash or 'not hashed'}",
         *(f"{name.capitalize()}: {value}" for name, value in provenance.items()),
     ]

@@ -65,7 +65,7 @@ def force_text(force_n: list[float]) -> str:
 
 
 def role_text(findings: Findings | OpticalFindings, name: str) -> str:
-    """Return what follows an effect's title: whether it was added, or cannot be told apart."""
+    """Return what follows an effect's title: whether it was added, or is an alternative."""
     if name in findings.named:
         return ", added"
-    return ", cannot be told from it" if name in findings.alternatives else ""
+    return ", cannot be distinguished from it" if name in findings.alternatives else ""

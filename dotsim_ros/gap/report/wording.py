@@ -1,4 +1,4 @@
-"""The findings in words, and what the data cannot tell."""
+"""The findings in words, and what the data do not identify."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ FEW = 4
 def data_warnings(
     measurement: Measurement, channels: Sequence[str], has_reference: bool
 ) -> list[str]:
-    """Return what a data set cannot tell, and what to record for it."""
+    """Return what a data set does not identify, and what to record for it."""
     recordings = measurement.recordings
     texts = []
     if not any(r.press.force_n is not None for r in recordings) or "force" not in channels:
         texts.append(
-            "no force: stiffness, force scale and drift cannot be told, and a softer gel looks "
-            "like any other; record the wrench"
+            "no force: stiffness, force scale and drift are not identifiable, since the skin does "
+            "not depend on the gel's stiffness; record the wrench"
         )
     if not any(r.press.skin_position_m is not None for r in recordings) or "skin" not in channels:
         texts.append(
-            "no skin: friction, compressibility and the pose are told by the force alone; record "
-            "the skin's points where you can"
+            "no skin: friction, compressibility and the pose are estimated from the force alone; "
+            "record the skin's points where you can"
         )
     protocols = {protocol_of(r) for r in recordings}
     if len(protocols) == 1:
         texts.append(
             f"one protocol only ({next(iter(protocols))}): effects that it excites alike cannot be "
-            "told apart; add holds, slides and another indenter"
+            "distinguished; add holds, slides and another indenter"
         )
     if len(recordings) < FEW:
         texts.append(f"{len(recordings)} trajectories are few: record {FEW} at least")
@@ -43,11 +43,11 @@ def data_warnings(
         (Phase.RELEASE, "adhesion, backlash, softening and permanent set"),
     ):
         if not any(r.has(phase) for r in recordings):
-            texts.append(f"no {phase.value} in the data: nothing is claimed of {effects}")
+            texts.append(f"no {phase.value} in the data: nothing can be concluded about {effects}")
     if not has_reference:
         texts.append(
-            "no reference: what the sensor's file has wrong beyond its priors is taken for an "
-            "effect; --reference with the unit's commissioning tells wear and drift apart from it"
+            "no reference: errors of the sensor's file beyond its priors are taken for an effect; "
+            "--reference with the unit's commissioning separates wear and drift from them"
         )
     return texts
 
@@ -85,10 +85,10 @@ def sentence(
     Args:
         verdict: the answer.
         named: effects that are added, with their estimates.
-        alternatives: effects that the first is not told from.
-        gaps: by channel, on the locked trajectories.
+        alternatives: effects that cannot be distinguished from the first.
+        gaps: by channel, on the held-out trajectories.
         nearest: the effect that comes nearest, where none is named.
-        sizes: of the nearest, as the skin and as the force tell it, where they disagree.
+        sizes: of the nearest, as the skin and as the force give it, where they disagree.
         place: where the residual is largest, in words.
     """
     if verdict is Verdict.NO_GAP:
@@ -97,13 +97,13 @@ def sentence(
         text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
         text += f"explains it. It is largest in {place}."
         if nearest is not None:
-            text += f" Nearest comes: {_amid(nearest.title)}"
+            text += f" The nearest is: {_amid(nearest.title)}"
             if sizes is not None:
                 first = nearest.parameters[0]
                 unit = f" {first.unit}" if first.unit else ""
                 text += (
-                    f", but the skin tells {first.name} = {sizes[0]:.2g}{unit} and the force "
-                    f"{sizes[1]:.2g}{unit}: one effect has one size"
+                    f", but the skin gives {first.name} = {sizes[0]:.2g}{unit} and the force "
+                    f"{sizes[1]:.2g}{unit}: they should agree"
                 )
             text += "."
         return text
@@ -119,7 +119,7 @@ def sentence(
     text = "; and ".join(parts) + (f"; held-out gap: {closing}." if closing else ".")
     if alternatives:
         others = ", ".join(effect.title for effect in alternatives)
-        text += f" The data do not tell it from: {others}."
+        text += f" The data do not distinguish it from: {others}."
     return text
 
 
@@ -131,12 +131,12 @@ def optical_sentence(
     *,
     nearest: Effect | None,
 ) -> str:
-    """Return what the images told, in one or two sentences.
+    """Return what was found in the images, in one or two sentences.
 
     Args:
         verdict: of the images.
         named: effects that are added, with their estimates.
-        alternatives: effects that the first is not told from.
+        alternatives: effects that cannot be distinguished from the first.
         gap: of the tiles' colours.
         nearest: the effect that comes nearest, where none is named.
     """
@@ -145,7 +145,7 @@ def optical_sentence(
     if verdict is Verdict.UNKNOWN:
         text = "Images: they differ from the twin's, and no effect of the library explains it."
         if nearest is not None:
-            text += f" Nearest comes: {_amid(nearest.title)}."
+            text += f" The nearest is: {_amid(nearest.title)}."
         return text
     parts = [
         f"{_amid(effect.title)} is missing: {', '.join(shown(e) for e in estimates)}"
@@ -158,12 +158,12 @@ def optical_sentence(
     )
     if alternatives:
         others = ", ".join(effect.title for effect in alternatives)
-        text += f" The images do not tell it from: {others}."
+        text += f" The images do not distinguish it from: {others}."
     return text
 
 
 def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:
-    """Return what images cannot tell.
+    """Return what limits the conclusions from images.
 
     Args:
         noise_sensor, noise_source: whose images the thresholds come from, and which.
@@ -173,9 +173,9 @@ def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int
     texts = []
     if noise_sensor != sensor:
         texts.append(
-            f"the images' thresholds come from {noise_source}, not from {sensor}: its twin may err "
-            "more; make your own from images in which nothing is wrong, with find-gap "
-            "--fit-optical-noise"
+            f"the images' thresholds come from {noise_source}, not from {sensor}, whose twin may "
+            "have larger errors; make your own from images in which no effect is missing, with "
+            "find-gap --fit-optical-noise"
         )
     if count < FEW:
         texts.append(f"{count} trajectories with images are few: record {FEW} at least")
@@ -191,28 +191,28 @@ def not_tried_warning(effects: Sequence[Effect], least: int, reason: str) -> str
     """Return why images were not searched for some effects, and what to do.
 
     Args:
-        effects: whose sizes in images with nothing wrong are not known.
-        least: trajectories that can tell them.
-        reason: why the reference does not; empty without one.
+        effects: whose apparent sizes in images without any effect are not known.
+        least: trajectories from which they can be estimated.
+        reason: why the reference does not give them; empty without one.
     """
     text = (
-        f"not tried in the images: {', '.join(effect.name for effect in effects)}. How large they "
-        "seem where nothing is missing is not known"
+        f"not tried in the images: {', '.join(effect.name for effect in effects)}. Their apparent "
+        "size where no effect is missing is not known"
     )
     if reason:
-        text += f", and the reference does not tell it ({reason})"
+        text += f", and the reference does not give it ({reason})"
     return (
-        f"{text}. Learn it from {least} trajectories or more with images in which nothing is "
-        "wrong: dotsim_ros find-gap --measured DIR --effects DIR --fit-optical-noise FILE, then "
+        f"{text}. Estimate it from {least} trajectories or more with images in which no effect is "
+        "missing: dotsim_ros find-gap --measured DIR --effects DIR --fit-optical-noise FILE, then "
         "search with --optical-noise FILE; or give those trajectories as --reference"
     )
 
 
-def told_by_reference(effects: Sequence[Effect], source: str) -> str:
-    """Return that the reference told what images show of some effects where nothing is missing."""
+def learnt_from_reference(effects: Sequence[Effect], source: str) -> str:
+    """Return that some effects' limits come from the reference, which is taken to have none."""
     return (
-        f"the images' noise knows nothing of {', '.join(effect.name for effect in effects)}: their "
-        f"limits come from {source}, the reference, in which nothing is taken to be wrong"
+        f"the file of the images' noise does not hold {', '.join(e.name for e in effects)}: their "
+        f"limits come from {source}, the reference, in which no effect is taken to be missing"
     )
 
 

@@ -23,7 +23,7 @@ def poisson_rate(
 
     Args:
         gel: a refined one.
-        progress: told the finished share of each of the two.
+        progress: called with the finished share of each of the two.
 
     Raises:
         ValueError: the gel has no refinement, or a ratio too close to 1/2 to be raised.

@@ -56,7 +56,7 @@ class DivergenceError(RuntimeError):
 
 
 class ExplicitRegion(Protocol):
-    """What the explicit method asks of a shape: any `Body` is one."""
+    """What the explicit method needs of a shape: any `Body` is one."""
 
     def bounds_m(self) -> FloatArray:
         """Return the (2, 3) lower and upper corner of a box around the material."""
@@ -173,7 +173,7 @@ class ExplicitGel:
 
     Args:
         body: the gel's shape; its base plane z = 0 and, for a dome, its core are fixed.
-        skin: the surface that is carried along and that touches.
+        skin: the surface that moves with the gel and touches the indenter.
         material: Young's modulus and Poisson's ratio.
         density_kg_m3: of the gel.
         friction_coefficient: between skin and indenter.
@@ -287,13 +287,6 @@ class ExplicitGel:
         self._state.skin.assign(np.broadcast_to(skin, (self.environment_count, *skin.shape)))
         self._last_pose = None
 
-    def set_velocity(self, velocity_m_s: FloatArray, gradient_per_s: FloatArray) -> None:
-        """Give every particle the velocity v + G x: velocity_m_s (3,), gradient_per_s (3, 3)."""
-        position = self._state.position.numpy().astype(np.float64)
-        self._state.velocity.assign(velocity_m_s + position @ gradient_per_s.T)
-        shape = (self.environment_count, self.particle_count, 3, 3)
-        self._state.affine.assign(np.broadcast_to(gradient_per_s, shape))
-
     def step(self, pose: Pose | Sequence[Pose] | None, dt_s: float) -> ExplicitState:
         """Simulate one frame, in which the indenter moves evenly from its last pose to this one.
 
@@ -324,7 +317,7 @@ class ExplicitGel:
     ) -> tuple[ExplicitState, ParameterGradient]:
         """Simulate frames on a tape and return the derivatives of a loss of the last one.
 
-        The states of all substeps are kept: `tape_bytes(len(poses))`. The density scale and the
+        The states of all substeps and their adjoints are kept. The density scale and the
         state at the start count as constants. In single precision the derivatives are within
         1e-4 of those in double; finite differences need the latter.
 
@@ -375,42 +368,6 @@ class ExplicitGel:
             friction_coefficient=gradient[:, FRICTION],
             indenter_parameters=self._field.parameters.grad.numpy().astype(np.float64),
         )
-
-    def tape_bytes(self, frame_count: int = 1) -> int:
-        """Return the memory that `step_with_gradient` needs for its states and their adjoints."""
-        per_substep = 24 * self.particle_count + 3 * self.skin.vertex_count + 14 * self.node_count
-        number_bytes = 8 if self._scalar is wp.float64 else 4
-        substeps = frame_count * self.settings.substeps_per_frame
-        return 2 * number_bytes * substeps * self.environment_count * per_substep
-
-    def momentum_ns(self) -> FloatArray:
-        """Return the particles' linear momentum (E, 3), with the scaled mass."""
-        velocity = self._state.velocity.numpy().astype(np.float64)
-        return np.asarray(self._particle_mass() * velocity.sum(axis=1))
-
-    def energy_j(self) -> tuple[FloatArray, FloatArray]:
-        """Return kinetic (of the particles' affine motion, scaled mass) and strain energy (E,)."""
-        mass = self._particle_mass()
-        velocity = self._state.velocity.numpy().astype(np.float64)
-        affine = self._state.affine.numpy().astype(np.float64)
-        inertia = mass * self.settings.spacing_m**2 / 4.0
-        kinetic = 0.5 * mass * np.sum(velocity**2, axis=(1, 2)) + 0.5 * inertia * np.sum(
-            affine**2, axis=(1, 2, 3)
-        )
-        f = self._state.deformation.numpy().astype(np.float64)
-        ratio = np.linalg.det(f)
-        mu, bulk = self._moduli().numpy().astype(np.float64).T[:, :, None]
-        shape = ratio ** (-2.0 / 3.0) * np.sum(f**2, axis=(2, 3)) - 3.0
-        density = 0.5 * mu * shape + 0.5 * bulk * (ratio - 1.0) ** 2
-        return kinetic, self._particle_volume() * density.sum(axis=1)
-
-    def particle_position_m(self) -> FloatArray:
-        """Return the particles' positions (E, P, 3), base frame."""
-        return np.array(self._state.position.numpy(), dtype=np.float64)
-
-    def deformation_gradient(self) -> FloatArray:
-        """Return the particles' deformation gradients (E, P, 3, 3)."""
-        return np.array(self._state.deformation.numpy(), dtype=np.float64)
 
     def _make_grid(self, body: ExplicitRegion) -> None:
         spacing = self.settings.spacing_m

@@ -1,4 +1,4 @@
-"""Warp kernels of the explicit MLS-MPM: equations 1 to 3 of the paper, and the skin it carries.
+"""Warp kernels of the explicit MLS-MPM: equations 1 to 3 of the paper, and the skin on it.
 
 Particle to grid and back: Hu et al., "A moving least squares material point method with
 displacement discontinuity and two-way rigid body coupling" (2018), with quadratic B-splines and the
@@ -183,7 +183,7 @@ def explicit_kernels(scalar: Any) -> SimpleNamespace:
         wanted: wp.array2d(dtype=vec3),
     ):
         """Skin near the indenter to grid: its area, and the part in contact times the change of
-        velocity that the contact wants."""
+        velocity that the contact law asks for."""
         e, n = wp.tid()
         x = skin[e, n]
         placed = pose[substep, e]

@@ -64,13 +64,13 @@ NO_RESPONSE = ContactResponse(
     slip_m=np.zeros((0, 3)),
     normal=np.zeros((0, 3)),
 )
-"""Of no candidates."""
+"""The response of no candidates."""
 
 
 @dataclass(frozen=True)
 class Lag:
-    """What an iteration's friction takes from the one before: pressure (C,) and normal (C, 3) of
-    the candidates, a zero normal for none."""
+    """What the friction of an iteration takes from the previous one: pressure (C,) and normal
+    (C, 3) of the candidates, a zero normal for none."""
 
     pressure_pa: FloatArray
     normal: FloatArray

@@ -1,4 +1,4 @@
-"""Frictional contact of a few markers on a gel that answers their forces linearly.
+"""Frictional contact of a few markers on a gel that responds linearly to their forces.
 
 Once elasticity is linearised, the markers' positions are x = b + C (f - f0): b is where they would
 be under forces f0, C the compliance between them. The forces of the indenter, f = F(x), minimise
@@ -189,9 +189,10 @@ def solve_contact(
 def linear_contact(
     compliance: AnyFloatArray, free_m: FloatArray, force_n: FloatArray, response: ContactResponse
 ) -> FloatArray:
-    """Return the forces (A, 3) of a contact that is linear too, one step of Newton's method.
+    """Return the forces (A, 3) of a contact that is linearised too: one step of Newton's method.
 
-    A gel that only the indenter holds has no energy of its own that a solution could descend.
+    For a gel that is stable only while the indenter holds it: its own energy need not have a
+    minimum that a line search could descend to.
 
     Args:
         compliance: (3 A, 3 A) C, m/N, rows and columns by component.
@@ -225,7 +226,7 @@ def _corrected(
 def _descended(
     problem: _ContactProblem, state: _ContactState, lag: Lag, close_m: float
 ) -> _ContactState:
-    """Return the state once the energy's descent has come so close to its end."""
+    """Return the state once the descent on the energy is within a given distance of its end."""
     has_descended = True
     while has_descended and problem.iterations < ITERATIONS:
         out_of_balance = problem.out_of_balance(state)

@@ -47,9 +47,9 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
 
 FORGOTTEN_N = 1.0e-9
-"""A marker's force below this is none: it moves the skin by less than 1e-11 m. What a marker leaves
-behind when it is let go would shrink for hundreds of steps, count as contact all the while, and end
-as subnormal numbers, with which a product takes ten times as long."""
+"""A marker's force below this is set to zero: it moves the skin by less than 1e-11 m. The force on
+a released marker would otherwise decay for hundreds of steps, count as contact all the while, and
+end as subnormal numbers, with which a product takes ten times as long."""
 LARGEST_SUBSTEP_M = 0.6e-3
 """The indenter moves no farther in a substep, so that no marker passes through it."""
 PATCH_MARGIN_M = 2.2e-3
@@ -61,7 +61,7 @@ REGION_RADIUS_M = 3.5e-3
 REGION_MARGIN_M = 0.8e-3
 """...or to one this close to the indenter."""
 SNAP = 1.5
-"""Gel that moves by this much more than the indenter has snapped."""
+"""Gel that moves by more than this multiple of the indenter's motion has snapped through."""
 CORE_CLEARANCE_M = 1.5e-3
 """The indenter must stay this far from whatever the gel is bonded to."""
 
@@ -143,8 +143,8 @@ class Tangents:
 
 
 Observer = Callable[[World, Pose | None, Point, Inertia | None, float, int], Point]
-"""Told world, pose, solution, inertia, duration and environment of a substep before it is
-finished; returns the solution to go on with."""
+"""Called with world, pose, solution, inertia, duration and environment of a substep before it is
+finished; returns the solution to continue from."""
 
 
 class ImplicitGel:
@@ -159,7 +159,7 @@ class ImplicitGel:
         indenter: the rigid shape.
         environment_count: number of independent worlds.
         exact: factor the whole tangent in every iteration (a slow reference).
-        progress: told the finished share of a refinement that is not in the cache.
+        progress: called with the finished share of a refinement that is not in the cache.
 
     Attributes:
         observer: called in every substep, None for none.
@@ -515,7 +515,7 @@ class ImplicitGel:
 
     def _start(self, world: World, pose: Pose | None) -> tuple[FloatArray, FloatArray, Lag]:
         """Return displacements (N, 3), forces on the patch's markers (C, 3) and their lag if all
-        goes on changing in proportion to the indenter's motion."""
+        keeps changing in proportion to the indenter's motion."""
         share = self._share_of_last_move(world, pose)
         change = world.last_change
         displacement = world.displacement_m

@@ -30,14 +30,14 @@ NEAR_M = 0.2e-3
 """Markers closer than this to the indenter take part in the contact of an iteration."""
 SMALLEST_SCALE = 1.0e-3
 CONTRACTION = 0.25
-"""Until one is measured: the share of an iteration's step that the next one is expected to take."""
+"""Share of an iteration's step that the next one is expected to take, until one is measured."""
 SMALLEST_CONTRACTION = 0.15
 LEFT_SHARE = 0.3
 """Share of the tolerance that an iteration may leave to the one after it."""
 CONTACT_SHARE = 0.3
 """Share of the tolerance to which the contact of the linear gel is solved."""
 LARGEST_CONTACT_TOLERANCE_M = 3.0e-6
-"""A loose tolerance leaves out iterations of the gel; it must not make its contact wrong, since the
+"""A loose tolerance saves iterations of the gel, but must not make its contact inaccurate: the
 force follows from the contact."""
 FAR_SHARE = 0.2
 """Forces out of balance far away below this share of those near the contact move nothing there."""
@@ -340,7 +340,7 @@ class EquilibriumSearch:
         )
 
     def _free(self, factor: Factor, right: FloatArray) -> FloatArray:
-        """Return the step (3 N,) if the forces stayed; a little out of balance far away waits."""
+        """Return the step (3 N,) at constant contact forces; small residuals far away wait."""
         if isinstance(factor, LocalFactor) and not self.is_slow:
             inside = float(np.linalg.norm(right[factor.region.dof]))
             outside = np.sqrt(max(0.0, float(right @ right) - inside * inside))
@@ -398,7 +398,7 @@ class EquilibriumSearch:
             self.factor, self.compliance = self._linearise(self.near, point), None
 
     def _be_careful(self) -> None:
-        """From now on make the contact linear too, where the search stands: a deep press can make
-        a gel unstable that only the indenter holds."""
+        """From now on linearise the contact too, at the present state: a deep press can leave the
+        gel unstable but for the indenter that holds it."""
         self.is_careful = self.is_slow = True
         self.near = self.factor = self.compliance = None

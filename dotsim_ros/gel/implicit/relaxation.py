@@ -92,9 +92,9 @@ class Relaxation:
         by_weight = by_weight + fast_share
         by_decay = np.einsum("kpij,kpij->k", by_internal, before.internal_pa)
         by_ratio = -decay * by_decay + self.shares * gain_slope * by_weight
-        carried = np.tensordot(self.shares * gain, by_internal, axes=1)
+        by_stress = np.tensordot(self.shares * gain, by_internal, axes=1)
         return RelaxationAdjoint(
-            StressMemory(decay[:, None, None, None] * by_internal, -carried),
+            StressMemory(decay[:, None, None, None] * by_internal, -by_stress),
             gain * by_weight - fast_share,
             by_ratio * (-ratio / self.times_s),
         )

@@ -10,7 +10,7 @@ from threading import Lock
 
 GAIN = 0.05
 LARGEST_LEAN = 0.004
-"""Of a period, a cycle: the rate stays within 0.4 % of its nominal one."""
+"""Share of a period by which a deadline moves in a cycle: the rate is within 0.4 % of nominal."""
 
 
 class Beat:

@@ -60,12 +60,12 @@ class Spread:
 
 @dataclass(frozen=True)
 class Miss:
-    """A deadline that was missed by more than what must be told.
+    """A deadline that was missed by more than the limit for reporting.
 
     Attributes:
         loop: which of the two.
         late_s: by how much.
-        unlogged: how many before it were told on no line of their own.
+        unlogged: how many before it have no line of their own in the log.
     """
 
     loop: str
@@ -74,7 +74,7 @@ class Miss:
 
 
 class MissCounter:
-    """Counts missed deadlines of one loop and says which are worth a line.
+    """Counts missed deadlines of one loop and limits how often they are logged.
 
     Args:
         loop: its name.
@@ -82,7 +82,7 @@ class MissCounter:
 
     Attributes:
         count: all of them.
-        told: those by more than 40 ms.
+        reported: those by more than 40 ms.
         worst_s: the largest.
     """
 
@@ -92,7 +92,7 @@ class MissCounter:
         self._logged_s = -np.inf
         self._unlogged = 0
         self.count = 0
-        self.told = 0
+        self.reported = 0
         self.worst_s = 0.0
 
     def note(self, late_s: float, now_s: float) -> Miss | None:
@@ -101,7 +101,7 @@ class MissCounter:
         self.worst_s = max(self.worst_s, late_s)
         if late_s <= TOLD_MISS_S:
             return None
-        self.told += 1
+        self.reported += 1
         if now_s - self._logged_s < self._period_s:
             self._unlogged += 1
             return None

@@ -1,4 +1,4 @@
-"""What every node says of itself on /diagnostics: reports of its parts. Needs no ROS."""
+"""What every node reports on /diagnostics: the states of its parts. Needs no ROS."""
 
 from __future__ import annotations
 

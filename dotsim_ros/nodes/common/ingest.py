@@ -1,4 +1,4 @@
-"""Faults of what a node is told: their closed set, who may speak, and what is worth a log line.
+"""Faults of a node's input: their closed set, which input is in force, and when one is logged.
 
 Needs no ROS.
 """
@@ -50,18 +50,18 @@ class InputArbiter:
         self._heard_s = -np.inf
 
     def is_silent(self, now_s: float) -> bool:
-        """Return whether no input speaks at the moment."""
+        """Return whether no input is active at the moment."""
         return now_s - self._heard_s > self.timeout_s
 
     def silence_s(self, now_s: float) -> float | None:
-        """Return for how long no input has spoken; None before the first."""
+        """Return for how long no input has come; None before the first."""
         return now_s - self._heard_s if self._speaker else None
 
     def admit(self, name: str, now_s: float) -> bool:
-        """Hear an input; return whether it takes over from another one.
+        """Note an input; return whether it takes over from another one.
 
         Raises:
-            RefusedInputError: the other one speaks.
+            RefusedInputError: the other one is active.
         """
         if name != self._speaker and not self.is_silent(now_s):
             raise RefusedInputError(
@@ -75,7 +75,7 @@ class InputArbiter:
 
 
 class FaultLog:
-    """Counts faults and says which are worth a line in the log; from any thread.
+    """Counts faults and limits how often they are logged; from any thread.
 
     Args:
         period_s: time between two lines about faults of one kind.

@@ -80,10 +80,6 @@ class NodeProcess:
         """Send a signal to the node."""
         self._process.send_signal(number)
 
-    def is_running(self) -> bool:
-        """Return whether it has not ended."""
-        return self._process.poll() is None
-
     def wait(self) -> int:
         """Wait for the node to end by itself and return its exit status."""
         status = self._process.wait()

@@ -163,7 +163,7 @@ class _Interruption:
 
 
 def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = None) -> int:
-    """Start ROS, make the node, spin it until it is told to stop, and take everything down.
+    """Start ROS, make the node, spin it until it is stopped, and take everything down.
 
     Stops on SIGINT (once or more), on SIGTERM, and when any thread calls `rclpy.try_shutdown()`,
     which is how a node ends itself. A callback that runs then runs to its end. `destroy_node` runs,

@@ -1,4 +1,4 @@
-"""How DDS carries images out of a process."""
+"""How DDS transports images out of a process."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ class IndenterPlayer(WorkingNode):
 
     def begin(self) -> None:
         """Start to play."""
-        self.start_thread("player", self._play, "the player broke off")
+        self.start_thread("player", self._play, "the player failed")
         self.get_logger().info(
             f"ready: {self._settings.source}, {self._program.motion.duration_s:.2f} s of motion on "
             f"{self._publisher.topic_name}"

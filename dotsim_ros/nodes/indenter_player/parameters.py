@@ -44,20 +44,22 @@ class PlayerParameters:
         "folder of the bag, or the .npz of real presses (empty: the dozen shipped ones)",
         read_only=True,
     )
-    bag_topic: str = option("/indenter/pose", "PoseStamped topic to play of a bag", read_only=True)
+    bag_topic: str = option(
+        "/indenter/pose", "topic of the bag to play (PoseStamped)", read_only=True
+    )
     frame_id: str = option(
         BASE_FRAME, "frame of the published poses; those of a bag keep their own", read_only=True
     )
     rate_hz: float = option(
         0.0,
-        "poses a second; 0: the recording's own stamps for a bag, 100 Hz otherwise",
+        "rate of the poses; 0: the recording's own stamps for a bag, 100 Hz otherwise",
         minimum=0.0,
         maximum=1000.0,
         read_only=True,
     )
-    loop: bool = option(False, "begin again at the end", read_only=True)
+    loop: bool = option(False, "repeat the motion until stopped", read_only=True)
     exit_at_end: bool = option(
-        False, "end the process with status 0 once all is played", read_only=True
+        False, "exit with status 0 once everything has been played", read_only=True
     )
     wait_for_subscriber_s: float = option(
         10.0,
@@ -80,7 +82,7 @@ class PlayerParameters:
     )
     answer_timeout_s: float = option(
         10.0,
-        "longest wait for an answer before the next pose",
+        "longest wait for that wrench before the next pose",
         minimum=0.01,
         maximum=3600.0,
         read_only=True,
@@ -96,14 +98,14 @@ class PlayerParameters:
     )
     spin_deg: float = option(
         0.0,
-        "turn of the indenter about its own axis",
+        "rotation of the indenter about its own axis",
         minimum=-360.0,
         maximum=360.0,
         read_only=True,
     )
     clearance_m: float = option(
         0.002,
-        "gap between skin and tip at both ends of a press",
+        "gap between skin and tip before and after a press",
         minimum=1e-5,
         maximum=0.1,
         read_only=True,
@@ -113,7 +115,11 @@ class PlayerParameters:
     )
     speed_m_s: float = option(0.005, "speed of presses", minimum=1e-5, maximum=1.0, read_only=True)
     hold_s: float = option(
-        0.5, "hold at the deepest point", minimum=0.0, maximum=3600.0, read_only=True
+        0.5,
+        "duration of the hold at the deepest point",
+        minimum=0.0,
+        maximum=3600.0,
+        read_only=True,
     )
     slide_distance_m: float = option(
         0.006, "length of a slide on the skin", minimum=1e-5, maximum=0.1, read_only=True
@@ -129,10 +135,14 @@ class PlayerParameters:
         0.01, "speed of a slide", minimum=1e-5, maximum=1.0, read_only=True
     )
     twist_angle_deg: float = option(
-        30.0, "how far a twist turns, and back", minimum=-180.0, maximum=180.0, read_only=True
+        30.0,
+        "angle of a twist, which then turns back",
+        minimum=-180.0,
+        maximum=180.0,
+        read_only=True,
     )
     twist_rate_deg_s: float = option(
-        30.0, "rate of a twist", minimum=0.01, maximum=3600.0, read_only=True
+        30.0, "angular speed of a twist", minimum=0.01, maximum=3600.0, read_only=True
     )
     press_numbers: tuple[int, ...] = option(
         (-1,),
@@ -142,7 +152,7 @@ class PlayerParameters:
     )
     indenter_radius_m: float = option(
         0.004,
-        "from the indenter's tip to the point that recorded presses place: a sphere's radius",
+        "distance from the indenter's tip to the point that was recorded: a sphere's radius",
         minimum=0.0,
         maximum=0.1,
         read_only=True,

@@ -45,7 +45,7 @@ ENABLE_TIMEOUT_S = 15.0
 
 @dataclass(frozen=True)
 class LoopSetup:
-    """What the nodes of a loop are told beside `params/closed_loop.yaml`.
+    """Parameters of the nodes of a loop, beside `params/closed_loop.yaml`.
 
     Attributes:
         policy: folder of the policy, or a name below params/policies.
@@ -83,19 +83,19 @@ def loop_parameters(executable: str) -> dict[str, Any]:
 
 
 class RefusedError(OSError):
-    """A node answers that it will not do what it was asked to."""
+    """A node refuses a request."""
 
 
 class ClosedLoop:
     """The processes of a loop and what they are observed by; a context manager.
 
     Args:
-        setup: what the nodes are told.
-        topics: what to keep of what they say.
+        setup: parameters of the nodes.
+        topics: what to keep of what they publish.
 
     Attributes:
         setup: the present one.
-        observer: hears and calls.
+        observer: receives messages and calls services.
         contact: of the ball on the dome.
     """
 
@@ -261,7 +261,7 @@ class ClosedLoop:
             self.observer.call(SetBool, f"{POLICY}/set_enabled", data=False)
 
     def state(self) -> tuple[str, str]:
-        """Return the policy's state and its reason, empty where nothing has been heard."""
+        """Return the policy's state and its reason, empty where nothing has been received."""
         values = self.observer.values(f"{POLICY}: control")
         return values.get("state", ""), values.get("reason", "")
 
@@ -317,13 +317,13 @@ class ClosedLoop:
         )
 
     def _watch(self, seconds: float) -> tuple[str, str, str]:
-        """Return state, reason and what is told of it after a time, or when it is latched."""
+        """Return state, reason and its details after a time, or when the loop is latched."""
         end_s = time.monotonic() + seconds
         while time.monotonic() < end_s and self.state()[0] != "latched":
             time.sleep(0.02)
         state, reason = self.state()
-        told = self.observer.diagnostics.get(f"{POLICY}: control")
-        return state, reason, told.message if told is not None and state == "latched" else ""
+        status = self.observer.diagnostics.get(f"{POLICY}: control")
+        return state, reason, status.message if status is not None and state == "latched" else ""
 
     def _finish_bag(self) -> None:
         status = self._processes.pop(RECORDER).stop()
@@ -331,7 +331,7 @@ class ClosedLoop:
             raise OSError(f"{RECORDER} ended with status {status}")
 
     def recording(self, notes: Mapping[str, Any]) -> LoopRecording:
-        """Return what has been heard since it was last forgotten."""
+        """Return what has been received since the observer was last cleared."""
         heard = {name: self.observer.heard(name) for name in LOOP_TOPICS}
         times = {
             name: np.array(
@@ -382,6 +382,6 @@ class ClosedLoop:
 
 
 def policy_name(folder: Path | str) -> str:
-    """Return how a policy's node is told of a policy: an absolute folder, or a name."""
+    """Return the parameter that names a policy to its node: an absolute folder, or a name."""
     path = Path(folder)
     return str(path.absolute()) if path.is_dir() else str(folder)

@@ -1,4 +1,4 @@
-"""Hears what a closed loop says and calls its services, for programs that judge it.
+"""Receives what a closed loop publishes and calls its services, for programs that judge it.
 
 Messages are kept as they come over the wire, with the times at which the middleware sent and
 received them, and unpacked afterwards: hearing 250 of them a second must not cost the loop a core.
@@ -82,7 +82,7 @@ class LoopObserver:
         self.node.destroy_node()
 
     def forget(self) -> None:
-        """Throw away what has been heard."""
+        """Discard the messages received so far."""
         with self._lock:
             for kept in self._kept.values():
                 kept.clear()
@@ -93,7 +93,7 @@ class LoopObserver:
             return len(self._kept[topic])
 
     def heard(self, topic: str, *, last: int | None = None) -> list[LoopTraffic]:
-        """Return the messages of a topic that have been heard, or the last of them."""
+        """Return the messages of a topic that have been received, or the last of them."""
         with self._lock:
             kept = list(self._kept[topic] if last is None else self._kept[topic][-last:])
         kind = self._types[topic]
@@ -118,13 +118,13 @@ class LoopObserver:
         """Call a service and return its response.
 
         Raises:
-            OSError: nobody offers it, or no answer comes.
+            OSError: it is not available, or no response comes.
         """
         client = self._clients.get(name)
         if client is None:
             client = self._clients[name] = self.node.create_client(kind, name)
         if not client.wait_for_service(PATIENCE_S):
-            raise OSError(f"nobody offers the service {name}")
+            raise OSError(f"the service {name} is not available")
         future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
         self.wait(future.done, f"an answer of {name}")
         return future.result()

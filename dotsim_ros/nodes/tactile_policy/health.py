@@ -1,4 +1,4 @@
-"""What `tactile_policy` says of itself on /diagnostics. Needs no ROS."""
+"""What `tactile_policy` reports on /diagnostics. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def statuses(
     warnings: dict[str, str],
     now_s: float,
 ) -> list[Status]:
-    """Return the states of the loop, of the inference and of what is heard.
+    """Return the states of the loop, of the inference and of the inputs.
 
     Args:
         node_name: of the node.
@@ -65,7 +65,7 @@ def _control(control: ControlLoop, now_s: float) -> Report:
         "command_rate_hz": f"{control.rate.rate_hz(now_s):.2f}",
         "control_rate_hz": f"{control.ticks.rate_hz(now_s):.2f}",
         "deadline_misses": str(control.misses.count),
-        "deadline_misses_over_40_ms": str(control.misses.told),
+        "deadline_misses_over_40_ms": str(control.misses.reported),
         "latest_ms": _milliseconds(control.misses.worst_s),
     }
     message = f"{order.state.value}: {order.detail}" if order.detail else order.state.value
@@ -87,7 +87,7 @@ def _inference(inference: InferenceLoop, control: ControlLoop, now_s: float) -> 
         "image_distance": f"{inference.distance:.2f}",
         "largest_distance": f"{inference.largest_distance:.2f}",
         "deadline_misses": str(inference.misses.count),
-        "deadline_misses_over_40_ms": str(inference.misses.told),
+        "deadline_misses_over_40_ms": str(inference.misses.reported),
         "latest_ms": _milliseconds(inference.misses.worst_s),
     }
     if inference.idle is None:

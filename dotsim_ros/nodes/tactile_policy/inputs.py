@@ -1,4 +1,4 @@
-"""What `tactile_policy` hears: images, the arm's pose, the force; the newest of each, its age."""
+"""What `tactile_policy` receives: images, the arm's pose, the force; the newest and its age."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class PolicyInputs:
             return None if self._image is last else self._image
 
     def refuse(self, what: str, error: ValueError) -> None:
-        """Count and tell a message that cannot be used."""
+        """Count and log a message that cannot be used."""
         self.refused += 1
         now_s = time.monotonic()
         if now_s - self._refusal_logged_s > 1.0:

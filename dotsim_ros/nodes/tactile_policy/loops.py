@@ -1,4 +1,4 @@
-"""The two threads of `tactile_policy` beside the one that hears: inference and control.
+"""The two threads of `tactile_policy` beside the one that receives: inference and control.
 
 Needs no ROS: what they publish and log goes through functions that are handed in.
 """
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from dotsim_ros.tasks.policy.network import Policy
 
 WAIT_SHARE = 0.6
-"""Of a period: so long a cycle waits for an image that is not there at its deadline."""
+"""Share of a period that a cycle waits for an image that is not there at its deadline."""
 
 
 class InferenceLoop:
@@ -37,7 +37,7 @@ class InferenceLoop:
         inputs: the images.
         control: takes the commands.
         beat: the cycles.
-        tell: takes a missed deadline that is worth a line in the log.
+        report: called with a missed deadline that is worth a line in the log.
 
     Attributes:
         idle: (H, W, 3) the image at rest, or None where it is not known.
@@ -56,14 +56,14 @@ class InferenceLoop:
         inputs: PolicyInputs,
         control: ArmControl,
         beat: Beat,
-        tell: Callable[[Miss], None],
+        report: Callable[[Miss], None],
     ) -> None:
         self._policy = policy
         self.largest_distance = largest_distance
         self._inputs = inputs
         self._control = control
         self._beat = beat
-        self._tell = tell
+        self._report = report
         self._last: HeardImage | None = None
         self.idle: NDArray[np.uint8] | None = None
         self.origin: HeardImage | None = None
@@ -75,7 +75,7 @@ class InferenceLoop:
         self.misses = MissCounter("inference")
 
     def run(self, stop: Event) -> None:
-        """Go on until told to stop."""
+        """Run until stopped."""
         beat = self._beat
         index = beat.next_cycle(time.monotonic())
         while not stop.wait(max(0.0, beat.cycle_s(index) - time.monotonic())):
@@ -89,7 +89,7 @@ class InferenceLoop:
             now_s = time.monotonic()
             late_s = now_s - deadline_s - beat.period_s
             if late_s > 0.0 and (miss := self.misses.note(late_s, now_s)) is not None:
-                self._tell(miss)
+                self._report(miss)
             # A cycle that begins late is better than none; those that have passed are left out.
             index += 1 + max(0, int(late_s / beat.period_s))
 
@@ -150,8 +150,8 @@ class ControlLoop:
         every_tick: publish at the rate of the ticks.
         clock_ns: the time that stamps are of.
         publish: sends a command with its stamp.
-        changed: told of each new state or reason.
-        tell: takes a missed deadline that is worth a line in the log.
+        changed: called with each order of a new state or reason.
+        report: called with a missed deadline that is worth a line in the log.
 
     Attributes:
         order: the newest.
@@ -173,7 +173,7 @@ class ControlLoop:
         clock_ns: Callable[[], int],
         publish: Callable[[Twist, int], None],
         changed: Callable[[Order], None],
-        tell: Callable[[Miss], None],
+        report: Callable[[Miss], None],
     ) -> None:
         self._control = control
         self._inputs = inputs
@@ -183,7 +183,7 @@ class ControlLoop:
         self._clock_ns = clock_ns
         self._publish = publish
         self._changed = changed
-        self._tell = tell
+        self._report = report
         self._cycle = -1
         self._taken = 0
         self.order: Order | None = None
@@ -195,7 +195,7 @@ class ControlLoop:
         self.misses = MissCounter("control")
 
     def run(self, stop: Event) -> None:
-        """Go on until told to stop."""
+        """Run until stopped."""
         beat = self._beat
         tick_s = beat.period_s / beat.ticks
         index = beat.ticks * beat.next_cycle(time.monotonic())
@@ -204,7 +204,7 @@ class ControlLoop:
             self.ticks.note(now_s)
             late_s = now_s - beat.tick_s(index)
             if late_s > tick_s and (miss := self.misses.note(late_s, now_s)) is not None:
-                self._tell(miss)
+                self._report(miss)
             # What is late is done at once; the deadlines that have passed as well are left out.
             index += max(0, int(late_s / tick_s))
             self._tick(index)

@@ -1,7 +1,7 @@
 """`tactile_policy`: leads an arm by touch.
 
 Tactile images and the arm's pose go in, velocity commands come out. Three threads: the executor's
-hears, one asks the policy 25 times a second, one controls the arm 100 times a second.
+receives, one runs the policy 25 times a second, one controls the arm 100 times a second.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ Loader = Callable[[Path, str], "Policy"]
 
 
 class TactilePolicy(WorkingNode):
-    """The node; parameters, topics and services as the README lists them.
+    """The node; parameters, topics and services as docs/run.md lists them.
 
     Args:
         load: opens the policy of a folder and one of its paths.
@@ -94,7 +94,7 @@ class TactilePolicy(WorkingNode):
             inputs=self._inputs,
             control=self._control,
             beat=beat,
-            tell=self._tell_miss,
+            report=self._report_miss,
         )
         self._loop = ControlLoop(
             self._control,
@@ -104,8 +104,8 @@ class TactilePolicy(WorkingNode):
             every_tick=self._settings.command_rate_hz == CONTROL_RATE_HZ,
             clock_ns=lambda: int(self.get_clock().now().nanoseconds),
             publish=self._publish,
-            changed=self._tell_change,
-            tell=self._tell_miss,
+            changed=self._report_change,
+            report=self._report_miss,
         )
         if self._settings.idle_image:
             idle = read_image(Path(self._settings.idle_image))
@@ -116,7 +116,7 @@ class TactilePolicy(WorkingNode):
         self.report_health(
             self._settings.diagnostics_period_s,
             self._health,
-            without_clock="no stamp can be compared with it",
+            without_clock="stamps cannot be compared with it",
         )
         self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
@@ -142,7 +142,7 @@ class TactilePolicy(WorkingNode):
             self.start_thread(
                 name,
                 partial(loop.run, self.stopping),
-                f"{name} broke off: the arm stops when no command comes",
+                f"{name} failed: the arm stops when no command comes",
             )
 
     def _publish(self, twist: Twist, stamp_ns: int) -> None:
@@ -155,7 +155,7 @@ class TactilePolicy(WorkingNode):
             )
         )
 
-    def _tell_change(self, order: Order) -> None:
+    def _report_change(self, order: Order) -> None:
         now_s = time.monotonic()
         key = (order.state, order.reason)
         is_throttled = order.state is not State.LATCHED
@@ -170,7 +170,7 @@ class TactilePolicy(WorkingNode):
         else:
             self.get_logger().info(text)
 
-    def _tell_miss(self, miss: Miss) -> None:
+    def _report_miss(self, miss: Miss) -> None:
         before = f"; {miss.unlogged} more since the last such line" if miss.unlogged else ""
         self.get_logger().warning(
             f"{miss.loop}: a deadline was missed by {1e3 * miss.late_s:.0f} ms{before}"

@@ -47,8 +47,8 @@ class TactilePolicyParameters:
     )
     maximum_image_distance: float = option(
         0.0,
-        "An image that is less like those of the training than this stops the arm as another "
-        "sensor's. 0: the limit of the policy's card.",
+        "An image whose distance from the training images is larger stops the arm, since it is "
+        "taken for another sensor's. 0: the limit of the policy's card.",
         minimum=0.0,
         maximum=1e9,
         read_only=True,
@@ -61,22 +61,27 @@ class TactilePolicyParameters:
     )
     command_rate_hz: float = option(
         POLICY_RATE_HZ,
-        "25: each command of the policy once; 100: commands between them, on a line.",
+        "25: each command of the policy is published once; 100: commands between them are "
+        "interpolated linearly.",
         minimum=POLICY_RATE_HZ,
         maximum=CONTROL_RATE_HZ,
         read_only=True,
     )
     maximum_linear_m_s: float = option(
-        0.05, "Fastest that the tool moves.", minimum=1e-4, maximum=1.0, read_only=True
+        0.05, "Speed limit of the tool.", minimum=1e-4, maximum=1.0, read_only=True
     )
     maximum_angular_rad_s: float = option(
-        0.4, "Fastest that the tool turns.", minimum=1e-3, maximum=4.0, read_only=True
+        0.4, "Limit of the tool's angular speed.", minimum=1e-3, maximum=4.0, read_only=True
     )
     maximum_linear_m_s2: float = option(
-        2.5, "Most that its velocity changes a second.", minimum=0.01, maximum=50.0, read_only=True
+        2.5, "Limit of the tool's linear acceleration.", minimum=0.01, maximum=50.0, read_only=True
     )
     maximum_angular_rad_s2: float = option(
-        20.0, "Most that its rate changes a second.", minimum=0.1, maximum=500.0, read_only=True
+        20.0,
+        "Limit of the tool's angular acceleration.",
+        minimum=0.1,
+        maximum=500.0,
+        read_only=True,
     )
     workspace_m: tuple[float, float, float] = option(
         (0.12, 0.12, 0.04),
@@ -88,43 +93,46 @@ class TactilePolicyParameters:
     )
     maximum_turn_rad: float = option(
         0.35,
-        "Furthest that the tool may be turned from how it was when the node was enabled.",
+        "Largest angle by which the tool may be turned from its orientation when the node was "
+        "enabled.",
         minimum=1e-3,
         maximum=3.0,
         read_only=True,
     )
     reaction_s: float = option(
         0.1,
-        "How long the arm goes on before it obeys; the workspace's border is kept away from by it.",
+        "How long the arm continues before a command takes effect; the margin kept to the "
+        "workspace's border follows from it.",
         minimum=0.0,
         maximum=1.0,
         read_only=True,
     )
     stop_within_s: float = option(
         0.08,
-        "The commands are zero this long after the last image, pose or force came.",
+        "The commands are zero at the latest this long after the last image, pose or force.",
         minimum=0.06,
         maximum=1.0,
         read_only=True,
     )
     maximum_delay_s: float = option(
         0.25,
-        "A message that comes later than this after the time of its stamp stops the arm.",
+        "A message that arrives later than this after its stamp stops the arm.",
         minimum=0.01,
         maximum=1e9,
         read_only=True,
     )
     clock_jump_s: float = option(
         0.5,
-        "Stamps that lie further in the future, and a time that is set by more, stop the arm for "
-        "good; stamps that run back by more than 20 ms always do.",
+        "Stamps that lie further in the future, and a clock that is set by more, stop the arm "
+        "until it is enabled again; stamps that run back by more than 20 ms always do.",
         minimum=0.05,
         maximum=1e9,
         read_only=True,
     )
     resume_when_fresh: bool = option(
         True,
-        "Go on by itself once what had gone stale comes again; else set_enabled is needed.",
+        "Resume without a call once messages that were late arrive again; otherwise set_enabled is "
+        "needed.",
         read_only=True,
     )
     force_limit_n: float = option(
@@ -150,32 +158,42 @@ class TactilePolicyParameters:
     )
     retreat_m: float = option(
         0.02,
-        "A retreat of this length after which the force still is too large stops the arm for good.",
+        "If the force is still too large after a retreat of this length, the arm stops until it is "
+        "enabled again.",
         minimum=1e-4,
         maximum=0.5,
         read_only=True,
     )
     hold_orientation: bool = option(
         True,
-        "Turn the tool back to how it was when the node was enabled, which touch cannot tell.",
+        "Turn the tool back to its orientation when the node was enabled, which touch alone does "
+        "not identify.",
         read_only=True,
     )
     orientation_gain_per_s: float = option(
-        2.0, "How fast, for each radian.", minimum=0.01, maximum=20.0, read_only=True
+        2.0,
+        "Gain of that rotation: angular speed for each radian of error.",
+        minimum=0.01,
+        maximum=20.0,
+        read_only=True,
     )
     orientation_limit_rad_s: float = option(
-        0.1, "How fast at most.", minimum=1e-3, maximum=4.0, read_only=True
+        0.1,
+        "Limit of the angular speed of that rotation.",
+        minimum=1e-3,
+        maximum=4.0,
+        read_only=True,
     )
     realtime_priority: int = option(
         0,
-        "Priority of the node's threads before every process without one (SCHED_RR), for which the "
-        "system must give the right. 0: none.",
+        "Real-time priority (SCHED_RR) of the node's threads, which the system must permit. 0: "
+        "none.",
         minimum=0,
         maximum=99,
         read_only=True,
     )
     diagnostics_period_s: float = option(
-        1.0, "Time between diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+        1.0, "Period of the diagnostics.", minimum=0.05, maximum=60.0, read_only=True
     )
 
     def __post_init__(self) -> None:

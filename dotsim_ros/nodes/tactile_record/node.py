@@ -58,14 +58,14 @@ class RecordParameters:
     )
     queue_mb: int = option(
         512,
-        "memory for messages that wait for the disk; what finds it full is dropped",
+        "memory (MB) for messages that wait for the disk; messages beyond it are dropped",
         minimum=1,
         maximum=65536,
         read_only=True,
     )
     duration_s: float = option(
         0.0,
-        "end after this time; 0: when stopped",
+        "end the recording after this time; 0: when stopped",
         minimum=0.0,
         maximum=1e6,
         read_only=True,
@@ -142,7 +142,7 @@ class TactileRecord(WorkingNode):
         self.get_logger().info(f"recording {', '.join(self._types)} to {self._path}")
 
     def destroy_node(self) -> None:
-        """Finish the bag, say what is in it, and take the node down."""
+        """Finish the bag, log what is in it, and take the node down."""
         if self._recording is not None:
             self._finish(self._recording.close())
         super().destroy_node()

@@ -1,4 +1,4 @@
-"""What `tactile_sim` says of itself on /diagnostics. Needs no ROS."""
+"""What `tactile_sim` reports on /diagnostics. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
         **{f"{part}_p95_ms": f"{value:.2f}" for part, value in counter.p95_ms().items()},
     }
     if not condition.is_enabled:
-        return Level.WARN, "disabled: call set_enabled to go on", values
+        return Level.WARN, "disabled: call set_enabled to continue", values
     if condition.is_realtime and counter.count and condition.dropped > 0.01 * counter.count:
         return Level.WARN, "frames are dropped: the machine is too slow for this rate", values
     return Level.OK, "running", values
@@ -142,7 +142,9 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
 
 def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
     values = {
-        "silence_s": "never heard" if condition.silence_s is None else f"{condition.silence_s:.2f}",
+        "silence_s": "none received"
+        if condition.silence_s is None
+        else f"{condition.silence_s:.2f}",
         **fault_values(faults),
     }
     if condition.silence_s is None:

@@ -31,7 +31,7 @@ class MotionOrder:
 
 
 class MotionGate:
-    """Decides of each pose whether it goes on from the last one, starts anew, or is refused.
+    """Decides whether a pose continues from the last one, starts anew, or is refused.
 
     Args:
         base_frame: the only frame that poses may be in.
@@ -45,11 +45,6 @@ class MotionGate:
         self.maximum_step_s = maximum_step_s
         self._last: MotionOrder | None = None
 
-    @property
-    def last_pose(self) -> Pose | None:
-        """Return the pose that was heard last."""
-        return None if self._last is None else self._last.pose
-
     def forget(self) -> None:
         """Let the next pose be a start, wherever and whenever it is."""
         self._last = None
@@ -59,7 +54,7 @@ class MotionGate:
 
         Raises:
             RefusedInputError: another frame, or a stamp that is not after the last one. What was
-                heard before stays in force.
+                received before stays in force.
         """
         if frame_id != self._base_frame:
             raise RefusedInputError(
@@ -89,7 +84,7 @@ class MotionGate:
 
 
 class NewestMotion:
-    """Holds the newest motion between the thread that hears and the one that simulates."""
+    """Holds the newest motion between the thread that receives and the one that simulates."""
 
     def __init__(self) -> None:
         self._lock = Lock()

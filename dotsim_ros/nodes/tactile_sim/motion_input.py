@@ -40,7 +40,7 @@ LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=Reliabilit
 
 
 class MotionInput:
-    """Hears what moves the indenter and hands on the motions that are valid.
+    """Receives what moves the indenter and passes on the motions that are valid.
 
     Args:
         node: owns the subscriptions.
@@ -79,7 +79,7 @@ class MotionInput:
             self._subscribe(kind, "indenter/twist", self._hear_twist)
 
     def silence_s(self) -> float | None:
-        """Return for how long no input has spoken; None before the first."""
+        """Return for how long no input has come; None before the first."""
         return self._arbiter.silence_s(time.monotonic())
 
     def forget(self) -> None:

@@ -42,19 +42,19 @@ from dotsim_ros.specification import NoiseSpecification, SensorSpecification, lo
 from msg_adapters import Status
 
 REALTIME_ITERATIONS = 2
-"""A frame that stalls is late, has a longer way to go next time, and stalls again: better one that
-misses the tolerance and says so."""
+"""A frame that takes too long is late, has a longer way to go next time, and takes too long again:
+better one that misses the tolerance, which is reported."""
 REALTIME_TOLERANCE_M = 100.0e-6
 """Newton's method ends where it expects to be right to a third of this. Against the converged gel a
 ball that slides along a figure eight at 5 mm/s is off by 0.1 mm of skin at most, and by 0.2 % of
-force on average; the next frame goes on from there. It saves the second solve of most frames."""
+force on average; the next frame continues from there. It saves the second solve of most frames."""
 REALTIME_MOVE_M = LARGEST_SUBSTEP_M
 """A frame that took long must not make the next one take longer. With two substeps a slide had two
 steady states, one frame of 50 ms and 0.5 mm or one of 100 ms and 1 mm, and stayed in the second."""
 
 
 class TactileSim(WorkingNode):
-    """The node; parameters, topics and services as the README lists them."""
+    """The node; parameters, topics and services as docs/run.md lists them."""
 
     def __init__(self) -> None:
         super().__init__("tactile_sim")
@@ -88,7 +88,7 @@ class TactileSim(WorkingNode):
         self.report_health(
             self._settings.diagnostics_period_s,
             self._health,
-            without_clock="there is no time to stamp frames with",
+            without_clock="frames cannot be stamped",
         )
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
@@ -106,7 +106,7 @@ class TactileSim(WorkingNode):
         """Start the frames."""
         if self._is_realtime:
             self.start_paced(
-                "frames", lambda: self._pace, self._realtime_frame, "the frames broke off"
+                "frames", lambda: self._pace, self._realtime_frame, "the loop of frames failed"
             )
         self.get_logger().info(
             f"ready: {self._settings.sensor}, {self._settings.indenter}, "

@@ -1,4 +1,4 @@
-"""Every topic of one frame: who reads is served, all with one stamp."""
+"""Every topic of one frame: published where there are subscribers, all with one stamp."""
 
 from __future__ import annotations
 
@@ -80,11 +80,11 @@ class FramePublishers:
         self._parameters = parameters
 
     def shows_image(self) -> bool:
-        """Return whether somebody reads a topic that the camera's image is needed for."""
+        """Return whether a topic that needs the camera's image has a subscriber."""
         return any(_is_read(each) for each in (self._image, self._compressed, self._depth))
 
     def publish(self, moment: SensorMoment, stamp_ns: int) -> None:
-        """Publish a moment on every topic that somebody reads; render it only for an image."""
+        """Publish a moment on every topic with a subscriber; render it only for an image."""
         optical: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.optical_frame}
         base: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.base_frame}
         if _is_read(self._image):

@@ -31,7 +31,7 @@ WARM_UP_DEPTH_M = 0.0005
 
 
 class SensorMoment:
-    """The gel under an indenter, and what the camera sees of it once somebody asks.
+    """The gel under an indenter, and what the camera sees of it, rendered on demand.
 
     Args:
         sensor: which sees.
@@ -77,14 +77,14 @@ class SensorMoment:
 
 
 class SensorSession:
-    """Runs a sensor; after anything that breaks the motion it goes on as a fresh one would.
+    """Runs a sensor; after anything that breaks the motion it continues as a fresh one would.
 
     Args:
         sensor: the sensor, at rest.
         first_dt_s: the time step of a motion that nothing leads to.
         limit_m: how far the indenter may move in contact in one frame; a longer motion takes
             several frames. Infinite for none.
-        effects: at work between what is told and what is measured; the sensor's gel has them.
+        effects: at work between the commanded pose and what is measured; the sensor's gel has them.
 
     Attributes:
         moment: the last valid one.
@@ -103,7 +103,7 @@ class SensorSession:
         self._first_dt_s = first_dt_s
         self._limit_m = limit_m
         self._effects = LiveEffects(effects, sensor)
-        self._told: Pose | None = None
+        self._commanded: Pose | None = None
         self._at: Pose | None = None
         self._is_behind = False
         self.behind = 0
@@ -137,27 +137,23 @@ class SensorSession:
         self._last_stamp_ns = motion.stamp_ns
         return self._move(motion.pose, step_s)
 
-    def is_behind(self) -> bool:
-        """Return whether the last frame shows the indenter on its way, not at its newest pose."""
-        return self._is_behind
-
     def catch_up(self) -> SensorMoment:
         """Go on to the newest pose, which `follow` did not reach; where it did, let a gel that
-        remembers, or an effect, go on under the held indenter.
+        remembers, or an effect, evolve under the held indenter.
 
         Raises:
             RefusedInputError: as `follow`.
         """
         goes_on = self._is_behind or self._sensor.remembers or self._effects.act_in_time
-        if self._told is None or self._is_broken or not goes_on:
+        if self._commanded is None or self._is_broken or not goes_on:
             return self.moment
         if self._last_stamp_ns is not None:
             self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
-        return self._move(self._told, self._first_dt_s)
+        return self._move(self._commanded, self._first_dt_s)
 
-    def _move(self, told: Pose, step_s: float) -> SensorMoment:
-        self._told, self._is_behind = told, False
-        pose = self._effects.moved(told, self._force_n, step_s)
+    def _move(self, commanded: Pose, step_s: float) -> SensorMoment:
+        self._commanded, self._is_behind = commanded, False
+        pose = self._effects.moved(commanded, self._force_n, step_s)
         try:
             reached = self._within_reach(pose)
             self.moment = self._pressed(reached, step_s)
@@ -213,7 +209,7 @@ class SensorSession:
         self._effects.restart()
         self._last_stamp_ns = None
         self._is_broken = self._is_behind = False
-        self._at = self._told = None
+        self._at = self._commanded = None
         self.moment = self._pressed(None, self._first_dt_s)
         self._sensor.reset()
 

@@ -1,4 +1,4 @@
-"""What `xarm_adapter` says of itself on /diagnostics. Needs no ROS."""
+"""What `xarm_adapter` reports on /diagnostics. Needs no ROS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is sent to a real arm that takes velocities by service, and when nothing may be.
+"""What is sent to a real arm that takes velocities by service, and when nothing may be sent.
 
 Needs no ROS and no clock: times are handed in.
 """
@@ -35,10 +35,10 @@ class LinkLimits:
     """What may be sent.
 
     Attributes:
-        linear_m_s: fastest the tool is told to move; faster commands are shortened.
-        angular_rad_s: fastest it is told to turn.
+        linear_m_s: largest commanded speed of the tool; faster commands are scaled down.
+        angular_rad_s: largest commanded rate of turning.
         stale_s: a command that is older counts as zero.
-        silence_s: after this long without the arm's state it is not commanded.
+        silence_s: after this long without the arm's state no commands are sent.
         answer_s: longest wait for the answer of a call.
     """
 
@@ -72,7 +72,7 @@ class VelocityLink:
         limits: what may be sent.
 
     Attributes:
-        hindrance: why the arm was not commanded when it was asked for last.
+        hindrance: why no command was sent at the last call of `next_call`.
         detail: the same in words.
         counts: calls by what became of them.
         last_refusal: the newest answer other than success, in words.
@@ -81,7 +81,7 @@ class VelocityLink:
     def __init__(self, limits: LinkLimits) -> None:
         self.limits = limits
         self.hindrance = Hindrance.SILENT
-        self.detail = "the arm's state has not been heard"
+        self.detail = "the arm's state has not been received"
         self.counts: Counter[str] = Counter()
         self.last_refusal = ""
         self._call = Call(zero_twist(), along_tool=False)
@@ -134,7 +134,7 @@ class VelocityLink:
 
         Args:
             now_s: the steady clock.
-            has_service: somebody offers the service.
+            has_service: the service is available.
         """
         self._give_up(now_s)
         self.hindrance, self.detail = self._obstacle(now_s, has_service)
@@ -180,9 +180,9 @@ class VelocityLink:
     def _obstacle(self, now_s: float, has_service: bool) -> tuple[Hindrance, str]:
         robot, silence_s = self._robot, now_s - self._robot_s
         if robot is None:
-            return Hindrance.SILENT, "the arm's state has not been heard"
+            return Hindrance.SILENT, "the arm's state has not been received"
         if silence_s > self.limits.silence_s:
-            return Hindrance.SILENT, f"the arm's state was heard {silence_s:.2f} s ago"
+            return Hindrance.SILENT, f"the arm's state was last received {silence_s:.2f} s ago"
         if robot.error:
             return (
                 Hindrance.ERROR,
@@ -202,5 +202,5 @@ class VelocityLink:
                 f"the arm is in state {robot.state} ({name}): call set_state 0",
             )
         if not has_service:
-            return Hindrance.NO_SERVICE, "nobody offers vc_set_cartesian_velocity"
+            return Hindrance.NO_SERVICE, "the service vc_set_cartesian_velocity is not available"
         return Hindrance.NONE, ""

@@ -63,14 +63,14 @@ class XarmAdapter(WorkingNode):
         self.report_health(
             self._settings.diagnostics_period_s,
             self._health,
-            without_clock="there is no time to stamp poses with",
+            without_clock="poses cannot be stamped",
         )
         follow(self, lambda: self._settings, self._change_parameters)
 
     def begin(self) -> None:
         """Start to command the arm."""
         self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
-        self.start_paced("calls", lambda: self._pace, self._tick, "the calls broke off")
+        self.start_paced("calls", lambda: self._pace, self._tick, "the loop of calls failed")
         self.get_logger().info(
             f"ready: {self._settings.service}, at most {self._settings.speed_limit_m_s:g} m/s, "
             f"watchdog {self._settings.duration_s:g} s"

@@ -25,52 +25,52 @@ class XarmAdapterParameters:
         "/xarm/robot_states", "The driver's topic of the arm's state.", read_only=True
     )
     base_frame: str = option(
-        "link_base", "Frame of ee_pose; a velocity of it is along its axes.", read_only=True
+        "link_base",
+        "Frame of ee_pose; a velocity stamped with it is along its axes.",
+        read_only=True,
     )
     tool_frame: str = option(
-        "link_tcp", "A velocity of this frame is along the tool's axes.", read_only=True
+        "link_tcp", "A velocity stamped with this frame is along the tool's axes.", read_only=True
     )
     rate_hz: float = option(
         50.0,
-        "How often a call may begin; one is under way at most.",
+        "Rate at which calls may begin; at most one is pending at a time.",
         minimum=1.0,
         maximum=200.0,
         read_only=True,
     )
     duration_s: float = option(
         0.1,
-        "The arm's own watchdog, sent with each call: it stops after this time without another. "
-        "Never 0, which means for ever.",
+        "Time limit of the arm's own watchdog, sent with each call: the arm stops after this time "
+        "without another call. Must not be 0, which disables the watchdog.",
         minimum=0.02,
         maximum=1.0,
     )
-    stale_s: float = option(
-        0.1, "A command that is older counts as zero.", minimum=0.02, maximum=1.0
-    )
+    stale_s: float = option(0.1, "An older command counts as zero.", minimum=0.02, maximum=1.0)
     silence_s: float = option(
         0.5,
-        "After this long without the arm's state it is not commanded; its driver reports at 5 Hz, "
-        "with report_type dev at 100.",
+        "No commands are sent after this time without the arm's state; its driver reports it at "
+        "5 Hz, with report_type dev at 100 Hz.",
         minimum=0.05,
         maximum=10.0,
     )
     answer_s: float = option(
-        0.5, "Longest wait for the answer of a call.", minimum=0.05, maximum=10.0
+        0.5, "Longest wait for the response to a call.", minimum=0.05, maximum=10.0
     )
     speed_limit_m_s: float = option(
         0.1,
-        "Fastest the tool is told to move; faster commands are shortened.",
+        "Largest commanded speed of the tool; faster commands are scaled down.",
         minimum=0.001,
         maximum=1.0,
     )
     angular_speed_limit_rad_s: float = option(
         0.5,
-        "Fastest the tool is told to turn; faster commands are shortened.",
+        "Largest commanded rate of turning; faster commands are scaled down.",
         minimum=0.001,
         maximum=3.14,
     )
     diagnostics_period_s: float = option(
-        1.0, "Time between diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+        1.0, "Period of the diagnostics.", minimum=0.05, maximum=60.0, read_only=True
     )
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""What `xarm_sim` says of itself on /diagnostics. Needs no ROS."""
+"""What `xarm_sim` reports on /diagnostics. Needs no ROS."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _arm(condition: ArmCondition) -> Report:
         "fail_stop": str(condition.faults.is_stopped).lower(),
     }
     if condition.is_emergency:
-        return Level.ERROR, "emergency stop: call reset to go on", values
+        return Level.ERROR, "emergency stop: call reset to continue", values
     if condition.faults != ArmFaults():
         return Level.WARN, "failing on request", values
     if held:
@@ -82,7 +82,7 @@ def _arm(condition: ArmCondition) -> Report:
 def _input(condition: ArmCondition, faults: FaultLog, now_s: float) -> Report:
     heard = np.isfinite(condition.silence_s)
     values = {
-        "silence_s": f"{condition.silence_s:.2f}" if heard else "never heard",
+        "silence_s": f"{condition.silence_s:.2f}" if heard else "none received",
         **fault_values(faults),
     }
     if is_recent(faults, now_s):

@@ -66,7 +66,7 @@ class XarmSim(WorkingNode):
         self.report_health(
             self._settings.diagnostics_period_s,
             self._health,
-            without_clock="there is no time to stamp poses with",
+            without_clock="poses cannot be stamped",
         )
         self.create_service(Trigger, "~/emergency_stop", self._on_emergency_stop)
         self.create_service(Trigger, "~/reset", self._on_reset)
@@ -75,7 +75,7 @@ class XarmSim(WorkingNode):
     def begin(self) -> None:
         """Start the arm."""
         self._pace = self._new_pace()
-        self.start_paced("arm", lambda: self._pace, self._tick, "the arm broke off")
+        self.start_paced("arm", lambda: self._pace, self._tick, "the simulation of the arm failed")
         self.get_logger().info(
             f"ready: tool at {np.round(self._arm.state.pose.position_m, 4).tolist()} m in "
             f"{self._settings.base_frame}"
@@ -144,8 +144,8 @@ class XarmSim(WorkingNode):
         where it stands at zero.
 
         Another process may run between the two readings; then they are read again. A difference
-        that could come from that is none: a state that is told twice has the same stamp, and never
-        one that runs back.
+        that could come from that counts as none: a state that is published twice has the same
+        stamp, never one that runs back.
         """
         readings = []
         for _ in range(CLOCK_TRIES):
@@ -238,8 +238,8 @@ class XarmSim(WorkingNode):
     def _on_emergency_stop(self, _request: Any, response: Any) -> Any:
         with self._lock:
             self._arm.emergency_stop(time.monotonic())
-        self.get_logger().warning("emergency stop: call reset to go on")
-        response.success, response.message = True, "stopped: call reset to go on from the start"
+        self.get_logger().warning("emergency stop: call reset to continue")
+        response.success, response.message = True, "stopped: call reset to continue from the start"
         return response
 
     def _on_reset(self, _request: Any, response: Any) -> Any:

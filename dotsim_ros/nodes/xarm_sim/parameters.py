@@ -21,7 +21,7 @@ class XarmSimParameters:
 
     rate_hz: float = option(
         100.0,
-        "Rate of the feedback: the arm's driver with report_type dev has 100.",
+        "Rate of the feedback; the arm's driver publishes at 100 Hz with report_type dev.",
         minimum=1.0,
         maximum=200.0,
         read_only=True,
@@ -29,7 +29,7 @@ class XarmSimParameters:
     base_frame: str = option("link_base", "Frame of the poses and of velocities.", read_only=True)
     tool_frame: str = option(
         "link_tcp",
-        "A velocity stamped with this frame is along the tool's axes.",
+        "A velocity stamped with this frame is taken along the tool's axes.",
         read_only=True,
     )
     sensor_frame: str = option(
@@ -62,73 +62,73 @@ class XarmSimParameters:
     )
     latency_s: float = option(
         0.01,
-        "From a command to its first effect.",
+        "Latency from a command to its first effect.",
         minimum=0.0,
         maximum=1.0,
         read_only=True,
     )
     jitter_s: float = option(
         0.002,
-        "Standard deviation of what comes on top of the latency, never less than nothing.",
+        "Standard deviation of the random delay added to the latency; the delay is never negative.",
         minimum=0.0,
         maximum=1.0,
         read_only=True,
     )
     time_constant_s: float = option(
         0.02,
-        "Of the first-order way of the velocity to the one commanded.",
+        "Time constant of the first-order lag of the velocity behind the commanded one.",
         minimum=0.001,
         maximum=10.0,
         read_only=True,
     )
     stale_s: float = option(
         0.2,
-        "After this long without a command the arm stops.",
+        "The arm stops after this time without a command.",
         minimum=0.02,
         maximum=10.0,
         read_only=True,
     )
-    seed: int = option(0, "Of the jitter.", minimum=0, maximum=2**31 - 1, read_only=True)
+    seed: int = option(0, "Seed of the jitter.", minimum=0, maximum=2**31 - 1, read_only=True)
     speed_limit_m_s: float = option(
-        1.0, "Fastest the tool moves.", minimum=0.001, maximum=1.0, read_only=True
+        1.0, "Speed limit of the tool.", minimum=0.001, maximum=1.0, read_only=True
     )
     angular_speed_limit_rad_s: float = option(
-        3.14, "Fastest the tool turns.", minimum=0.001, maximum=10.0, read_only=True
+        3.14, "Limit of the tool's angular speed.", minimum=0.001, maximum=10.0, read_only=True
     )
     acceleration_limit_m_s2: float = option(
         50.0,
-        "Most that the tool's velocity changes a second.",
+        "Limit of the tool's linear acceleration.",
         minimum=0.01,
         maximum=50.0,
         read_only=True,
     )
     angular_acceleration_limit_rad_s2: float = option(
         20.0,
-        "Most that the tool's rate of turning changes a second.",
+        "Limit of the tool's angular acceleration.",
         minimum=0.01,
         maximum=200.0,
         read_only=True,
     )
     joint_speed_limit_rad_s: float = option(
         4.0,
-        "Fastest that a joint turns; where one would be faster, all are slowed alike. UFACTORY "
+        "Speed limit of each joint; where one would exceed it, all are scaled down alike. UFACTORY "
         "allows 3.14.",
         minimum=0.01,
         maximum=10.0,
         read_only=True,
     )
     fail_drop_feedback: bool = option(
-        False, "Failure on request: poses, velocities and joints are not published."
+        False, "Injected failure: poses, velocities and joints are not published."
     )
     fail_delay_s: float = option(
         0.0,
-        "Failure on request: commands act, and feedback comes, this much later.",
+        "Injected failure: commands act, and feedback is published, this much later.",
         minimum=0.0,
         maximum=LONGEST_DELAY_S,
     )
-    fail_stop: bool = option(False, "Failure on request: the arm brakes and stays.")
+    fail_stop: bool = option(False, "Injected failure: the arm brakes and stays at rest.")
     diagnostics_period_s: float = option(
-        1.0, "Time between diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+        1.0, "Period of the diagnostics.", minimum=0.05, maximum=60.0, read_only=True
     )
 
     def __post_init__(self) -> None:

@@ -19,7 +19,7 @@ from dotsim_ros.optics.network.carded_weights import CardKind, read_weights
 FORMAT = 1
 """Raised whenever a network's input or output changes its meaning."""
 
-BASES = {"ours": "carried", "paper": "idle", "paper_direct": "none", "unet": "idle"}
+BASES = {"ours": "warped", "paper": "idle", "paper_direct": "none", "unet": "idle"}
 """What each kind of network's output is added to."""
 FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1}
 """How often wider and higher each kind's images are than the geometry that it is given."""
@@ -27,7 +27,7 @@ FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1}
 
 @dataclass(frozen=True)
 class NetworkCard:
-    """What weights are, where they come from, and what they are worth.
+    """What weights are, where they come from, and how well they predict.
 
     Attributes:
         version: of the format.
@@ -65,7 +65,7 @@ NETWORK = CardKind(NetworkCard, FORMAT, "network", "dotsim_ros train-optics")
 
 
 def camera_hash(camera: FisheyeCamera) -> str:
-    """Return what tells cameras apart whose images differ by more than their number of pixels."""
+    """Return a hash that differs between cameras whose images differ by more than resolution."""
     numbers = [
         camera.width / camera.height,
         camera.focal_px / camera.height,

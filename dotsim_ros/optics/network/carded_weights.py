@@ -1,8 +1,8 @@
-"""Weights of a network and the card that says what they are: a folder of three files.
+"""Weights of a network and the card that describes them: a folder of three files.
 
 - `weights.safetensors`: the weights; its header carries the card.
 - `network.onnx`: the network's graph, whose weights are those of the file beside it.
-- `card.json`: the card once more, to be read by people.
+- `card.json`: the same card, for people to read.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ CARD_KEY = "card"
 
 
 class Card(Protocol):
-    """A data class that goes with weights: JSON with a `version` and these entries."""
+    """The description of weights, a data class: JSON with a `version` and these entries."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
     def weights_sha256(self) -> str:
-        """Of the weights, by `weights_hash`."""
+        """Hash of the weights, by `weights_hash`."""
 
     @property
     def graph_sha256(self) -> str:
-        """Of the graph's file."""
+        """Hash of the graph's file."""
 
     def text(self) -> str:
         """Return the card as JSON."""

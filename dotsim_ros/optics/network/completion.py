@@ -86,7 +86,7 @@ class CompletionNetwork:
 
 
 class LearnedCompletion:
-    """What a network adds to the warped image, for one idle frame; see `image.Residual`.
+    """What a network adds to the warped image, for one idle frame; see `image.Completion`.
 
     Args:
         network: that is run.
@@ -105,7 +105,7 @@ class LearnedCompletion:
         added = self._network.added(frame, self._given.rest, self._given.image(warped))
         completion = resized(cv2.merge(list(255.0 * added)), (warped.shape[1], warped.shape[0]))
         match BASES[self._network.card.kind]:
-            case "carried":
+            case "warped":
                 return completion
             case "idle":
                 return completion + self._idle.astype(np.float32) - warped.astype(np.float32)

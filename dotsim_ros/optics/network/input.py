@@ -1,4 +1,4 @@
-"""What a network of images is given: geometry and warped image of a frame, beside those at rest.
+"""The input of an image network: geometry and warped image of a frame, beside those at rest.
 
 Three arrays, channels first, all values of order one:
 
@@ -11,7 +11,7 @@ Three arrays, channels first, all values of order one:
   finer than the geometry's by a factor f.
 
 Where no skin is seen the geometry is 0 in both. At rest `frame` equals the first seven channels of
-`rest` to the last bit, whatever the resolution, so a network can tell that nothing has moved.
+`rest` to the last bit, whatever the resolution, so a network can detect that nothing has moved.
 """
 
 from __future__ import annotations

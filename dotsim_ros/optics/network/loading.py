@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 def completion_network(
     specification: SensorSpecification, camera: FisheyeCamera
 ) -> CompletionNetwork | None:
-    """Return the network that completes the sensor's image; None where it names none.
+    """Return the network that completes the sensor's image; None where the sensor names none.
 
     Raises:
         FileNotFoundError: the folder holds no network.

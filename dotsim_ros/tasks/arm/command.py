@@ -32,11 +32,6 @@ def in_base_axes(twist: Twist, pose: Pose) -> Twist:
     return np.asarray((twist.reshape(2, 3) @ pose.rotation().T).reshape(6))
 
 
-def in_tool_axes(twist: Twist, pose: Pose) -> Twist:
-    """Return a command along the base's axes along those of the tool; see `in_base_axes`."""
-    return np.asarray((twist.reshape(2, 3) @ pose.rotation()).reshape(6))
-
-
 def turn_between(pose: Pose, wanted: Pose) -> NDArray[np.float64]:
     """Return the (3,) rotation vector (rad) along the tool's axes that turns it as is wanted."""
     present = Rotation.from_quat(pose.quaternion_xyzw)

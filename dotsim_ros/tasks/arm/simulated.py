@@ -33,7 +33,7 @@ LONGEST_DELAY_S = 2.0
 
 @dataclass(frozen=True)
 class ArmLimits:
-    """What the tool may do, whatever it is told.
+    """What the tool may do, whatever it is commanded.
 
     The defaults are those that UFACTORY states for the tool of its arms (1 m/s, 50 m/s^2) and, for
     its turning, those of a joint (180 degrees/s, 1146 degrees/s^2).
@@ -73,7 +73,7 @@ class ArmFaults:
     """What is wrong with the arm, for tests of what it does to its controller.
 
     Attributes:
-        drops_feedback: nothing is heard of it.
+        drops_feedback: no feedback is published.
         delay_s: commands act, and feedback comes, this much later.
         is_stopped: it brakes and stays.
 
@@ -240,7 +240,7 @@ class SimulatedArm:
         return self.state
 
     def feedback(self, now_s: float) -> ArmState | None:
-        """Return the state that is heard of at this time, or None where nothing is."""
+        """Return the state that the feedback shows at this time, or None where there is none."""
         self.advance(now_s)
         if self.faults.drops_feedback:
             return None
@@ -296,7 +296,7 @@ class SimulatedArm:
         """Return one step on from the present one."""
         self._take_commands(self._time_s())
         before, kinematics = self._step, self._kinematics
-        # The rates at the middle of the step: the tool then moves as it is told to second order.
+        # The rates at the middle of the step: the tool then moves as commanded, to second order.
         middle = before.joints_rad + 0.5 * STEP_S * before.motion.rates_rad_s
         jacobian, rotation = kinematics.jacobian_and_rotation(middle)
         self._wanted = self._approached(self._target(rotation))

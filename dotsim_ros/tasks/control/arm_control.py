@@ -50,7 +50,7 @@ class ControlSettings:
 
 @dataclass(frozen=True)
 class Order:
-    """What the arm is told in one tick.
+    """What the arm is commanded in one tick.
 
     Attributes:
         twist: (6,) along the axes of the settings.

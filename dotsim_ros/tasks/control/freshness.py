@@ -1,10 +1,10 @@
 """How old the newest message of a stream is, and whether its stamps run like a clock.
 
-Three clocks take part: the steady one of this machine, which nobody sets, tells when a message
-came; the one that stamped it; and this machine's time, which stamps are compared with. A message
-that comes late is old, for whatever reason, and the next one may be in time again. A stamp that
-runs back or lies in the future, or a time that leaves the steady clock, is no delay: a clock was
-set, or two senders share a topic.
+Three clocks take part: the steady one of this machine, which nobody sets, by which arrivals are
+timed; the one that stamped the message; and this machine's time, which stamps are compared with. A
+message that comes late is old, for whatever reason, and the next one may be in time again. A stamp
+that runs back or lies in the future, or a time that departs from the steady clock, is no delay: a
+clock was set, or two senders share a topic.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 
 DISORDER_S = 0.02
 """Two messages may change places, and a sender that relates two clocks be off by some microseconds:
-a stamp so little before the newest tells nothing new, but is no jump."""
+a stamp so little before the newest holds no new data, but is no jump."""
 
 
 class HeardMessage(Enum):
@@ -45,7 +45,7 @@ class StreamReading:
 
 
 class StreamWatch:
-    """Watches one stream; one thread may hear while others read.
+    """Watches one stream; one thread may receive while others read.
 
     Args:
         name: of the stream, for the reasons.
@@ -54,7 +54,7 @@ class StreamWatch:
 
     Attributes:
         count: messages that were new.
-        repeated: messages that tell nothing new: with the stamp of the newest, or just before it.
+        repeated: messages without new data: with the stamp of the newest, or just before it.
     """
 
     def __init__(self, name: str, *, jump_s: float) -> None:
@@ -71,7 +71,7 @@ class StreamWatch:
     def hear(self, stamp_ns: int, *, arrival_s: float, clock_ns: int) -> tuple[HeardMessage, str]:
         """Note a message; return what it is, and for a jump the reason in words.
 
-        After a jump the stream goes on from the new stamp.
+        After a jump the stream continues from the new stamp.
 
         Args:
             stamp_ns: the message's.

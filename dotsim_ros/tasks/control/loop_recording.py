@@ -79,7 +79,7 @@ class LoopRecording:
         """
         moving = self.command_s[self.command.any(axis=1)]
         if not len(moving):
-            raise ValueError("no command but zero: the arm was not led at all")
+            raise ValueError("no command but zero: the policy never moved the arm")
         return float(moving[0]), float(moving[-1])
 
     def between(self, begun_s: float, ended_s: float) -> LoopRecording:

@@ -48,7 +48,7 @@ class Reason(StrEnum):
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """What the arm may do, and how old may be what it acts on.
+    """What the arm may do, and how old the data that it acts on may be.
 
     Attributes:
         linear_m_s: fastest the tool moves.
@@ -61,7 +61,7 @@ class SafetyLimits:
         half_box_m: (3,) half the edges of the workspace, along the base's axes, around the pose at
             which the loop was enabled.
         turn_rad: furthest that the tool may be turned from there.
-        reaction_s: how long the arm goes on before it obeys.
+        reaction_s: how long the arm continues before a command takes effect.
         force_n: force that the tool retreats above; infinite: the force is not looked at.
         release_n: force below which the retreat ends.
         retreat_m_s: speed of the retreat, along -z of the tool.

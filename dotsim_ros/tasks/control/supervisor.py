@@ -1,7 +1,7 @@
 """When an arm that is led by touch may move.
 
-A stop is over when its cause is (an old image, a silent pose), or it is latched: until somebody has
-looked and enables the loop again. The rule against old data is that of a stopping distance: the arm
+A stop ends when its cause does (an old image, a silent pose), or it is latched: until the loop is
+enabled again by hand. The rule against old data is that of a stopping distance: the arm
 brakes early enough to stand still `SafetyLimits.stop_within_s` after the last message came.
 """
 
@@ -16,7 +16,7 @@ from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, Stat
 START_PATIENCE_S = 1.0
 """The first command after a start or a stop may take so long."""
 ENABLE_PATIENCE_S = 0.25
-"""Whoever enables the loop is not turned away for one late image: the loop waits for the next."""
+"""Enabling is not refused for one late image: the loop waits for the next."""
 
 
 class Supervisor:
@@ -68,7 +68,7 @@ class Supervisor:
         self._enter(State.STARTING)
 
     def disable(self) -> None:
-        """Stop because somebody wants it."""
+        """Stop on request."""
         self._enter(State.DISABLED)
 
     def latch(self, reason: Reason, detail: str) -> None:
@@ -89,7 +89,7 @@ class Supervisor:
         self._check_place(readings)
         if self.state is State.LATCHED:
             return self.state
-        # A slower arm may wait longer: what has stopped must not go on for that.
+        # A slower arm may wait longer: that must not restart what has stopped.
         is_stopped = self.state is State.STOPPED
         brake_s = self.limits.longest_brake_s if is_stopped else self.limits.brake_time_s(command)
         timeout_s = self.limits.timeout_s(brake_s)
@@ -177,10 +177,10 @@ class Supervisor:
             if self.state is State.RETREATING:
                 self._enter(State.STARTING)
             return
-        told = (
+        age_text = (
             "no command" if np.isinf(age_s) else f"the newest command is {1e3 * age_s:.0f} ms old"
         )
-        self._stop(Reason.POLICY_LATE, f"{told}: the policy does not keep up")
+        self._stop(Reason.POLICY_LATE, f"{age_text}: the policy does not keep up")
 
     def _must_retreat(self, readings: Readings) -> bool:
         is_retreating = self.state is State.RETREATING
@@ -210,7 +210,7 @@ class Supervisor:
         assert tool is not None
         assert home is not None
         away_m = np.abs(tool.position_m - home.position_m)
-        # A retreat goes where the tool came from, and says itself how far.
+        # A retreat goes where the tool came from, and has a limit of its own.
         if self.state is not State.RETREATING and (away_m > self.limits.half_box_m).any():
             self.latch(
                 Reason.WORKSPACE,

@@ -1,4 +1,4 @@
-"""The card of a policy: what it was trained for, on what, and what it is worth."""
+"""The card of a policy: what it was trained for, on what, and how well it performs."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""Demonstrations: an expert moves a sensor against a ball; what the sensor saw, and what it said.
+"""Demonstrations: an expert moves a sensor against a ball; the sensor's images and its commands.
 
 An episode is one motion on one gel, seen by several looks (`policy_looks`). Half of the episodes
 follow a path by the expert with errors injected, so that the labels show the way back (Laskey et
 al., "DART: noise injection for robust imitation learning", CoRL 2017). The others wander between
-places near the paths at any speed: without them the drag of the skin would tell which way the
-expert went, and a policy would only go on as it goes.
+places near the paths at any speed: without them the drag of the skin would show which way the
+expert went, and a policy would only learn to continue in that direction.
 
 Where a plan names a policy, that policy drives the episodes on paths, through an arm with delays,
-and the expert only says what it should have done (Ross et al., "A reduction of imitation learning
+and the expert only labels what it should have done (Ross et al., "A reduction of imitation learning
 and structured prediction to no-regret online learning", AISTATS 2011).
 """
 
@@ -47,8 +47,8 @@ DEPTHS_M = (-0.2e-3, 2.5e-3)
 STORED_SIDE_PX = 128
 """Finer than a network sees, so that one set of demonstrations serves networks of several sizes."""
 FRICTION_FACTORS = (1.0, 0.6, 1.4)
-"""Of the gels that episodes take turns on. Young's modulus is not among what varies: the shape of
-a gel that a rigid body presses slowly does not depend on it."""
+"""Number of gels, which episodes use in turn. Young's modulus does not vary: the shape of a gel
+that a rigid body presses slowly does not depend on it."""
 
 
 @dataclass(frozen=True)
@@ -364,7 +364,7 @@ def demonstrate(
         indenter: what it is held against.
         plan: what to demonstrate.
         folder: of the files.
-        progress: told the number of episodes done, and of all.
+        progress: called with the number of episodes done, and of all.
 
     Returns:
         The number of frames, of all looks.
@@ -406,7 +406,7 @@ def demonstrate(
 
 
 def read_card(folder: Path) -> dict[str, Any]:
-    """Return what a folder of demonstrations says of itself.
+    """Return the record of a folder of demonstrations.
 
     Raises:
         ValueError: it holds none.

@@ -19,7 +19,7 @@ from dotsim_ros.tasks.policy.images import PolicyInput
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
 HELD_OUT_EVERY = 7
-"""Of so many episodes one is held out; odd, since every other episode follows no path."""
+"""One of so many episodes is held out; odd, since every other episode follows no path."""
 NEAR_M = 1.5e-3
 """Distance from a path at which an example counts half for it."""
 LEAST_WEIGHT = 0.05
@@ -90,7 +90,7 @@ def episode_files(folders: Sequence[Path]) -> list[Path]:
 
 
 def data_hash(folders: Sequence[Path]) -> str:
-    """Return what tells sets of demonstrations apart: their cards and the sizes of their files."""
+    """Return a key of sets of demonstrations: their cards and the sizes of their files."""
     digest = hashlib.sha256()
     for folder in folders:
         plan = json.loads((folder / CARD).read_text(encoding="utf-8"))["plan"]

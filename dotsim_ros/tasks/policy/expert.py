@@ -1,4 +1,4 @@
-"""The expert: it knows where the indenter is, and says how the sensor should move on a path."""
+"""The expert: it knows where the indenter is, and commands how the sensor should follow a path."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Expert:
         """Return commands (..., 6) to the sensor, along its own axes: m/s, then rad/s.
 
         The indenter stands still, so the sensor moves the other way. It does not turn: a ball
-        feels the same from every side, so touch cannot tell an error of direction.
+        feels the same from every side, so touch does not identify an error of orientation.
         """
         linear = -self.relative_velocity_m_s(position_m)
         return np.concatenate([linear, np.zeros_like(linear)], axis=-1)

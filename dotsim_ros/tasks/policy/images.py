@@ -116,8 +116,8 @@ class PolicyInput:
 
 
 def fingerprint(image: ImageArray, idle: ImageArray) -> Float32Array:
-    """Return (96,) what tells images of an unlike sensor: for each of 6x8 cells of the whole image
-    which share of the idle image is lit, and how much the image differs from it.
+    """Return (96,) a descriptor by which another sensor's images are detected: for each of 6x8
+    cells of the whole image the lit share of the idle image, and how much the image differs.
 
     Args:
         image, idle: (h, w, 3) of one size.

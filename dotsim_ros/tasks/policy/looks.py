@@ -1,6 +1,6 @@
 """Looks: cameras, lights and coats that a sensor might have had, drawn at random.
 
-A policy that has seen many of them goes by what they share: how the skin moves.
+A policy trained on many of them relies on what they share: how the skin moves.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from dotsim_ros.specification import (
 )
 
 OWN_COAT_SHARE = 0.3
-"""Of the looks that keep the sensor's own idle image and lights."""
+"""Share of the looks that keep the sensor's own idle image and lights."""
 
 
 @dataclass(frozen=True)

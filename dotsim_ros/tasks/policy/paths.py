@@ -2,7 +2,8 @@
 
 A path is where the indenter is in the sensor's frame, its axes held parallel to the sensor's. It is
 drawn in the direction of the contact on the dome and the depth of the indentation. No two parts of
-a path come close in both, so touch alone tells where on it the indenter is and which way it goes.
+a path come close in both, so touch alone identifies where on it the indenter is and which way it
+goes.
 
 Depth is nominal: how far the undeformed dome and the ball overlap.
 """
@@ -20,14 +21,14 @@ from scipy.spatial import cKDTree
 from dotsim_ros.arrays import FloatArray
 
 SPEED_M_S = 0.005
-"""On straight parts of a path."""
+"""Speed on straight parts of a path."""
 TURN_RATE_RAD_S = 3.0
 """The most that the direction of travel turns by: in narrow bends a path is followed slowly, since
 what is commanded takes effect a tenth of a second after what was seen."""
 SMALLEST_SPEED_M_S = 0.001
 SAMPLE_COUNT = 1200
 SMOOTHING_M = 0.3e-3
-"""Over which a path's speed changes."""
+"""Length over which a path's speed is smoothed."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ class ReferencePath:
         return self.position_m[index] + along[..., None] * tangent, tangent, self.speed_m_s[index]
 
     def laps(self, position_m: FloatArray) -> float:
-        """Return how often a motion (F, 3) has gone round, along the direction of travel.
+        """Return how many laps a motion (F, 3) has made, along the direction of travel.
 
         Consecutive places must be less than half a lap apart.
         """

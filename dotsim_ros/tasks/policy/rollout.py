@@ -148,12 +148,12 @@ def follow(
         start: of the indenter in the sensor's frame, where the gel already is.
         frame_count: images until the end.
         rate_hz: of the images.
-        arm: that carries the sensor.
+        arm: that the sensor is mounted on.
     """
-    carried = Arm(arm or ArmModel(), start)
+    mounted = Arm(arm or ArmModel(), start)
     position, commands, ended = [], [], ""
     for _ in range(frame_count):
-        pose = carried.indenter()
+        pose = mounted.indenter()
         try:
             image = press(pose)
         except (GelFailureError, ValueError) as error:
@@ -162,8 +162,8 @@ def follow(
         command = np.asarray(driver(image, idle), dtype=np.float64)
         position.append(pose.position_m)
         commands.append(command)
-        carried.command(command)
-        carried.move(1.0 / rate_hz)
+        mounted.command(command)
+        mounted.move(1.0 / rate_hz)
     return RollOut(
         path, rate_hz, np.reshape(position, (-1, 3)), np.reshape(commands, (-1, 6)), ended
     )

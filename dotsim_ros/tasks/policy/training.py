@@ -1,4 +1,4 @@
-"""Behaviour cloning: a network learns what the expert answers; resumable, the same for one seed."""
+"""Behaviour cloning: a network learns the expert's commands; resumable, the same for one seed."""
 
 from __future__ import annotations
 
@@ -45,10 +45,11 @@ REPORT = "training.json"
 ROUND = 2000
 """Examples between two checkpoints."""
 PLACE_WEIGHT = 0.3
-"""Of the error of the place beside that of the commands: a network that must say where the contact
-is learns sooner how to answer."""
+"""Weight of the place's error beside that of the commands: a network that must also estimate the
+place of the contact learns the commands sooner."""
 SHRINKAGE = 0.02
-"""Of the fingerprints' variance, added to each: cells that hardly vary are not known better."""
+"""Share of the fingerprints' mean variance that is added to each cell's, since the variance of
+cells that hardly vary is not known better."""
 UNUSUAL_FACTOR = 4.0
 """Images farther from the usual than any held-out one by this factor are of another sensor. A twin
 of the same design, with another lens, light and noise, is 1.6 times as far; a sensor of another
@@ -110,8 +111,8 @@ class PolicyTraining:
         path_count: how many paths.
         recipe: how.
         seed: of the first weights and of all that is drawn.
-        key: what tells this training's data from others.
-        checkpoint: file of the state; a run that was broken off goes on from it.
+        key: of this training's data.
+        checkpoint: file of the state; an interrupted run resumes from it.
         start: weights to begin with, in place of random ones.
 
     Raises:
@@ -294,7 +295,7 @@ def judge(
 
 def usual_images(train: Frames, held_out: Frames) -> tuple[Float32Array, Float32Array, float]:
     """Return mean (F,) and whitening matrix (F, F) of the training images' fingerprints, and the
-    distance from which on images are of something else."""
+    distance above which images are taken for another sensor's."""
     mean = train.fingerprint.mean(axis=0, dtype=np.float64)
     covariance = np.cov(train.fingerprint.T.astype(np.float64))
     ridge = SHRINKAGE * float(np.trace(covariance)) / len(mean)
@@ -325,7 +326,7 @@ def train_policy(
         name: of the policy.
         recipe: how.
         seed: of the first weights and of what is drawn.
-        progress: told every few thousand examples.
+        progress: called every few thousand examples.
         start: a checkpoint whose weights to begin with; None for random ones.
 
     Returns:

@@ -44,7 +44,7 @@ angle from the axis, and half its width this angle."""
 
 LED_RING_M, LED_HEIGHT_M, LED_RADIUS_M = 10.0e-3, 0.8e-3, 0.6e-3
 LED_AZIMUTH_DEG = (75.0, 195.0, 315.0)
-"""Of the red, the green and the blue group, from +x towards +y."""
+"""Directions of the red, the green and the blue group of LEDs, from +x towards +y."""
 LED_SPREAD_DEG = 17.0
 LED_TILT_DEG = 12.0
 """LEDs lean outwards, so that the camera sees their backs."""
@@ -73,11 +73,11 @@ def llvm_library(places: Iterable[str] = LLVM_PLACES) -> Path | None:
 
 
 def _llvm_version(path: Path) -> int:
-    """Return the major version that a library's name tells, links followed; 0 for none."""
+    """Return the major version in a library's name, links followed; 0 for none."""
     for name in (path.name, path.resolve().name):
-        told = re.match(r"libLLVM(?:-|\.so\.)(\d+)", name)
-        if told is not None:
-            return int(told[1])
+        found = re.match(r"libLLVM(?:-|\.so\.)(\d+)", name)
+        if found is not None:
+            return int(found[1])
     return 0
 
 

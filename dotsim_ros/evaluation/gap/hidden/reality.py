@@ -30,7 +30,7 @@ class Truth:
         return json.dumps({"effects": [list(pair) for pair in self.effects]}, sort_keys=True)
 
     def digest(self) -> str:
-        """Return the hash that is told before anything is looked at."""
+        """Return the hash that is published before the search."""
         return hashlib.sha256(self.sealed().encode()).hexdigest()
 
 

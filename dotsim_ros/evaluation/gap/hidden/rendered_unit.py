@@ -27,6 +27,7 @@ from dotsim_ros.evaluation.gap.hidden.path_traced import (
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.trajectory import (
     ImageChannel,
     PoseChannel,
@@ -34,7 +35,6 @@ from dotsim_ros.measured.trajectory import (
     Trajectory,
     WrenchChannel,
 )
-from dotsim_ros.reference.data_set import ReferenceDataSet
 
 FULL_SCALE = 255.0
 NOISE_LEVELS = 1.2
@@ -127,7 +127,7 @@ class Studio:
             unit: the sensor.
             frames: of each trajectory, thinned evenly, the first and the last among them.
             seed: of the samples and of the camera's noise.
-            progress: told the trajectories.
+            progress: called with the number of trajectories done, and of all.
 
         Raises:
             FileExistsError: there is a data set.
@@ -136,7 +136,7 @@ class Studio:
             raise FileExistsError(f"{directory} exists; name a folder that does not")
         directory.mkdir(parents=True)
         shutil.copytree(self._source.directory / "indenters", directory / "indenters")
-        data_set = ReferenceDataSet(directory, self.skin)
+        data_set = DataSetWriter(directory, self.skin)
         random = np.random.default_rng([seed, 1])
         for number in range(IDLE_COUNT):
             photograph = self.photograph(unit, None, 0.0, random)
@@ -159,7 +159,7 @@ class Studio:
                 trajectory, image=ImageChannel(stamp_ns, np.stack(photographs)), name=name
             )
             mesh = directory / "indenters" / f"{self._entries[name].indenter}.stl"
-            data_set.add(measured, load_indenter(mesh), {"images": True})
+            data_set.add(measured, load_indenter(mesh))
             if progress is not None:
                 progress(number + 1, len(names))
 
@@ -171,17 +171,6 @@ class Studio:
             moved = np.stack([self._smooth @ one for one in moved])
         moved[:, self.skin.on_base] = 0.0
         return np.asarray(rest + moved)
-
-    def source_skins(self, name: str) -> NDArray[np.float32]:
-        """Return the skins (F, V, 3) that were measured along a trajectory of the source.
-
-        Raises:
-            ValueError: it holds none.
-        """
-        skin = self._entries[name].read().skin
-        if skin is None:
-            raise ValueError(f"{name} holds no skins to render; name a data set with skins")
-        return skin.position_m
 
     def light(
         self, unit: RenderedUnit, skin_m: FloatArray | None, session_s: float, *, seed: int

@@ -14,11 +14,12 @@ from dotsim_ros.evaluation.gap.hidden.reality import Truth, answer_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.motion import Motion
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.scripted import Site, press_hold_release, slide
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
-from dotsim_ros.reference.data_set import ReferenceDataSet
+from dotsim_ros.reference.data_set import FINE_STEP_M
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
@@ -86,7 +87,7 @@ def measure_unit(
         truth: what is wrong with the unit.
         seed: of places, of the unit's constants and of all errors.
         only: names of the protocols to measure; none for all.
-        progress: told the trajectories.
+        progress: called with the number of trajectories done, and of all.
 
     Raises:
         FileExistsError: there is a data set.
@@ -98,7 +99,7 @@ def measure_unit(
     stiffness = values.youngs_modulus_pa * (1.0 + UNIT_STIFFNESS * random.standard_normal())
     values = replace(values, youngs_modulus_pa=stiffness)
     simulator = GelSimulator(sensor, skin, tolerance_m=5.0e-6)
-    data_set = ReferenceDataSet(directory, skin)
+    data_set = DataSetWriter(directory, skin, indenter_step_m=FINE_STEP_M)
     planned = [p for p in protocols(random) if not only or p[0] in only]
     session_s = 0.0
     for number, (name, indenter_name, motion, time_s) in enumerate(planned):
@@ -130,7 +131,7 @@ def measure_unit(
         except SolveError:
             continue
         session_s += float(np.ptp(time_s))
-        data_set.add(_measured(press, skin_m, force_n, skin.rest_position_m, random), indenter, {})
+        data_set.add(_measured(press, skin_m, force_n, skin.rest_position_m, random), indenter)
         if progress is not None:
             progress(number + 1, len(planned))
 

@@ -1,4 +1,8 @@
-"""Measured presses to fit to, each bag checked message by message before it is used."""
+"""Reads measured presses: the one way from a data set's bags to arrays.
+
+Poses, wrenches and skins are checked message by message before a press is used; images come with
+the poses, and the forces, at their own times.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +13,9 @@ from typing import Any
 import numpy as np
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import FloatArray, ImageArray, IntArray
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry
 from dotsim_ros.measured.presses import Press, press_of
@@ -65,6 +70,7 @@ def read_observation(
     *,
     vertex_count: int | None,
     topics: Topics = MEASURED_TOPICS,
+    indenter_of: Callable[[str], Indenter] | None = None,
 ) -> Observation:
     """Read a press and its indenter.
 
@@ -73,6 +79,7 @@ def read_observation(
         entry: the trajectory.
         vertex_count: of the data set's skin; None where it has none, so that clouds may differ.
         topics: where the channels lie.
+        indenter_of: finds an indenter by its name; None takes the data set's own meshes.
 
     Raises:
         BadBagError: the bag, or its indenter, cannot be used.
@@ -81,7 +88,10 @@ def read_observation(
         check_bag(entry, vertex_count=vertex_count, topics=topics)
         trajectory = read_trajectory(entry.bag, topics=topics, channels=CHANNELS)
         press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
-        indenter = load_mesh(data_set.indenter_mesh(entry.indenter))
+        if indenter_of is None:
+            indenter = load_mesh(data_set.indenter_mesh(entry.indenter))
+        else:
+            indenter = indenter_of(entry.indenter)
     except BadBagError:
         raise
     except FileNotFoundError as error:
@@ -116,6 +126,105 @@ def read_observations(
         except BadBagError as error:
             omitted.append(Omission(name, str(error)))
     return found, omitted
+
+
+def read_motion(entry: DataSetEntry, *, topics: Topics = MEASURED_TOPICS) -> Press:
+    """Read the poses of a press alone, measured or only planned.
+
+    Raises:
+        FileNotFoundError: no bag there.
+        ValueError: no poses, or poses that make no press.
+    """
+    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
+    return press_of(trajectory, name=entry.name, indenter=entry.indenter)
+
+
+@dataclass(frozen=True)
+class PressImages:
+    """Images of a press.
+
+    Attributes:
+        press: the motion at the images' times, with the force where it was measured, no skin.
+        pixels: (F, H, W, 3) uint8.
+        delay_s: from the first pose of the bag to the first image.
+    """
+
+    press: Press
+    pixels: ImageArray
+    delay_s: float
+
+
+def read_press_images(
+    entry: DataSetEntry,
+    *,
+    idle: ImageArray,
+    topics: Topics = MEASURED_TOPICS,
+    most: int | None = None,
+) -> PressImages:
+    """Read the images of a press, and the motion at their times.
+
+    The force is interpolated to the same times where it was measured; the skin is not read.
+
+    Args:
+        entry: the trajectory.
+        idle: (H, W, 3) without contact, by the same camera.
+        topics: where the channels lie.
+        most: frames to keep at most, evenly spread; None for all.
+
+    Raises:
+        FileNotFoundError: no bag there.
+        ValueError: no image or pose, images of another size, or none within the poses' time.
+    """
+    trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "wrench", "image"))
+    pose, image, wrench = trajectory.pose, trajectory.image, trajectory.wrench
+    if image is None:
+        raise ValueError(
+            f"{entry.bag} holds no image on {topics.image}; record the camera's images, or name "
+            "their topic"
+        )
+    if pose is None:
+        raise ValueError(
+            f"{entry.bag} holds no pose on {topics.pose}; record the indenter's pose, or name its "
+            "topic"
+        )
+    if image.pixels.shape[1:] != idle.shape:
+        raise ValueError(
+            f"{entry.bag}: images are {image.pixels.shape[2]}x{image.pixels.shape[1]}, but the "
+            f"idle images {idle.shape[1]}x{idle.shape[0]}; take both with one camera and setting"
+        )
+    within = (image.stamp_ns >= pose.stamp_ns[0]) & (image.stamp_ns <= pose.stamp_ns[-1])
+    frames = np.flatnonzero(within)
+    if not len(frames):
+        raise ValueError(
+            f"{entry.bag}: no image was taken while poses were recorded; record both at once, "
+            "stamped by one clock"
+        )
+    if most is not None and len(frames) > most:
+        frames = frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))]
+    stamp_ns = image.stamp_ns[frames]
+    stamp_s = 1e-9 * stamp_ns.astype(np.float64)
+    force = None
+    if wrench is not None:
+        times_s = 1e-9 * wrench.stamp_ns.astype(np.float64)
+        force = np.stack([np.interp(stamp_s, times_s, axis) for axis in wrench.force_n.T], axis=1)
+    poses = _poses_at(stamp_ns, pose.stamp_ns, pose.poses())
+    press = Press(entry.name, entry.indenter, poses, stamp_s, force_n=force)
+    delay_s = 1e-9 * float(stamp_ns[0] - pose.stamp_ns[0])
+    return PressImages(press, image.pixels[frames], delay_s)
+
+
+def _poses_at(wanted_ns: IntArray, stamp_ns: IntArray, poses: Sequence[Pose]) -> list[Pose]:
+    """Return the poses at stamps that lie within those of the given ones."""
+    found = []
+    for wanted in wanted_ns.tolist():
+        after = int(np.searchsorted(stamp_ns, wanted))
+        if stamp_ns[after] == wanted:
+            found.append(poses[after])
+            continue
+        before = after - 1
+        share = (wanted - stamp_ns[before]) / (stamp_ns[after] - stamp_ns[before])
+        found.append(interpolate(poses[before], poses[after], float(share)))
+    return found
 
 
 def check_bag(

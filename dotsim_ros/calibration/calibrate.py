@@ -1,0 +1,194 @@
+"""The whole calibration in one call: what `dotsim_ros calibrate` does."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
+from dotsim_ros.calibration.parameters import chosen_parameters
+from dotsim_ros.calibration.report import summary_lines, write_report
+from dotsim_ros.calibration.run import (
+    JOINT_STEPS,
+    SOLVE_BUDGET,
+    Calibration,
+    CalibrationRequest,
+    Progress,
+    run_calibration,
+)
+from dotsim_ros.measured.data_set import DataSet, read_data_set
+from dotsim_ros.measured.split import HELD_OUT_COUNT, hold_out_of_protocols
+from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
+from dotsim_ros.specification import SensorSpecification, given_sensor, write_sensor
+
+LOSSES = (POINTS, CHAMFER, FORCE)
+FITTED = ("E", "nu", "friction")
+OFFSET = "offset"
+"""The name by which an offset of the indenter is fitted, which is a press's own."""
+MOST_JOINT_STEPS = 4
+
+
+def calibrate(
+    data: str | Path | DataSet,
+    *,
+    sensor: str | Path | SensorSpecification = "densetact2",
+    out: str | Path | None = None,
+    fit: Sequence[str] = FITTED,
+    losses: Sequence[str] | None = None,
+    hold_out: int | None = None,
+    leave_out: str | None = None,
+    trajectories: Sequence[str] | None = None,
+    run_folder: str | Path | None = None,
+    joint_steps: int = JOINT_STEPS,
+    solves: int = SOLVE_BUDGET,
+    name: str | None = None,
+    workers: int = 2,
+    seed: int = 0,
+    noise: LossNoise | None = None,
+    topics: Topics = MEASURED_TOPICS,
+    progress: Progress | None = None,
+) -> Calibration:
+    """Fit the gel's constants to measured presses, and say which of them the data identify.
+
+    It starts processes, so a script calls it below `if __name__ == "__main__":`.
+
+    Args:
+        data: folder of the data set, or the data set.
+        sensor: before the fit, a name, a YAML file or a specification: geometry, and where the
+            priors are centred.
+        out: file (.yaml) to write the calibrated sensor to, with the report in a folder beside it:
+            `report_folder(out)`. None writes nothing.
+        fit: of "E", "nu" (or "bulk_modulus"), "friction", "c20", "c30", "thickness", and "offset",
+            which is of the indenter, six numbers a press.
+        losses: of "points" (vertex to vertex), "chamfer" (without correspondence) and "force"; by
+            default points and force, chamfer and force where the data set has no skin_mesh.npz.
+        hold_out: trajectories to judge on, drawn by the seed; 0 for none; by default nine of more
+            than nine.
+        leave_out: name of an indenter; judge on all of its trajectories instead.
+        trajectories: names of those to use; by default all of the data set.
+        run_folder: of the run's files, from which an interrupted run resumes; by default
+            `run` in the report's folder, and where nothing is written, none is kept.
+        joint_steps: Gauss-Newton steps of the joint fit, 0 to 4. With 0 it weighs the fits of
+            single presses by their information and needs no solve of its own.
+        solves: most solves of a press.
+        name: of the calibrated sensor; by default the file's stem, or the sensor's own.
+        workers: processes.
+        seed: of what is held out and drawn.
+        noise: of the measurement; by default as `LossNoise` has it.
+        topics: where the channels lie in the bags.
+        progress: called with the stage, how many presses of it are done, and of how many.
+
+    Returns:
+        What was found; `specification` is the calibrated sensor.
+
+    Raises:
+        FileNotFoundError: no data set or sensor there.
+        ValueError: an argument that is out of range or names nothing, before anything is read of
+            the bags or written; or no trajectory that can be fitted.
+    """
+    out = None if out is None else Path(out)
+    if out is not None and out.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"out is {out}, expected a file that ends in .yaml")
+    parameters = tuple(parameter for parameter in fit if parameter != OFFSET)
+    chosen_parameters(parameters)
+    _check_at_least(1, workers=workers, solves=solves)
+    _check_at_least(0, hold_out=hold_out or 0, joint_steps=joint_steps)
+    if joint_steps > MOST_JOINT_STEPS:
+        raise ValueError(f"joint_steps is {joint_steps}, expected 0 to {MOST_JOINT_STEPS}")
+    data_set = data if isinstance(data, DataSet) else read_data_set(data)
+    specification = given_sensor(sensor)
+    train, held_out = _split(data_set, trajectories, hold_out, leave_out, seed)
+    used = _losses(data_set, losses)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) if out is None else report_folder(out) / "run"
+        calibration = run_calibration(
+            CalibrationRequest(
+                data_set=data_set,
+                sensor=specification,
+                train=train,
+                held_out=held_out,
+                fit=parameters,
+                with_offset=OFFSET in fit,
+                losses=used,
+                noise=LossNoise() if noise is None else noise,
+                topics=topics,
+                directory=folder if run_folder is None else Path(run_folder),
+                workers=workers,
+                seed=seed,
+                joint_steps=joint_steps,
+                solve_budget=solves,
+            ),
+            progress or _silent,
+        )
+    named = name or (specification.name if out is None else out.stem)
+    calibration = replace(calibration, specification=calibration.named(named))
+    if out is not None:
+        write_report(report_folder(out), calibration, seed=seed)
+        write_sensor(out, calibration.specification, "\n".join(summary_lines(calibration)))
+    return calibration
+
+
+def report_folder(out: Path) -> Path:
+    """Return the folder of the report that belongs to a calibrated sensor's file."""
+    return out.with_name(f"{out.stem}_report")
+
+
+def _check_at_least(least: int, **counts: int) -> None:
+    for name, count in counts.items():
+        if count < least:
+            raise ValueError(f"{name} is {count}, expected {least} or more")
+
+
+def _split(
+    data_set: DataSet,
+    trajectories: Sequence[str] | None,
+    hold_out: int | None,
+    leave_out: str | None,
+    seed: int,
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of the trajectories to fit on and to judge on.
+
+    Raises:
+        ValueError: an unknown trajectory, or nothing left to fit on or to judge on.
+    """
+    indenter_of = {entry.name: entry.indenter for entry in data_set.entries}
+    names = sorted(indenter_of if trajectories is None else trajectories)
+    unknown = sorted(set(names) - set(indenter_of))
+    if unknown:
+        raise ValueError(f"{data_set.directory} has no trajectory {', '.join(unknown)}")
+    if leave_out is not None:
+        if hold_out is not None:
+            raise ValueError("either hold out trajectories or leave out an indenter, not both")
+        train = tuple(n for n in names if indenter_of[n] != leave_out)
+        held_out = tuple(n for n in names if indenter_of[n] == leave_out)
+        if not train or not held_out:
+            raise ValueError(
+                f"to leave out {leave_out} leaves {len(train)} trajectories to fit on and "
+                f"{len(held_out)} to judge on; indenters are {sorted(set(indenter_of.values()))}"
+            )
+        return train, held_out
+    if hold_out is None:
+        hold_out = HELD_OUT_COUNT if len(names) > HELD_OUT_COUNT else 0
+    return hold_out_of_protocols(names, hold_out, seed) if hold_out else (tuple(names), ())
+
+
+def _losses(data_set: DataSet, losses: Sequence[str] | None) -> tuple[str, ...]:
+    """Return the losses to use.
+
+    Raises:
+        ValueError: an unknown one, or none.
+    """
+    if losses is None:
+        return (POINTS if data_set.has_skin_mesh else CHAMFER), FORCE
+    unknown = sorted(set(losses) - set(LOSSES))
+    if unknown or not losses:
+        raise ValueError(
+            f"losses are {', '.join(losses) or 'none'}, expected of {', '.join(LOSSES)}"
+        )
+    return tuple(losses)
+
+
+def _silent(_stage: str, _done: int, _total: int) -> None:
+    """Show nothing."""

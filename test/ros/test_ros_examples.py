@@ -1,0 +1,36 @@
+"""The examples for ROS 2, run beside a real `tactile_sim` as a user runs them."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+
+from harness import PATIENCE_S, Executable, running
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+def example(name: str, *arguments: str) -> Executable:
+    """Start an example."""
+    return Executable("", arguments=arguments, script=EXAMPLES / name)
+
+
+def test_a_controller_keeps_a_force_that_a_subscriber_reads() -> None:
+    with running():
+        subscriber = example("ros_subscriber.py")
+        controller = example("ros_controller.py", "-p", "force_n:=0.8")
+        try:
+            end_s = time.monotonic() + PATIENCE_S
+            force_n: list[float] = []
+            while not (len(force_n) > 10 and all(abs(one - 0.8) < 0.05 for one in force_n[-10:])):
+                assert time.monotonic() < end_s, f"{force_n[-20:]}\n{controller.log}"
+                time.sleep(0.2)
+                force_n = [float(z) for z in re.findall(r"(-?[\d.]+) N, image", subscriber.log)]
+            assert max(force_n) < 1.2
+            assert "image (480, 640, 3)" in subscriber.log
+            assert subscriber.interrupt() == 0, subscriber.log
+            assert controller.interrupt() == 0, controller.log
+        finally:
+            subscriber.end()
+            controller.end()

@@ -1,0 +1,210 @@
+"""The documentation: its examples run, its tables are those of the code, its figures are
+those of the results, and the checks of its links find what is broken."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import importlib.util
+import json
+import re
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import trimesh
+import yaml
+
+from dotsim_ros.effects.effect import Active, Response, response_filters
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.specification import load_sensor
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+README_LINES = 150
+FIGURES = re.compile(r"<!-- figures: (\S+) at (\S+) -->\n(.*?)<!-- end figures -->", re.DOTALL)
+
+
+def text_of(name: str) -> str:
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def section(text: str, heading: str) -> str:
+    """Return what stands below a heading of the second level."""
+    return text.split(f"\n## {heading}\n")[1].split("\n## ")[0]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def rows(text: str) -> list[list[str]]:
+    """Return the cells of the first table of a text, without its head."""
+    table = next(part for part in text.split("\n\n") if part.lstrip().startswith("|"))
+    lines = table.strip().splitlines()
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[2:]]
+
+
+def script(name: str) -> ModuleType:
+    """Return a program of .ci as a module."""
+    specification = importlib.util.spec_from_file_location(name, ROOT / ".ci" / f"{name}.py")
+    assert specification is not None
+    assert specification.loader is not None
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def test_the_example_of_an_effect_works(tmp_path: Path) -> None:
+    code = blocks(section(text_of("extend.md"), "An effect"), "python")[0]
+    (tmp_path / "crosstalk.py").write_text(code, encoding="utf-8")
+    effect = load_effects([tmp_path])["crosstalk"]
+    mixed = response_filters([Active(effect, effect.checked({}))])
+    nowhere = np.zeros((1, 3))
+    given = Response(0.0, 0.0, Pose(np.zeros(3)), 1e-3, nowhere, nowhere, np.array([0.1, 0.0, 2.0]))
+    assert mixed(given).force_n == pytest.approx([0.16, 0.0, 2.0])
+    assert not effect.needs_solve
+
+
+def test_the_example_of_a_sensor_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "small_dome.yaml"
+    path.write_text(blocks(section(text_of("extend.md"), "A sensor"), "yaml")[0])
+    sensor = load_sensor(path)
+    assert sensor.name == "small_dome"
+    assert sensor.material.law == "yeoh"
+
+
+def test_the_example_of_an_indenter_is_one(tmp_path: Path) -> None:
+    part = section(text_of("extend.md"), "An indenter")
+    trimesh.creation.cylinder(radius=2.0, height=10.0).export(tmp_path / "screw.stl")
+    (tmp_path / "screw.yaml").write_text(blocks(part, "yaml")[0])
+    screw = load_indenter(tmp_path / "screw.yaml")
+    assert screw.mesh is not None
+    assert screw.mesh.bounds_m()[0, 2] == pytest.approx(0.0, abs=1e-9)
+    inline = re.search(r"indenter '(\{.*\})'", part)
+    assert inline is not None
+    assert load_indenter(yaml.safe_load(inline[1])).parameters == (0.003,)
+
+
+def test_the_example_of_a_command_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    names: dict[str, object] = {}
+    exec(blocks(section(text_of("extend.md"), "A command"), "python")[0], names)
+    parser = argparse.ArgumentParser()
+    names["add_arguments"](parser)  # type: ignore[operator]
+    assert names["run"](parser.parse_args(["densetact2"])) == 0  # type: ignore[operator]
+    assert capsys.readouterr().out == "0.01575\n"
+
+
+def test_the_table_of_effects_is_up_to_date() -> None:
+    assert script("effects_table").table() in text_of("effects.md"), (
+        "run python .ci/effects_table.py"
+    )
+
+
+def test_the_table_of_parameters_is_that_of_the_node() -> None:
+    written = {
+        cells[0].split("`")[1]: (cells[0].endswith("*"), cells[1].strip("`"))
+        for cells in rows(section(text_of("run.md"), "Parameters"))
+    }
+    known = {}
+    for field in dataclasses.fields(TactileSimParameters):
+        default = field.default
+        if isinstance(default, tuple):
+            default = ", ".join(f"{number:g}" for number in default)
+        shown = str(default).lower() if isinstance(default, bool) else str(default)
+        known[field.name] = (not option_of(field).read_only, shown or "empty")
+    assert written == known
+
+
+def test_the_layout_is_that_of_the_contract() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = next(c["layers"] for c in contracts["contracts"] if c["id"] == "layers")
+    table = rows(section(text_of("architecture.md"), "Layout"))
+    written = [re.findall(r"`(\w+)(?:/|\.py)`", cells[0]) for cells in table]
+    assert [sorted(names) for names in written] == [
+        sorted(layer.replace(" ", "").split("|")) for layer in layers
+    ]
+
+
+def test_ten_questions_are_answered_by_three_files_that_there_are() -> None:
+    table = rows(section(text_of("architecture.md"), "Ten questions"))
+    assert len(table) == 10
+    for question, answer in table:
+        places = re.findall(r"`([\w/]+(?:\.py|\.yaml|/))`", answer)
+        assert 1 <= len(places) <= 3, question
+        for place in places:
+            base = ROOT if place.startswith("params/") else ROOT / "dotsim_ros"
+            assert (base / place).exists(), f"{question} names {place}"
+
+
+@pytest.mark.parametrize(
+    "path", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda p: p.name
+)
+def test_figures_are_those_of_their_file_and_link_to_it(path: Path) -> None:
+    for source, commit, block in FIGURES.findall(path.read_text(encoding="utf-8")):
+        record = json.loads((ROOT / source).read_text(encoding="utf-8"))
+        assert commit == record.get("provenance", record)["commit"], (
+            f"{source} was made anew: bring the figures beside it up to date, then its commit"
+        )
+        shown_by = {(ROOT / source).with_suffix(suffix) for suffix in (".json", ".md")}
+        linked = {(path.parent / link).resolve() for link in re.findall(r"\]\(([^)]+)\)", block)}
+        assert shown_by & linked, f"results-status can mark no link to {source}"
+
+
+def test_the_readme_is_short_and_says_where_its_figures_come_from() -> None:
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert len(readme.splitlines()) <= README_LINES
+    figures = section(readme, "Figures")
+    assert len(FIGURES.findall(figures)) == len(re.findall("^- ", figures, re.MULTILINE)) > 0
+
+
+def site_with(folder: Path, body: str) -> Path:
+    (folder / "index.html").write_text(f'<p id="here"><a href="#here">up</a>{body}</p>')
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("body", "complaint"),
+    [
+        ('<a href="gone.html">x</a>', "leads nowhere"),
+        ('<a href="index.html#gone">x</a>', "no such anchor"),
+        ('<a href="../x.html">x</a>', "leads out of"),
+        ('<img src="gone.png">', "leads nowhere"),
+        ('<script src="https://elsewhere.org/x.js"></script>', "fetches"),
+        ('<link rel="stylesheet" href="//elsewhere.org/x.css">', "fetches"),
+    ],
+)
+def test_the_check_of_links_finds(body: str, complaint: str, tmp_path: Path) -> None:
+    checker = script("check_links").Checker(site_with(tmp_path, body))
+    checker.check_site()
+    assert len(checker.bad) == 1
+    assert complaint in checker.bad[0]
+
+
+def test_the_check_of_links_passes_a_sound_page(tmp_path: Path) -> None:
+    sound = '<a href="index.html#here">x</a><a href="https://elsewhere.org">x</a>'
+    checker = script("check_links").Checker(site_with(tmp_path, sound))
+    checker.check_site()
+    assert checker.bad == []
+    assert checker.outward == {"https://elsewhere.org"}
+
+
+def test_entries_of_several_names_are_split() -> None:
+    pytest.importorskip("griffe")
+    text = (
+        "What.\n\n    Args:\n"
+        "        low, high: the range,\n            both ends.\n"
+        "        unit: SI."
+    )
+    assert script("split_names").split(text) == (
+        "What.\n\n    Args:\n"
+        "        low: the range,\n            both ends.\n"
+        "        high: the range,\n            both ends.\n"
+        "        unit: SI."
+    )

@@ -1,0 +1,102 @@
+"""The examples run as a user runs them, and leave what they say; test/ros runs those of ROS."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from dotsim_ros import load_effects, load_sensor, read_data_set
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
+TESTS = (Path(__file__), Path(__file__).parents[1] / "ros" / "test_ros_examples.py")
+MOST_LINES = 39
+
+
+def run(name: str, *arguments: object) -> str:
+    """Run an example to its end; return what it printed, without the lines of Warp."""
+    command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def number_before(unit: str, text: str) -> float:
+    """Return the last number that stands before a unit."""
+    found = re.findall(rf"(-?[\d.]+(?:e[+-]?\d+)?) {unit}", text)
+    assert found, f"no number of {unit} in {text}"
+    return float(found[-1])
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_an_example_is_short_listed_and_run_by_a_test(name: str) -> None:
+    text = (EXAMPLES / name).read_text(encoding="utf-8")
+    assert len(text.splitlines()) <= MOST_LINES
+    assert f"python examples/{name}" in text
+    assert f"[`{name}`]({name})" in (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    assert any(f'("{name}"' in test.read_text(encoding="utf-8") for test in TESTS)
+
+
+def test_the_list_names_only_files_that_there_are() -> None:
+    named = re.findall(r"\]\(([^)\s]+)\)", (EXAMPLES / "README.md").read_text(encoding="utf-8"))
+    assert set(SCRIPTS) <= set(named)
+    for name in named:
+        assert (EXAMPLES / name).is_file(), name
+
+
+def test_a_press_is_saved(tmp_path: Path) -> None:
+    printed = run("press_and_save.py", tmp_path)
+    force_n = json.loads(re.search(r"ball: (\[.*\]) N", printed)[1])  # type: ignore[index]
+    assert 2.5 < force_n[2] < 3.5
+    assert cv2.imread(str(tmp_path / "press.png")).shape == (480, 640, 3)
+    with np.load(tmp_path / "press.npz") as arrays:
+        np.testing.assert_allclose(arrays["force_n"], force_n, atol=1e-3)
+
+
+def test_a_mesh_of_ones_own_presses(tmp_path: Path) -> None:
+    assert number_before("N", run("your_own_stl.py", tmp_path)) > 1.0
+    again = run("your_own_stl.py", tmp_path / "given", tmp_path / "hexagon.stl")
+    assert number_before("N", again) > 1.0
+    images = [cv2.imread(str(tmp_path / name)) for name in ("hexagon.png", "given/hexagon.png")]
+    assert np.array_equal(*images)
+
+
+def test_a_slide_is_plotted(tmp_path: Path) -> None:
+    assert 0.3 < number_before("N", run("slide_force.py", tmp_path)) < 1.5
+    assert cv2.imread(str(tmp_path / "slide.png")) is not None
+
+
+def test_a_batch_presses_less_the_farther_aside() -> None:
+    lines = [line for line in run("batch.py", 3).splitlines() if "aside" in line]
+    force_n = [number_before("N", line) for line in lines]
+    assert len(force_n) == 3
+    assert force_n == sorted(force_n, reverse=True)
+    assert force_n[-1] > 0.1
+
+
+def test_a_recorded_unit_is_calibrated(tmp_path: Path) -> None:
+    printed = run("record_and_calibrate.py", tmp_path)
+    assert number_before("Pa", printed) == pytest.approx(2.2e5, rel=0.05)
+    fitted = load_sensor(tmp_path / "calibrated.yaml")
+    assert fitted.material.youngs_modulus_pa == pytest.approx(2.2e5, rel=0.05)
+    assert fitted.contact.friction_coefficient == pytest.approx(0.3, rel=0.15)
+    assert (tmp_path / "calibrated_report" / "report.html").is_file()
+    entries = read_data_set(tmp_path / "measured").entries
+    assert [(entry.frame_count, entry.has_images) for entry in entries] == [(4, True)] * 2
+
+
+def test_an_effect_of_ones_own_is_found(tmp_path: Path) -> None:
+    assert load_effects([EXAMPLES / "effects"])["crosstalk"].parameters[0].name == "share"
+    printed = run("your_own_effect.py", tmp_path)
+    assert "Crosstalk of the force gauge is missing" in printed
+    findings = json.loads((tmp_path / "report" / "findings.json").read_text(encoding="utf-8"))
+    assert (findings["verdict"], findings["named"]) == ("named", ["crosstalk"])
+    (share,) = next(c for c in findings["candidates"] if c["name"] == "crosstalk")["estimates"]
+    assert share["low"] < 0.3 < share["high"]

@@ -1,0 +1,229 @@
+"""The public names of the package, and the first lines that a user writes."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO
+
+import cv2
+import numpy as np
+import pytest
+
+import dotsim_ros
+from dotsim_ros import (
+    Frame,
+    Pose,
+    SensorSpecification,
+    TactileSensor,
+    load_indenter,
+    load_sensor,
+    make_gel_batch,
+)
+from dotsim_ros.code_version import import_closure
+from dotsim_ros.specification import GelSpecification, SolverSpecification
+
+FOREVER = {
+    "Frame",
+    "Pose",
+    "SensorSpecification",
+    "TactileSensor",
+    "calibrate",
+    "find_gap",
+    "load_indenter",
+    "load_sensor",
+    "read_data_set",
+}
+"""Names that scripts of others call."""
+RADIUS_M = 0.01575
+
+
+@pytest.fixture(scope="module")
+def coarse() -> SensorSpecification:
+    """A sensor whose gel is solved in milliseconds."""
+    sensor = load_sensor("densetact2")
+    return replace(
+        sensor,
+        gel=replace(sensor.gel, skin_spacing_m=1.5e-3),
+        solver=SolverSpecification(grid_spacing_m=4.8e-3, refined=False),
+        camera=replace(sensor.camera, width=160, height=120, principal_point_px=(79.5, 59.5)),
+    )
+
+
+@pytest.fixture(scope="module")
+def frame(coarse: SensorSpecification) -> Frame:
+    return TactileSensor.load(coarse).step(Pose.above_apex(depth_m=0.001, x_m=0.002))
+
+
+def test_importing_the_package_loads_nothing_heavy_and_the_names_load_when_asked() -> None:
+    code = """
+import sys
+import dotsim_ros
+heavy = lambda: sorted({"warp", "torch", "rclpy", "numpy", "cv2"} & set(sys.modules))
+print(heavy())
+dotsim_ros.SensorSpecification, dotsim_ros.Pose, dotsim_ros.read_data_set
+print(set(heavy()) & {"warp", "torch", "rclpy"})
+dotsim_ros.calibrate
+print("rclpy" in sys.modules, "torch" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-3:] == ["[]", "set()", "False False"]
+
+
+def test_every_public_name_is_what_its_home_holds_and_is_listed() -> None:
+    assert set(dotsim_ros.__all__) >= FOREVER
+    homes = {name: home for home, names in dotsim_ros._HOMES.items() for name in names}
+    assert sorted(homes) == sorted(dotsim_ros.__all__)
+    assert set(dotsim_ros.__all__) <= set(dir(dotsim_ros))
+    for name, home in homes.items():
+        assert getattr(dotsim_ros, name) is getattr(importlib.import_module(home), name), name
+
+
+def test_type_checkers_are_told_the_same_homes() -> None:
+    tree = ast.parse(Path(dotsim_ros.__file__).read_text(encoding="utf-8"))
+    (guarded,) = (node for node in tree.body if isinstance(node, ast.If))
+    told = {
+        (found.module, alias.name)
+        for found in guarded.body
+        if isinstance(found, ast.ImportFrom)
+        for alias in found.names
+    }
+    assert told == {(home, name) for home, names in dotsim_ros._HOMES.items() for name in names}
+
+
+def test_an_unknown_name_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="'dotsim_ros' has no attribute 'TactilSensor'"):
+        dotsim_ros.TactilSensor  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_a_script_depends_on_the_homes_of_the_names_that_it_takes(tmp_path: Path) -> None:
+    root = Path(dotsim_ros.__file__).parents[1]
+    sources = {
+        path.relative_to(root).as_posix(): path.read_bytes()
+        for package in ("dotsim_ros", "msg_adapters")
+        for path in (root / package).rglob("*.py")
+    }
+    sources["script.py"] = b"from dotsim_ros import calibrate, Frame\n"
+    closure = import_closure(["script.py"], sources)
+    assert {"dotsim_ros/calibration/calibrate.py", "dotsim_ros/sensor.py"} <= set(closure)
+    assert "dotsim_ros/gap/find.py" not in closure
+
+
+def test_a_pose_above_the_apex_is_placed_by_the_sensor(frame: Frame) -> None:
+    assert frame.indenter_pose is not None
+    expected = [0.002, 0.0, RADIUS_M - 0.001]
+    np.testing.assert_allclose(frame.indenter_pose.position_m, expected, atol=1e-12)
+    assert frame.wrench.force_n[2] > 0.1
+    assert frame.time_s == 0.04
+    assert frame.image.shape == (120, 160, 3)
+
+
+def test_a_pose_above_the_apex_is_that_of_the_pad_on_a_pad(coarse: SensorSpecification) -> None:
+    size = (0.02, 0.025, 0.004)
+    pad = replace(
+        coarse,
+        gel=GelSpecification(shape="flat_pad", pad_size_m=size, skin_spacing_m=1.5e-3),
+        solver=replace(coarse.solver, grid_spacing_m=2.0e-3),
+    )
+    gel = make_gel_batch(pad, indenter=load_indenter("sphere_4mm"), environment_count=2)
+    apex_m = gel.skin.apex_m
+    np.testing.assert_allclose(apex_m, [0.0, 0.0, 0.004])
+    above, below = (Pose.above_apex(depth_m).on(apex_m) for depth_m in (-0.001, 0.0005))
+    away, pressed = gel.step([above, below], 0.04)
+    assert away.wrench.force_n[2] == 0.0
+    assert pressed.wrench.force_n[2] > 0.1
+
+
+def test_above_the_apex_turns_about_the_axis_and_refuses_what_is_no_number() -> None:
+    pose = Pose.above_apex(0.001, yaw_rad=np.pi / 2).on([0.0, 0.0, 0.01])
+    np.testing.assert_allclose(pose.apply([1.0, 0.0, 0.0]), [0.0, 1.0, 0.009], atol=1e-12)
+    with pytest.raises(ValueError, match="a pose above the apex holds a number that is not finite"):
+        Pose.above_apex(float("nan"))
+
+
+def test_poses_above_the_apex_are_checked_like_others(coarse: SensorSpecification) -> None:
+    sensor = TactileSensor.load(coarse)
+    with pytest.raises(ValueError, match="press less deep"):
+        sensor.check_depth(Pose.above_apex(depth_m=0.0095))
+    with pytest.raises(ValueError, match="press less deep"):
+        sensor.step(Pose.above_apex(depth_m=0.0095))
+    gel = sensor.press(Pose.above_apex(depth_m=0.0005))
+    seen = sensor.see(gel, Pose.above_apex(depth_m=0.0005))
+    assert seen.indenter_pose is not None
+    np.testing.assert_allclose(seen.indenter_pose.position_m, [0.0, 0.0, RADIUS_M - 0.0005])
+
+
+def test_a_sensor_is_loaded_from_names_files_or_objects(
+    tmp_path: Path, coarse: SensorSpecification
+) -> None:
+    path = tmp_path / "mine.yaml"
+    dotsim_ros.write_sensor(path, replace(coarse, name="mine"), "coarse")
+    sensor = TactileSensor.load(path, indenter={"kind": "sphere", "radius_m": 0.003})
+    assert sensor.specification.name == "mine"
+    assert sensor.indenter.parameters == (0.003,)
+    ball = load_indenter("sphere_4mm")
+    assert TactileSensor.load(coarse, indenter=ball).indenter is ball
+    with pytest.raises(FileNotFoundError, match="sensors/densetact9"):
+        TactileSensor.load("densetact9")
+    with pytest.raises(FileNotFoundError, match="indenters/sphere_5mm"):
+        TactileSensor.load(coarse, indenter="sphere_5mm")
+
+
+def test_a_frame_is_saved_as_its_image(tmp_path: Path, frame: Frame) -> None:
+    frame.save(tmp_path / "new" / "press.png")
+    read = cv2.imread(str(tmp_path / "new" / "press.png"))
+    assert np.array_equal(cv2.cvtColor(read, cv2.COLOR_BGR2RGB), frame.image)
+    frame.save(str(tmp_path / "press.JPG"))
+    read = cv2.cvtColor(cv2.imread(str(tmp_path / "press.JPG")), cv2.COLOR_BGR2RGB)
+    assert np.abs(read.astype(int) - frame.image).mean() < 5.0
+
+
+def test_a_frame_is_saved_with_all_its_arrays(tmp_path: Path, frame: Frame) -> None:
+    for path, saved in (("a.npz", frame), ("b.NPZ", replace(frame, indenter_pose=None))):
+        saved.save(tmp_path / path)
+        with np.load(tmp_path / path) as arrays:
+            for name in ("image", "depth_m", "normal", "material_point_m", "skin_position_m"):
+                np.testing.assert_array_equal(arrays[name], getattr(frame, name))
+            np.testing.assert_array_equal(arrays["force_n"], frame.wrench.force_n)
+            np.testing.assert_array_equal(arrays["torque_nm"], frame.wrench.torque_nm)
+            assert float(arrays["time_s"]) == frame.time_s
+            assert bool(arrays["converged"]) is frame.converged
+            has_pose = saved.indenter_pose is not None
+            assert bool(np.isfinite(arrays["indenter_position_m"]).all()) is has_pose
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.npz", "b.NPZ"]
+
+
+@pytest.mark.parametrize("name", ["press.tiff", "press"])
+def test_another_format_is_refused_and_nothing_is_written(
+    tmp_path: Path, frame: Frame, name: str
+) -> None:
+    with pytest.raises(ValueError, match=r"ends in .*, expected \.png, \.jpg, \.jpeg for the"):
+        frame.save(tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_stays_as_it_was_where_a_frame_could_not_be_written(
+    tmp_path: Path, frame: Frame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "press.npz"
+    path.write_bytes(b"before")
+
+    def break_off(file: BinaryIO, **_: object) -> None:
+        file.write(b"half")
+        raise OSError("no space left")
+
+    monkeypatch.setattr(np, "savez_compressed", break_off)
+    with pytest.raises(OSError, match="no space left"):
+        frame.save(path)
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_batch_needs_the_implicit_method(coarse: SensorSpecification) -> None:
+    explicit = replace(coarse, solver=replace(coarse.solver, method="explicit"))
+    with pytest.raises(ValueError, match="'explicit', expected 'implicit' for a batch"):
+        make_gel_batch(explicit, indenter=load_indenter("sphere_4mm"), environment_count=2)

@@ -1,0 +1,262 @@
+"""`calibrate` and `find_gap`: what cannot be done is refused before anything is touched, and what
+the command line asks for is what the calls are given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from calibration_result import calibration
+
+from dotsim_ros import Findings, Verdict, calibrate, find_gap, load_sensor, read_data_set
+from dotsim_ros.calibration import calibrate as calibrate_module
+from dotsim_ros.calibration.calibrate import report_folder
+from dotsim_ros.calibration.run import CalibrationRequest
+from dotsim_ros.cli.main import main
+from dotsim_ros.gap import find as find_module
+from dotsim_ros.gap.presses.search_state import GapRequest
+from dotsim_ros.geometry.indenter import flat_punch, sphere
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.measured.data_set_writer import write_data_set
+from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+
+SKIN = dome_skin(0.01575, 4.0e-3)
+BALL, PUNCH = sphere(0.004), flat_punch(0.004, 0.01)
+
+
+def press(name: str) -> Trajectory:
+    stamp_ns = np.arange(1, 4) * 40_000_000
+    still = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    return Trajectory(
+        pose=PoseChannel(stamp_ns, np.full((3, 3), 0.015), still),
+        wrench=WrenchChannel(stamp_ns, np.ones((3, 3)), np.zeros((3, 3))),
+        skin=SkinChannel(stamp_ns, np.repeat(SKIN.rest_position_m[None], 3, axis=0).astype("f4")),
+        name=name,
+    )
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("one_call") / "data"
+    presses = [(press(f"press_{number}"), BALL) for number in range(3)]
+    write_data_set(folder, [*presses, (press("flat"), PUNCH)], skin=SKIN)
+    return folder
+
+
+def files_below(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"out": "fitted.json"}, r"out is .*fitted\.json, expected a file that ends in \.yaml"),
+        ({"fit": ("E", "mass")}, r"unknown parameters \['mass'\]"),
+        ({"fit": ("offset",)}, "nothing to fit; name a parameter"),
+        ({"losses": ("points", "area")}, "losses are points, area, expected of points, chamfer"),
+        ({"losses": ()}, "losses are none"),
+        ({"trajectories": ["press_0", "press_9"]}, "has no trajectory press_9"),
+        ({"leave_out": "cone"}, r"leaves 4 trajectories to fit on and 0 to judge on; indenters"),
+        ({"leave_out": "sphere", "hold_out": 1}, "not both"),
+        ({"hold_out": 4}, "cannot be held out"),
+        ({"hold_out": -1}, "hold_out is -1, expected 0 or more"),
+        ({"joint_steps": 5}, "joint_steps is 5, expected 0 to 4"),
+        ({"workers": 0}, "workers is 0, expected 1 or more"),
+        ({"solves": 0}, "solves is 0, expected 1 or more"),
+    ],
+)
+def test_a_calibration_that_cannot_be_run_touches_nothing(
+    tmp_path: Path, data: Path, given: dict[str, Any], reason: str
+) -> None:
+    before = files_below(data)
+    given = {
+        "out": tmp_path / given.get("out", "fitted.yaml"),
+        **{k: v for k, v in given.items() if k != "out"},
+    }
+    with pytest.raises(ValueError, match=reason):
+        calibrate(data, **given)
+    assert files_below(data) == before
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[CalibrationRequest]:
+    """What was to be calibrated; nothing is solved."""
+    requests: list[CalibrationRequest] = []
+
+    def record(request: CalibrationRequest, _progress: object) -> object:
+        requests.append(request)
+        return replace(calibration(), specification=request.sensor)
+
+    monkeypatch.setattr(calibrate_module, "run_calibration", record)
+    return requests
+
+
+def test_the_command_asks_for_what_the_call_is_given(
+    tmp_path: Path, data: Path, asked: list[CalibrationRequest]
+) -> None:
+    out = tmp_path / "a.yaml"
+    line = f"calibrate --data {data} --out {out} --sensor sensor_a --fit E friction offset"
+    line += " --loss chamfer force --leave-out flat_punch --joint-steps 1 --solves 12 --workers 3"
+    line += " --seed 4 --name mine --noise-force-n 0.02 --wrench-topic /force"
+    assert main(line.split()) == 0
+    calibrate(
+        data,
+        out=out,
+        sensor="sensor_a",
+        fit=("E", "friction", "offset"),
+        losses=("chamfer", "force"),
+        leave_out="flat_punch",
+        joint_steps=1,
+        solves=12,
+        workers=3,
+        seed=4,
+        name="mine",
+        noise=replace(asked[0].noise, force_n=0.02),
+        topics=replace(asked[0].topics, wrench="/force"),
+    )
+    assert asked[0] == asked[1]
+    request = asked[0]
+    assert request.train == ("press_0", "press_1", "press_2")
+    assert request.held_out == ("flat",)
+    assert (request.fit, request.with_offset) == (("E", "friction"), True)
+    assert request.directory == tmp_path / "a_report" / "run"
+    assert request.noise.force_n == 0.02
+    assert load_sensor(out).name == "mine"
+    assert (report_folder(out) / "report.html").is_file()
+
+
+def test_the_command_says_where_its_files_are(
+    tmp_path: Path,
+    data: Path,
+    asked: list[CalibrationRequest],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    out, copy = tmp_path / "a.yaml", tmp_path / "figures" / "a.json"
+    line = ["calibrate", "--data", str(data), "--out", str(out), "--json", str(copy)]
+    assert main(line) == 0
+    printed = capsys.readouterr().out.splitlines()
+    report = tmp_path / "a_report" / "report.html"
+    assert printed[-2:] == [f"sensor: {out}", f"report: {report}"]
+    assert copy.read_text() == report.with_name("report.json").read_text()
+    assert asked[0].losses == ("points", "force")
+
+
+def test_without_a_file_to_write_nothing_is_left(
+    tmp_path: Path, data: Path, asked: list[CalibrationRequest], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = calibrate(read_data_set(data), sensor=load_sensor("densetact2"))
+    assert found.specification == load_sensor("densetact2")
+    assert list(tmp_path.iterdir()) == []
+    assert not asked[0].directory.exists()
+    assert asked[0].held_out == ()
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "reason"),
+    [
+        ({"alpha": 0.0}, ValueError, r"alpha is 0\.0, expected between 0 and 1"),
+        ({"budget": 0}, ValueError, "budget is 0, expected 1 or more"),
+        ({"workers": 0}, ValueError, "workers is 0, expected 1 or more"),
+        ({"channels": ("skin", "sound")}, ValueError, "no channel sound; known are skin, force"),
+        ({"candidates": ("gravity",)}, ValueError, "no effect gravity; known are adhesion"),
+        ({"effects": ("nowhere",)}, FileNotFoundError, "no folder of effects at nowhere"),
+        ({"discrepancy": "no.npz"}, FileNotFoundError, r"there is nothing at no\.npz"),
+        ({"optical_noise": "no.npz"}, FileNotFoundError, r"there is nothing at no\.npz"),
+        ({"sensor": "sensor_x"}, FileNotFoundError, "sensors/sensor_x"),
+    ],
+)
+def test_a_search_that_cannot_be_run_touches_nothing(
+    tmp_path: Path, data: Path, given: dict[str, Any], error: type[Exception], reason: str
+) -> None:
+    with pytest.raises(error, match=reason):
+        find_gap(data, out=tmp_path / "report", **given)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def searched(monkeypatch: pytest.MonkeyPatch) -> Callable[[Exception | None], list[GapRequest]]:
+    """Return what makes every search end in no gap, or in an error, and says what was searched."""
+
+    def end_in(error: Exception | None) -> list[GapRequest]:
+        requests: list[GapRequest] = []
+
+        def record(request: GapRequest, _progress: object) -> tuple[Findings, None]:
+            requests.append(request)
+            if error is not None:
+                raise error
+            return Findings(Verdict.NO_GAP, "No gap."), None
+
+        monkeypatch.setattr(find_module, "find_gap_with_images", record)
+        return requests
+
+    return end_in
+
+
+def test_the_search_of_the_command_is_that_of_the_call(
+    tmp_path: Path,
+    data: Path,
+    searched: Callable[[Exception | None], list[GapRequest]],
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    requests = searched(None)
+    out = tmp_path / "report"
+    line = f"find-gap --measured {data} --out {out} --sensor densetact2 --alpha 0.05 --budget 7"
+    line += f" --candidates adhesion gamma --reference {data} --seed 3 --workers 1"
+    assert main([*line.split(), "--json", str(tmp_path / "found.json")]) == 0
+    assert capsys.readouterr().out.splitlines() == ["", "No gap.", f"{out / 'report.html'}: no_gap"]
+    findings = find_gap(
+        data,
+        out=out,
+        sensor="densetact2",
+        alpha=0.05,
+        budget=7,
+        candidates=["adhesion", "gamma"],
+        reference=data,
+        seed=3,
+        workers=1,
+    )
+    assert findings.verdict is Verdict.NO_GAP
+    assert requests[0] == requests[1]
+    assert requests[0].channels == ("skin", "force")
+    assert requests[0].directory == out / "run"
+    assert (out / "findings.json").read_text() == (tmp_path / "found.json").read_text()
+
+
+def test_data_that_cannot_be_used_are_a_verdict_with_a_report(
+    tmp_path: Path, data: Path, searched: Callable[[Exception | None], list[GapRequest]]
+) -> None:
+    searched(ValueError("no force in any bag"))
+    findings = find_gap(data, out=tmp_path / "report")
+    assert findings.verdict is Verdict.UNUSABLE
+    assert findings.sentence == "The data cannot be used: no force in any bag"
+    assert "no force in any bag" in (tmp_path / "report" / "report.md").read_text()
+    line = ["find-gap", "--measured", str(data), "--out", str(tmp_path / "other")]
+    assert main(line) == 20
+    assert (tmp_path / "other" / "report.html").is_file()
+
+
+def test_a_search_without_a_report_leaves_nothing(
+    tmp_path: Path,
+    data: Path,
+    searched: Callable[[Exception | None], list[GapRequest]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    requests = searched(None)
+    monkeypatch.chdir(tmp_path)
+    assert find_gap(data).sentence == "No gap."
+    assert list(tmp_path.iterdir()) == []
+    assert not requests[0].directory.parent.exists()
+
+
+def test_a_data_set_that_is_not_there_is_no_verdict(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"is no data set: it holds no dataset\.yaml"):
+        find_gap(tmp_path / "nowhere", out=tmp_path / "report")
+    with pytest.raises(FileNotFoundError, match=r"is no data set: it holds no dataset\.yaml"):
+        calibrate(tmp_path / "nowhere", out=tmp_path / "fitted.yaml")
+    assert list(tmp_path.iterdir()) == []
