@@ -4,7 +4,7 @@ Every pixel shows the material point that it shows in the idle frame somewhere e
 taken from there and multiplied by the change of the light that reaches the point: the sum over the
 LEDs of the cosine of incidence over the squared distance (a Lambertian coat), relative to that at
 rest. A glossy coat also mirrors the LEDs, in a lobe around the half-way direction (Blinn, "Models
-of light reflection for computer synthesized images", 1977). At rest the image is the idle frame,
+of light reflection for computer synthesized pictures", 1977). At rest the image is the idle frame,
 bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a completion
 that may be learned.
 """
