@@ -13,6 +13,7 @@ import argparse
 import dataclasses
 import itertools
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -659,7 +660,8 @@ def sensor_path(source: str | Path) -> Path:
 
 
 class _SensorLoader(yaml.SafeLoader):
-    """Reads YAML as `yaml.safe_load`, but refuses a name that is given twice."""
+    """Reads YAML as `yaml.safe_load`, but refuses a name that is given twice, and reads `3e5` as
+    the number that it is in YAML 1.2; YAML 1.1 takes it for text."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -672,6 +674,13 @@ class _SensorLoader(yaml.SafeLoader):
                 )
             seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+_SensorLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"^[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    list("-+.0123456789"),
+)
 
 
 def load_sensor(source: str | Path) -> SensorSpecification:
@@ -787,8 +796,8 @@ lighting:
 - Lengths are in metres and all else in SI units, angles in degrees where the name ends so. The base
   plane of the gel is z = 0, +z points out of the gel, and the z axis is its middle.
 - A value that is unknown, of another type or out of its range is refused with the name of the
-  field, the value and the range: nothing is rounded, and text is no number (YAML reads `3e5` as
-  text: write `3.0e+5`). Numbers are finite.
+  field, the value and the range: nothing is rounded, and quoted text is no number. Numbers
+  are finite.
 - What contradicts is refused, too: a core as large as its dome, a grid wider than half the gel's
   smallest extent, a camera in front of the skin or more than {distance} m from the gel, an explicit
   solver with another law than its own, and a sensor that would take more than {gigabytes} GB of

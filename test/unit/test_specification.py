@@ -201,9 +201,16 @@ def test_nothing_is_guessed_where_no_unit_explains_the_value(text: str) -> None:
 
 
 def test_what_yaml_takes_for_text_is_told() -> None:
-    message = refusal("material: {youngs_modulus_pa: 3e5}")
+    message = refusal("material: {youngs_modulus_pa: '3e5'}")
     assert "material.youngs_modulus_pa is '3e5'" in message
     assert message.endswith("this is text, the number is written 300000")
+
+
+@pytest.mark.parametrize("text", ["3e5", "3.0e5", "3E+5", "30.e4", "+3e5", "300000", ".3e6"])
+def test_numbers_with_an_exponent_are_numbers(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "sensor.yaml"
+    path.write_text(f"material: {{youngs_modulus_pa: {text}}}\n", encoding="utf-8")
+    assert load_sensor(path).material.youngs_modulus_pa == 3.0e5
 
 
 @pytest.mark.parametrize(
