@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from dotsim_ros.documents import ArrayForm, read_arrays, read_yaml, value_text
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh, skin_of_triangles
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, Trajectory, read_trajectory
+from dotsim_ros.measured.trajectory import (
+    BASE_FRAME,
+    MEASURED_TOPICS,
+    Topics,
+    Trajectory,
+    read_trajectory,
+)
+from dotsim_ros.specification import LARGEST_LENGTH_M
 
 INDEX = "dataset.yaml"
+SKIN_MESH = "skin_mesh.npz"
+SKIN_FORMS = {
+    "rest_position_m": ArrayForm((None, 3)),
+    "triangles": ArrayForm((None, 3), "whole number"),
+    "on_base": ArrayForm((None,), "truth value"),
+}
+"""The arrays of a skin's file."""
+SMALLEST_SKIN_M = 1e-3
+LONGEST_NAME = 200
 
 
 @dataclass(frozen=True)
@@ -26,6 +43,7 @@ class DataSetEntry:
         indenter: name of the indenter.
         frame_count: how many frames it says to hold.
         has_images: whether it says to hold images.
+        base_frame: name of the sensor's base frame in its messages.
     """
 
     name: str
@@ -33,6 +51,7 @@ class DataSetEntry:
     indenter: str
     frame_count: int
     has_images: bool
+    base_frame: str = BASE_FRAME
 
     def read(self, *, topics: Topics = MEASURED_TOPICS) -> Trajectory:
         """Read the trajectory; see `read_trajectory`."""
@@ -54,7 +73,7 @@ class DataSet:
     @property
     def has_skin_mesh(self) -> bool:
         """Whether the clouds of the bags list the vertices of a skin that is there."""
-        return (self.directory / "skin_mesh.npz").is_file()
+        return (self.directory / SKIN_MESH).is_file()
 
     def skin_mesh(self) -> SkinMesh:
         """Return the skin whose vertices the bags' clouds list.
@@ -63,13 +82,26 @@ class DataSet:
             FileNotFoundError: the data set has no skin_mesh.npz.
             ValueError: it is no mesh.
         """
-        path = self.directory / "skin_mesh.npz"
-        with np.load(path, allow_pickle=False) as arrays:
-            missing = {"rest_position_m", "triangles", "on_base"} - set(arrays.files)
-            if missing:
-                raise ValueError(f"{path} has no array {', '.join(sorted(missing))}")
-            mesh = skin_of_triangles(arrays["rest_position_m"], arrays["triangles"])
-            return replace(mesh, on_base=arrays["on_base"].astype(bool))
+        path = self.directory / SKIN_MESH
+        arrays = read_arrays(path, SKIN_FORMS)
+        position, on_base = arrays["rest_position_m"], arrays["on_base"]
+        if len(on_base) != len(position):
+            raise ValueError(
+                f"{path}: on_base says of {len(on_base)} vertices whether they are bonded, but "
+                f"rest_position_m has {len(position)}; write both for the same skin"
+            )
+        largest = float(np.abs(position).max(initial=0.0))
+        if not SMALLEST_SKIN_M <= largest <= LARGEST_LENGTH_M:
+            raise ValueError(
+                f"{path}: the skin reaches {largest:.4g} m from the middle of its base, expected "
+                f"{SMALLEST_SKIN_M} to {LARGEST_LENGTH_M} m; if these are millimetres, multiply by "
+                "0.001"
+            )
+        try:
+            mesh = skin_of_triangles(position, arrays["triangles"])
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+        return replace(mesh, on_base=on_base)
 
     def idle_images(self) -> tuple[Path, ...]:
         """Return the files of the images without contact."""
@@ -90,23 +122,40 @@ class DataSet:
         return path
 
 
-def _entry(directory: Path, index: int, record: Any) -> DataSetEntry:
+def _entry(directory: Path, index: int, record: Any, base_frame: str) -> DataSetEntry:
     place = f"{directory / INDEX}, trajectory {index}"
     if not isinstance(record, dict) or not isinstance(record.get("bag"), str):
-        raise ValueError(f"{place}: expected a mapping with the key 'bag', got {record!r}")
+        raise ValueError(
+            f"{place}: expected a mapping with the key 'bag', got {value_text(record)}"
+        )
     bag = directory / record["bag"]
-    if not bag.exists():
-        raise FileNotFoundError(f"{place}: no bag at {bag}")
+    # A name of NUL characters, or of 5,000, is no path that can be asked for.
+    is_there = False
+    with suppress(ValueError, OSError):
+        is_there = bag.exists()
+    if not is_there:
+        raise FileNotFoundError(f"{place}: there is no bag {value_text(record['bag'])}")
     frames = record.get("frames", 0)
-    if not isinstance(frames, int) or frames < 0:
-        raise ValueError(f"{place}: frames must be a whole number, got {frames!r}")
+    if isinstance(frames, bool) or not isinstance(frames, int) or frames < 0:
+        raise ValueError(f"{place}: frames must be a whole number, got {value_text(frames)}")
     return DataSetEntry(
         name=bag.name,
         bag=bag,
-        indenter=str(record.get("indenter", "")),
+        indenter=_mesh_name(record.get("indenter", ""), f"{place}: indenter"),
         frame_count=frames,
         has_images=bool(record.get("images", False)),
+        base_frame=base_frame,
     )
+
+
+def _mesh_name(value: Any, place: str) -> str:
+    is_name = isinstance(value, str) and Path(value).name == value and value.isprintable()
+    if not is_name or len(value) > LONGEST_NAME:
+        raise ValueError(
+            f"{place} is {value_text(value)}, expected the name of a mesh in indenters/, without "
+            ".stl"
+        )
+    return str(value)
 
 
 def read_data_set(directory: str | Path) -> DataSet:
@@ -123,14 +172,26 @@ def read_data_set(directory: str | Path) -> DataSet:
     index = directory / INDEX
     if not index.is_file():
         raise FileNotFoundError(f"{directory} is no data set: it holds no {INDEX}")
-    try:
-        content = yaml.safe_load(index.read_text(encoding="utf-8"))
-    except yaml.YAMLError as error:
-        raise ValueError(f"{index} is no YAML: {error}") from error
+    content = read_yaml(index)
     records = content.get("trajectories") if isinstance(content, dict) else None
     if not isinstance(records, list) or not records:
         raise ValueError(f"{index}: expected a list under the key 'trajectories'")
-    entries = tuple(_entry(directory, number, record) for number, record in enumerate(records))
+    base_frame = content.get("base_frame", BASE_FRAME)
+    if not isinstance(base_frame, str):
+        raise ValueError(
+            f"{index}: base_frame is {base_frame!r}, expected the name of the sensor's base frame "
+            f"in the messages, such as {BASE_FRAME}"
+        )
+    entries = tuple(
+        _entry(directory, number, record, base_frame) for number, record in enumerate(records)
+    )
+    names = [entry.name for entry in entries]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise ValueError(
+            f"{index}: two trajectories have the name {twice!r}, that of their bags' folders; give "
+            "every bag its own"
+        )
     return DataSet(directory, entries)
 
 

@@ -13,12 +13,13 @@ import numpy as np
 import yaml
 
 from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.documents import read_arrays, read_yaml
 from dotsim_ros.files import whole_file, write_image, write_text
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.surface import indenter_surface
-from dotsim_ros.measured.data_set import INDEX, DataSet, read_data_set
+from dotsim_ros.measured.data_set import INDEX, SKIN_FORMS, DataSet, read_data_set
 from dotsim_ros.measured.trajectory import (
     CHANNELS,
     ImageChannel,
@@ -28,6 +29,7 @@ from dotsim_ros.measured.trajectory import (
     WrenchChannel,
     write_trajectory,
 )
+from dotsim_ros.replacement import keep
 
 STEP_M = 0.2e-3
 """Usual length of the edges in an indenter's written mesh: 1.3 um off a ball of 4 mm radius."""
@@ -139,6 +141,10 @@ class DataSetWriter:
         """Return where the trajectory of a name lies or will lie."""
         return self.directory / "bags" / name
 
+    def notes(self, name: str) -> Mapping[str, Any] | None:
+        """Return what the index says of the trajectory of a name; None where it lists none."""
+        return self._records().get(name)
+
     def holds(self, name: str, notes: Mapping[str, Any]) -> bool:
         """Return whether the trajectory is there, whole, with the same notes."""
         record = self._records().get(name)
@@ -155,7 +161,8 @@ class DataSetWriter:
         failure: str = "",
     ) -> None:
         """Write a trajectory, its indenter's mesh and its entry in the index; one of the same name
-        is replaced.
+        is replaced when the new one is whole. A bag of this name that the index does not list is
+        kept as `NAME.kept`.
 
         Args:
             trajectory: its name becomes the bag's.
@@ -171,10 +178,17 @@ class DataSetWriter:
         self._write_indenter(indenter)
         name = trajectory.name
         records = self._records()
-        if records.pop(name, None) is not None:
-            self._write_index(records)
-        shutil.rmtree(self.bag(name), ignore_errors=True)
-        write_trajectory(self.bag(name), trajectory)
+        bags = self.bag(name).parent
+        bags.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".part.", dir=bags) as folder:
+            part = Path(folder) / name
+            write_trajectory(part, trajectory)
+            if records.pop(name, None) is not None:
+                self._write_index(records)
+                shutil.rmtree(self.bag(name), ignore_errors=True)
+            if os.path.lexists(self.bag(name)):
+                keep(self.bag(name))
+            os.replace(part, self.bag(name))
         records[name] = {
             "bag": f"bags/{name}",
             "indenter": indenter.name,
@@ -208,8 +222,7 @@ class DataSetWriter:
     def _write_skin(self, skin: SkinMesh) -> None:
         path = self.directory / "skin_mesh.npz"
         if path.is_file():
-            with np.load(path, allow_pickle=False) as arrays:
-                there = arrays["rest_position_m"]
+            there = read_arrays(path, SKIN_FORMS)["rest_position_m"]
             if there.shape != skin.rest_position_m.shape or not np.allclose(
                 there, skin.rest_position_m, rtol=0.0, atol=1e-9
             ):
@@ -225,14 +238,16 @@ class DataSetWriter:
 
     def _records(self) -> dict[str, dict[str, Any]]:
         """Return the index's entries by the names of their bags."""
+        return {Path(r["bag"]).name: r for r in self._index().get("trajectories", [])}
+
+    def _index(self) -> dict[str, Any]:
         index = self.directory / INDEX
-        content = yaml.safe_load(index.read_text(encoding="utf-8")) if index.is_file() else {}
-        return {Path(record["bag"]).name: record for record in content.get("trajectories", [])}
+        return read_yaml(index) if index.is_file() else {}
 
     def _write_index(self, records: Mapping[str, Mapping[str, Any]]) -> None:
-        index = self.directory / INDEX
-        content = {"trajectories": list(records.values())}
-        write_text(index, yaml.safe_dump(content, sort_keys=False))
+        # What else the owner of the data set wrote there stays.
+        content = self._index() | {"trajectories": list(records.values())}
+        write_text(self.directory / INDEX, yaml.safe_dump(content, sort_keys=False))
 
     def _write_indenter(self, indenter: Indenter) -> None:
         """Write an indenter's mesh, unless it is there.

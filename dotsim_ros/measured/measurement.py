@@ -11,7 +11,7 @@ import numpy as np
 
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.measured.reading import BadBagError, read_motion, read_observation
+from dotsim_ros.measured.reading import BadBagError, few_of, read_motion, read_observation
 from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
 
@@ -68,16 +68,13 @@ def read_measurement(
         for name in IGNORED
         if _lies_in(folder, name)
     ]
-    skin, vertex_count = own_skin, None
-    if data_set.has_skin_mesh:
-        skin = data_set.skin_mesh()
-        vertex_count = skin.vertex_count
+    skin = data_set.skin_mesh() if data_set.has_skin_mesh else own_skin
     digest = hashlib.sha256((folder / INDEX).read_bytes())
     recordings: list[Recording] = []
     session_s = 0.0
     for entry in data_set.entries:
         try:
-            recording = _read(data_set, entry, skin, vertex_count, session_s, indenters, topics)
+            recording = _read(data_set, entry, skin, session_s, indenters, topics)
         except (BadBagError, FileNotFoundError, ValueError) as error:
             warnings.append(f"{entry.name} was left out: {error}")
             continue
@@ -86,9 +83,7 @@ def read_measurement(
         session_s += float(stamp_s[-1] - stamp_s[0])
         _add(digest, recording)
     if not recordings:
-        raise ValueError(
-            f"{folder}: no trajectory can be used.\n" + "\n".join(f"- {text}" for text in warnings)
-        )
+        raise ValueError(f"{folder}: no trajectory can be used: {few_of(warnings)}")
     return Measurement(folder, skin, tuple(recordings), tuple(warnings), digest.hexdigest()[:16])
 
 
@@ -130,7 +125,7 @@ def read_poses(
         recordings.append(Recording(planned, indenter, session_s, depth_m, phase))
         session_s += float(press.stamp_s[-1] - press.stamp_s[0])
     if not recordings:
-        raise ValueError(f"{directory}: no poses.\n" + "\n".join(warnings))
+        raise ValueError(f"{directory}: no trajectory has poses: {few_of(warnings)}")
     return tuple(recordings), tuple(warnings)
 
 
@@ -142,7 +137,6 @@ def _read(
     data_set: DataSet,
     entry: DataSetEntry,
     skin: SkinMesh,
-    vertex_count: int | None,
     session_s: float,
     indenters: str | Path | None,
     topics: Topics,
@@ -150,7 +144,8 @@ def _read(
     found = read_observation(
         data_set,
         entry,
-        vertex_count=vertex_count,
+        skin=skin,
+        has_vertices=data_set.has_skin_mesh,
         topics=topics,
         indenter_of=lambda name: find_indenter(data_set, name, indenters),
     )

@@ -173,11 +173,17 @@ def pose_along(origin_m: ArrayLike, axis: ArrayLike, *, spin_rad: float = 0.0) -
     if not length > 0.0:
         raise ValueError("the axis of a pose must have a length")
     x, y, z = direction / length
-    if z < -1.0 + 1e-12:
-        tilt = np.array([1.0, 0.0, 0.0, 0.0])
-    else:
+    off_axis = float(np.hypot(x, y))
+    if z > -0.5:
         tilt = np.array([-y, x, 0.0, 1.0 + z])
         tilt /= np.linalg.norm(tilt)
+    elif off_axis > 0.0:
+        # 1 + z would lose its digits.
+        half_rad = 0.5 * np.arctan2(off_axis, z)
+        about = np.array([-y, x]) / off_axis
+        tilt = np.array([*(np.sin(half_rad) * about), 0.0, np.cos(half_rad)])
+    else:
+        tilt = np.array([1.0, 0.0, 0.0, 0.0])
     sine, cosine = np.sin(spin_rad / 2.0), np.cos(spin_rad / 2.0)
     ax, ay, az, aw = tilt
     # The product of the tilt and (0, 0, sine, cosine).

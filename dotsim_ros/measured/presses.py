@@ -7,12 +7,14 @@ from typing import Protocol
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.trajectory import Trajectory
 
+SAME_DELAY_S = 1e-3
+"""Delays that differ by less are one delay of a whole channel."""
 LARGEST_COORDINATE_M = 1.0
 """A tactile sensor and what presses it are smaller; more is a length in millimetres."""
 
@@ -124,6 +126,22 @@ def _check_lengths(name: str, channel: str, position_m: FloatArray) -> None:
         )
 
 
+def _stamps_differ(channel: str, stamp_ns: IntArray, pose_ns: IntArray) -> str:
+    if len(stamp_ns) == len(pose_ns):
+        later_s = 1e-9 * (stamp_ns - pose_ns).astype(np.float64)
+        if float(np.ptp(later_s)) < SAME_DELAY_S:
+            return (
+                f"every stamp of the {channel} is {abs(later_s[0]):.3g} s "
+                f"{'after' if later_s[0] > 0.0 else 'before'} that of its pose, expected equal "
+                "stamps: two clocks, or one channel stamped when it was received; stamp all by one "
+                "clock, when they are measured"
+            )
+    return (
+        f"{len(stamp_ns)} stamps of the {channel} differ from the {len(pose_ns)} of the pose, "
+        "expected equal stamps; record one pose with each, interpolated to its time if need be"
+    )
+
+
 def press_of(trajectory: Trajectory, *, name: str, indenter: str) -> Press:
     """Return a trajectory as a press.
 
@@ -145,8 +163,7 @@ def press_of(trajectory: Trajectory, *, name: str, indenter: str) -> Press:
         channel = trajectory.channels().get(channel_name)
         if channel is not None and not np.array_equal(channel.stamp_ns, pose.stamp_ns):
             raise ValueError(
-                f"{name}: {len(channel.stamp_ns)} stamps of the {channel_name} differ from the "
-                f"{len(pose.stamp_ns)} of the pose; record one pose with each"
+                f"{name}: {_stamps_differ(channel_name, channel.stamp_ns, pose.stamp_ns)}"
             )
     skin, wrench = trajectory.skin, trajectory.wrench
     return Press(

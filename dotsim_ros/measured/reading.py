@@ -16,12 +16,15 @@ import msg_adapters
 from dotsim_ros.arrays import FloatArray, ImageArray, IntArray
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.pose import Pose, interpolate
+from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry
+from dotsim_ros.measured.plausibility import ImplausiblePressError, check_press
 from dotsim_ros.measured.presses import Press, press_of
 from dotsim_ros.measured.trajectory import (
     MEASURED_TOPICS,
     MESSAGE_TYPES,
+    PoseChannel,
     Topics,
     read_trajectory,
 )
@@ -68,7 +71,8 @@ def read_observation(
     data_set: DataSet,
     entry: DataSetEntry,
     *,
-    vertex_count: int | None,
+    skin: SkinMesh,
+    has_vertices: bool,
     topics: Topics = MEASURED_TOPICS,
     indenter_of: Callable[[str], Indenter] | None = None,
 ) -> Observation:
@@ -77,7 +81,8 @@ def read_observation(
     Args:
         data_set: that holds it.
         entry: the trajectory.
-        vertex_count: of the data set's skin; None where it has none, so that clouds may differ.
+        skin: at rest; the data set's, or the sensor's own where it has none.
+        has_vertices: whether the clouds list the skin's vertices; where not, they may differ.
         topics: where the channels lie.
         indenter_of: finds an indenter by its name; None takes the data set's own meshes.
 
@@ -85,6 +90,7 @@ def read_observation(
         BadBagError: the bag, or its indenter, cannot be used.
     """
     try:
+        vertex_count = skin.vertex_count if has_vertices else None
         check_bag(entry, vertex_count=vertex_count, topics=topics)
         trajectory = read_trajectory(entry.bag, topics=topics, channels=CHANNELS)
         press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
@@ -99,20 +105,32 @@ def read_observation(
             f"{entry.name}: {error}; add the file, or correct the name in dataset.yaml"
         ) from error
     except ValueError as error:
-        raise BadBagError(f"{entry.name}: {error}") from error
+        text = str(error).removeprefix(f"{entry.name}: ")
+        raise BadBagError(f"{entry.name}: {text}") from error
     if press.skin_position_m is None and press.force_n is None:
         raise BadBagError(
             f"{entry.name}: neither {topics.skin} nor {topics.wrench} in the bag; record one of "
             "them, or name its topic"
         )
+    try:
+        check_press(press, indenter, skin, has_vertices=has_vertices)
+    except ImplausiblePressError as error:
+        raise BadBagError(f"{entry.name}, {_topics_named(str(error), topics)}") from error
     return Observation(press, indenter)
+
+
+def _topics_named(text: str, topics: Topics) -> str:
+    """Return what is wrong with a channel with its topic in the channel's place."""
+    channel = next(name for name in CHANNELS if text.startswith(name))
+    return str(getattr(topics, channel)) + text.removeprefix(channel)
 
 
 def read_observations(
     data_set: DataSet,
     names: Sequence[str],
     *,
-    vertex_count: int | None,
+    skin: SkinMesh,
+    has_vertices: bool,
     topics: Topics = MEASURED_TOPICS,
 ) -> tuple[list[Observation], list[Omission]]:
     """Return what can be used of the named trajectories, and why the others cannot."""
@@ -121,11 +139,22 @@ def read_observations(
     for name in names:
         try:
             found.append(
-                read_observation(data_set, entries[name], vertex_count=vertex_count, topics=topics)
+                read_observation(
+                    data_set, entries[name], skin=skin, has_vertices=has_vertices, topics=topics
+                )
             )
         except BadBagError as error:
             omitted.append(Omission(name, str(error)))
     return found, omitted
+
+
+MOST_REASONS = 3
+
+
+def few_of(reasons: Sequence[str]) -> str:
+    """Return the first reasons on one line, and how many more there are."""
+    more = len(reasons) - MOST_REASONS
+    return "; ".join(reasons[:MOST_REASONS]) + (f"; and {more} more" if more > 0 else "")
 
 
 def read_motion(entry: DataSetEntry, *, topics: Topics = MEASURED_TOPICS) -> Press:
@@ -135,6 +164,7 @@ def read_motion(entry: DataSetEntry, *, topics: Topics = MEASURED_TOPICS) -> Pre
         FileNotFoundError: no bag there.
         ValueError: no poses, or poses that make no press.
     """
+    check_bag(entry, vertex_count=None, topics=topics, channels=("pose",))
     trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose",))
     return press_of(trajectory, name=entry.name, indenter=entry.indenter)
 
@@ -173,7 +203,8 @@ def read_press_images(
 
     Raises:
         FileNotFoundError: no bag there.
-        ValueError: no image or pose, images of another size, or none within the poses' time.
+        ValueError: no image or pose, images of another size, none within the poses' time, or
+            channels by different clocks.
     """
     trajectory = read_trajectory(entry.bag, topics=topics, channels=("pose", "wrench", "image"))
     pose, image, wrench = trajectory.pose, trajectory.image, trajectory.wrench
@@ -187,6 +218,7 @@ def read_press_images(
             f"{entry.bag} holds no pose on {topics.pose}; record the indenter's pose, or name its "
             "topic"
         )
+    check_bag(entry, vertex_count=None, topics=topics, channels=("pose", "wrench"))
     if image.pixels.shape[1:] != idle.shape:
         raise ValueError(
             f"{entry.bag}: images are {image.pixels.shape[2]}x{image.pixels.shape[1]}, but the "
@@ -199,6 +231,10 @@ def read_press_images(
             f"{entry.bag}: no image was taken while poses were recorded; record both at once, "
             "stamped by one clock"
         )
+    _check_clocks(entry, image.stamp_ns, pose.stamp_ns, topics.image, topics.pose)
+    if wrench is not None:
+        _check_clocks(entry, wrench.stamp_ns, pose.stamp_ns, topics.wrench, topics.pose)
+    _check_seen(entry, image.pixels[frames], pose, topics.image)
     if most is not None and len(frames) > most:
         frames = frames[np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int))]
     stamp_ns = image.stamp_ns[frames]
@@ -211,6 +247,45 @@ def read_press_images(
     press = Press(entry.name, entry.indenter, poses, stamp_s, force_n=force)
     delay_s = 1e-9 * float(stamp_ns[0] - pose.stamp_ns[0])
     return PressImages(press, image.pixels[frames], delay_s)
+
+
+MOVED_M = 1.0e-3
+
+
+def _check_seen(entry: DataSetEntry, pixels: ImageArray, pose: PoseChannel, topic: str) -> None:
+    """Refuse images of a camera that stands still: noise alone makes any two differ."""
+    way_m = float(np.ptp(pose.position_m, axis=0).max())
+    if len(pixels) > 1 and way_m >= MOVED_M and bool((pixels == pixels[0]).all()):
+        raise BadBagError(
+            f"{entry.name}, {topic}: all {len(pixels)} images are the same to the bit while the "
+            f"indenter moves {1e3 * way_m:.1f} mm, expected a live camera; record its images anew, "
+            "or leave the trajectory out"
+        )
+
+
+LARGEST_DELAY_S = 0.5
+"""Of one channel after another by the same clock; cameras and arms are late by tenths at most."""
+
+
+def _check_clocks(
+    entry: DataSetEntry, stamp_ns: IntArray, pose_ns: IntArray, topic: str, pose_topic: str
+) -> None:
+    """Refuse a channel that begins and ends as much later, or earlier, than the poses.
+
+    A channel that is recorded longer than the poses, at one end or both, passes.
+    """
+    begins_s, ends_s = (
+        1e-9 * float(stamp_ns[0] - pose_ns[0]),
+        1e-9 * float(stamp_ns[-1] - pose_ns[-1]),
+    )
+    period_s = 1e-9 * float(np.ptp(stamp_ns)) / max(len(stamp_ns) - 1, 1)
+    same = abs(begins_s - ends_s) <= max(0.1, 2.0 * period_s)
+    if same and min(abs(begins_s), abs(ends_s)) > LARGEST_DELAY_S and begins_s * ends_s > 0.0:
+        raise BadBagError(
+            f"{entry.name}, {topic}: begins and ends {abs(begins_s):.2f} s "
+            f"{'after' if begins_s > 0.0 else 'before'} {pose_topic}, expected at most "
+            f"{LARGEST_DELAY_S} s: two clocks; stamp both on one computer, or shift the stamps"
+        )
 
 
 def _poses_at(wanted_ns: IntArray, stamp_ns: IntArray, poses: Sequence[Pose]) -> list[Pose]:
@@ -228,16 +303,27 @@ def _poses_at(wanted_ns: IntArray, stamp_ns: IntArray, poses: Sequence[Pose]) ->
 
 
 def check_bag(
-    entry: DataSetEntry, *, vertex_count: int | None, topics: Topics = MEASURED_TOPICS
+    entry: DataSetEntry,
+    *,
+    vertex_count: int | None,
+    topics: Topics = MEASURED_TOPICS,
+    channels: Sequence[str] = CHANNELS,
 ) -> None:
     """Look at each message of poses, wrenches and skins in the order of their recording.
 
+    Args:
+        entry: the trajectory.
+        vertex_count: of the data set's skin; None where clouds may differ.
+        topics: where the channels lie.
+        channels: which of them to look at.
+
     Raises:
-        BadBagError: a topic of the wrong type, no poses, stamps out of order, a number that is not
-            finite, lengths in millimetres, another number of skin points.
+        BadBagError: a topic of the wrong type, no poses, another frame than the sensor's base,
+            stamps out of order, a number that is not finite, lengths in millimetres, another number
+            of skin points.
         FileNotFoundError, ValueError: as `BagReader`.
     """
-    channel_of = {getattr(topics, channel): channel for channel in CHANNELS}
+    channel_of = {getattr(topics, channel): channel for channel in channels}
     last: dict[str, int] = {}
     counts = dict.fromkeys(CHANNELS, 0)
     with BagReader(entry.bag) as bag:
@@ -262,6 +348,7 @@ def check_bag(
             try:
                 content = message.message()
                 stamp = msg_adapters.message_stamp_ns(content)
+                _check_frame(content, entry.base_frame)
                 _CHECKS[channel](content, vertex_count)
             except ValueError as error:
                 raise BadBagError(f"{place}: {error}") from error
@@ -271,6 +358,16 @@ def check_bag(
                     "message before; record with one clock, and each message once"
                 )
             last[channel] = stamp
+
+
+def _check_frame(message: msg_adapters.Message, base_frame: str) -> None:
+    found = str(message.header.frame_id)
+    if found.removeprefix("/") != base_frame.removeprefix("/"):
+        raise ValueError(
+            f"frame_id is {found!r}, expected {base_frame!r}, the sensor's base frame; transform "
+            "poses, forces and skin into it, or where it only has another name, add the line "
+            f"'base_frame: {found or repr('')}' to dataset.yaml"
+        )
 
 
 def _check_length(values: FloatArray, what: str) -> None:

@@ -18,13 +18,13 @@ press that began off the real gel begins as far off ours.
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import ArrayForm, read_arrays
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.motion import Motion, at_speed, held, joined, pose_along, reversed_motion
 
@@ -39,6 +39,14 @@ FIRST_CONTACT_RADIUS_M = 0.0201
 
 STAGE_TO_BASE = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 """Rotation from the stage's axes to the base frame: +y becomes +z."""
+
+
+PRESSES_FORMS = {
+    "position_mm": ArrayForm((None, 3)),
+    "offset": ArrayForm((None,), "whole number"),
+    "sensor": ArrayForm((None,), "text"),
+}
+"""The arrays of a recording of presses."""
 
 
 @dataclass(frozen=True)
@@ -127,23 +135,12 @@ def read_presses(path: str | Path) -> tuple[ShippedPress, ...]:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no recording of presses at {path}")
-    try:
-        with np.load(path, allow_pickle=False) as arrays:
-            position_mm = np.asarray(arrays["position_mm"], dtype=np.float64)
-            offset = np.asarray(arrays["offset"])
-            gels = [str(gel) for gel in arrays["sensor"]]
-    except (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, IndexError) as error:
-        raise ValueError(
-            f"{path} is no recording of presses ({error}); expected an .npz with position_mm "
-            "(M, 3), offset (K + 1,) and sensor (K,)"
-        ) from error
-    if position_mm.ndim != 2 or position_mm.shape[1] != 3 or not np.isfinite(position_mm).all():
-        raise ValueError(
-            f"{path}: position_mm has shape {position_mm.shape}, expected (M, 3), all finite"
-        )
+    arrays = read_arrays(path, PRESSES_FORMS)
+    position_mm = np.asarray(arrays["position_mm"], dtype=np.float64)
+    offset = arrays["offset"]
+    gels = [str(gel) for gel in arrays["sensor"]]
     fits = (
         offset.shape == (len(gels) + 1,)
-        and np.issubdtype(offset.dtype, np.integer)
         and offset[0] == 0
         and offset[-1] == len(position_mm)
         and bool((np.diff(offset) >= 2).all())

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import msg_adapters
 from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagMessage, BagReader
+from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagMessage, BagReader, bag_name
 
 StampedMessage = tuple[int, str, msg_adapters.Message]
 
@@ -281,7 +281,7 @@ def read_trajectory(
             made[name] = CHANNELS[name](messages)
         except ValueError as error:
             raise ValueError(f"{path}, topic {getattr(topics, name)}: {error}") from error
-    return Trajectory(**made, name=path.stem)
+    return Trajectory(**made, name=bag_name(path))
 
 
 def iterate_images(path: str | Path, topic: str) -> Iterator[tuple[int, NDArray[np.uint8]]]:
