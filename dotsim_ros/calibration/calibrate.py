@@ -18,6 +18,7 @@ from dotsim_ros.calibration.run import (
     Progress,
     run_calibration,
 )
+from dotsim_ros.files import check_output_file, check_output_folder
 from dotsim_ros.measured.data_set import DataSet, read_data_set
 from dotsim_ros.measured.split import HELD_OUT_COUNT, hold_out_of_protocols
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
@@ -85,6 +86,7 @@ def calibrate(
 
     Raises:
         FileNotFoundError: no data set or sensor there.
+        OSError: `out` cannot be written, before anything is solved.
         ValueError: an argument that is out of range or names nothing, before anything is read of
             the bags or written; or no trajectory that can be fitted.
     """
@@ -94,13 +96,18 @@ def calibrate(
     parameters = tuple(parameter for parameter in fit if parameter != OFFSET)
     chosen_parameters(parameters)
     _check_at_least(1, workers=workers, solves=solves)
-    _check_at_least(0, hold_out=hold_out or 0, joint_steps=joint_steps)
+    _check_at_least(0, hold_out=hold_out or 0, joint_steps=joint_steps, seed=seed)
     if joint_steps > MOST_JOINT_STEPS:
         raise ValueError(f"joint_steps is {joint_steps}, expected 0 to {MOST_JOINT_STEPS}")
     data_set = data if isinstance(data, DataSet) else read_data_set(data)
     specification = given_sensor(sensor)
     train, held_out = _split(data_set, trajectories, hold_out, leave_out, seed)
     used = _losses(data_set, losses)
+    if out is not None:
+        check_output_file(out)
+        check_output_folder(report_folder(out))
+    if run_folder is not None:
+        check_output_folder(run_folder)
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if out is None else report_folder(out) / "run"
         calibration = run_calibration(
@@ -125,8 +132,16 @@ def calibrate(
     named = name or (specification.name if out is None else out.stem)
     calibration = replace(calibration, specification=calibration.named(named))
     if out is not None:
-        write_report(report_folder(out), calibration, seed=seed)
+        # The sensor first: it is what all the solves were for.
         write_sensor(out, calibration.specification, "\n".join(summary_lines(calibration)))
+        try:
+            write_report(report_folder(out), calibration, seed=seed)
+        except (OSError, ValueError, RuntimeError) as error:
+            raise OSError(
+                f"{out} holds the calibrated sensor, but its report could not be written to "
+                f"{report_folder(out)}: {error}; mend that and give the same command again, which "
+                "solves nothing anew"
+            ) from error
     return calibration
 
 

@@ -7,7 +7,8 @@ their squares.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,9 +50,11 @@ class LossNoise:
     pose_rad: float = 1.5e-3
 
     def __post_init__(self) -> None:
-        for name in ("skin_m", "force_n", "pose_m", "pose_rad"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"noise {name} is {getattr(self, name)}, expected above 0")
+        for name, value in asdict(self).items():
+            # An error that a patch, or all frames, have in common may be none.
+            least = "0 or more" if "discretisation" in name else "above 0"
+            if not math.isfinite(value) or value < 0.0 or (value == 0.0 and least == "above 0"):
+                raise ValueError(f"noise {name} is {value}, expected a number {least}")
 
     def skin_point_m(self, skin: SkinMesh) -> float:
         """Return the deviation of an axis of a point that its weight is the inverse of."""

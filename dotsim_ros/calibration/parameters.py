@@ -42,6 +42,10 @@ class GelParameter:
     to_coordinate: Callable[[float], float]
     to_value: Callable[[float], float]
 
+    def bound_of(self, value: float) -> float | None:
+        """Return the bound that a value of the field lies at; None for one between them."""
+        return next((bound for bound in self.bounds if np.isclose(value, bound, rtol=1e-6)), None)
+
 
 def _same(value: float) -> float:
     return value

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.loss import FORCE, SKIN
@@ -34,8 +35,13 @@ from dotsim_ros.page import (
     image_of,
     page_figure,
 )
+from dotsim_ros.printable import figure_label, one_line, printable
 from dotsim_ros.provenance import provenance
 
+ONE_PRESS = (
+    "One press was fitted: its intervals hold the stated noise alone, not what differs between "
+    "presses; record several"
+)
 FIGURES, PAGE = "report.json", "report.html"
 
 
@@ -106,8 +112,9 @@ def _value_at(calibration: Calibration, index: int, point: FloatArray) -> float:
 
 def _shown(
     calibration: Calibration, parameter: GelParameter, index: int, combination: Combination
-) -> dict[str, float]:
-    """Return value and interval in the parameter's unit; the others stay at the estimate."""
+) -> dict[str, Any]:
+    """Return value and interval in the parameter's unit, the others at the estimate, and whether
+    the value lies at a bound, where it is no estimate."""
     ends = []
     for end in (combination.low, combination.high):
         point = combination.point.copy()
@@ -117,7 +124,15 @@ def _shown(
         "value": _value_at(calibration, index, combination.point),
         "low": min(ends),
         "high": max(ends),
+        "at_bound": _is_at_bound(calibration, index, combination.point),
     }
+
+
+def _is_at_bound(calibration: Calibration, index: int, point: FloatArray) -> bool:
+    problem = calibration.problem
+    values = with_coordinates(problem.start, problem.parameters, point)
+    parameter = problem.parameters[index]
+    return parameter.bound_of(getattr(values, parameter.field)) is not None
 
 
 def summary_lines(calibration: Calibration) -> list[str]:
@@ -130,11 +145,15 @@ def summary_lines(calibration: Calibration) -> list[str]:
     for index, parameter in enumerate(c.problem.parameters):
         for label, combination in (("joint", c.joint), ("median", c.median)):
             shown = _shown(c, parameter, index, combination)
-            lines.append(
-                f"{parameter.name} ({label}): {shown['value']:.5g} "
-                f"[{shown['low']:.5g}, {shown['high']:.5g}] {parameter.unit}".rstrip()
-            )
-    lines += [f"{name}: the data do not identify it; kept at its prior" for name in c.frozen]
+            text = f"{shown['value']:.5g} [{shown['low']:.5g}, {shown['high']:.5g}]"
+            if shown["at_bound"]:
+                text = f"{shown['value']:.5g}, the end of what is searched and no estimate,"
+            lines.append(f"{parameter.name} ({label}): {text} {parameter.unit}".rstrip(" ,"))
+    if len(c.fits) == 1:
+        lines.append(ONE_PRESS)
+    for name in c.frozen:
+        reason = f": {c.reasons[name]}" if name in c.reasons else ""
+        lines.append(f"{name}: the data do not identify it, and it is kept at its prior{reason}")
     lines += [_identified_line(row) for row in c.identifiability if row.data != "skin and force"]
     if c.scores:
         s = summarize(c.scores)
@@ -143,7 +162,7 @@ def summary_lines(calibration: Calibration) -> list[str]:
             f"{s.skin_rms_mm:.3f} mm, contact {_figure(s.contact_rms_mm)} mm, normal force "
             f"{_percent(s.normal_force_error)}, tangential {_percent(s.tangential_force_error)}"
         )
-    lines += [f"left out: {omission.reason}" for omission in c.omissions]
+    lines += [f"left out: {one_line(omission.reason)}" for omission in c.omissions]
     return lines
 
 
@@ -168,7 +187,8 @@ def write_report(directory: Path, calibration: Calibration, *, seed: int) -> Pat
     write_json(directory / FIGURES, numbers)
     page = directory / PAGE
     with whole_file(page) as part:
-        part.write_text(as_html(page_of(calibration, numbers)), encoding="utf-8")
+        html = printable(as_html(page_of(calibration, numbers)))
+        part.write_text(html, encoding="utf-8")
     return page
 
 
@@ -184,11 +204,7 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
         (
             f"{name}, {p['unit']}" if p["unit"] else name,
             _number(p["prior"]),
-            *(
-                f"{_number(p[kind]['value'])} "
-                f"({_number(p[kind]['low'])} to {_number(p[kind]['high'])})"
-                for kind in ("joint", "median")
-            ),
+            *(_estimate(p[kind]) for kind in ("joint", "median")),
         )
         for name, p in numbers["parameters"].items()
     )
@@ -223,6 +239,7 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                 "Parameters",
                 (
                     Table(head, estimates),
+                    *([Paragraph(ONE_PRESS)] if len(c.fits) == 1 else []),
                     Paragraph(
                         "Intervals are bootstraps over presses. An error that all presses have in "
                         f"common, such as the {100 * c.problem.noise.force_discretisation:.0f} % "
@@ -291,7 +308,14 @@ def _origin(numbers: dict[str, Any]) -> str:
 def _frozen_text(calibration: Calibration) -> str:
     if not calibration.frozen:
         return "The data identify all parameters that were asked for."
-    return f"Not identifiable, and kept at their priors: {', '.join(calibration.frozen)}."
+    reasons = "".join(f" {name}: {text}." for name, text in calibration.reasons.items())
+    return f"Not identifiable, and kept at their priors: {', '.join(calibration.frozen)}.{reasons}"
+
+
+def _estimate(shown: dict[str, Any]) -> str:
+    if shown["at_bound"]:
+        return f"{_number(shown['value'])}, the end of what is searched: no estimate"
+    return f"{_number(shown['value'])} ({_number(shown['low'])} to {_number(shown['high'])})"
 
 
 def _number(value: float | int | None) -> str:
@@ -305,13 +329,28 @@ def _bullets(items: Sequence[str]) -> Block:
     return Bullets(tuple(items)) if items else Paragraph("Nothing.")
 
 
+MOST_NAMED_ROWS = 100
+"""Beyond, a figure of presses would be metres high, and is drawn without their names."""
+
+
+def _rows_inches(row_inches: float, names: Sequence[str]) -> float:
+    return row_inches * min(len(names), MOST_NAMED_ROWS)
+
+
+def _name_rows(axes: Any, places: NDArray[Any], names: Sequence[str]) -> None:
+    if len(names) <= MOST_NAMED_ROWS:
+        axes.set_yticks(places, list(map(figure_label, names)))
+    else:
+        axes.set_ylabel(f"{len(names)} presses")
+
+
 def _plot_single_fits(calibration: Calibration) -> tuple[ReportImage, ...]:
     """Return an image of each parameter: the fits of single presses, and their combinations."""
     c = calibration
     names = list(c.fits)
     images = []
     for index, parameter in enumerate(c.problem.parameters):
-        with page_figure(LARGEST_WIDTH_INCHES, 1.3 + 0.2 * len(names)) as figure:
+        with page_figure(LARGEST_WIDTH_INCHES, 1.3 + _rows_inches(0.2, names)) as figure:
             axes = figure.add_subplot()
             count = len(c.problem.parameters)
             single = [_value_at(c, index, c.fits[n].best.point[:count]) for n in names]
@@ -326,7 +365,7 @@ def _plot_single_fits(calibration: Calibration) -> tuple[ReportImage, ...]:
                 axes.axvspan(value["low"], value["high"], color=colour, alpha=0.15)
                 combined.append(f"{label} {_number(value['value'])}")
             axes.set_xlabel(f"{parameter.name} {parameter.unit}".strip())
-            axes.set_yticks(range(len(names)), names)
+            _name_rows(axes, np.arange(len(names)), names)
             axes.ticklabel_format(axis="x", style="sci", scilimits=(-3, 4))
             axes.locator_params(axis="x", nbins=4)
             figure.legend(loc="outside upper center", ncols=3, frameon=False)
@@ -359,7 +398,8 @@ def _plot_information(calibration: Calibration) -> ReportImage:
 
 def _plot_misfit(calibration: Calibration) -> ReportImage:
     items = list(calibration.linearisations.items())
-    with page_figure(LARGEST_WIDTH_INCHES, 0.9 + 0.3 * len(items)) as figure:
+    names = [name for name, _ in items]
+    with page_figure(LARGEST_WIDTH_INCHES, 0.9 + _rows_inches(0.3, names)) as figure:
         axes = figure.add_subplot()
         worst = []
         for shift, channel in enumerate((SKIN, FORCE)):
@@ -371,7 +411,7 @@ def _plot_misfit(calibration: Calibration) -> ReportImage:
             ]
             axes.barh(np.arange(len(items)) + 0.4 * shift, sizes, 0.4, label=channel)
             worst.append(f"{channel} up to {max(sizes):.2g}")
-        axes.set_yticks(np.arange(len(items)) + 0.2, [name for name, _ in items])
+        _name_rows(axes, np.arange(len(items)) + 0.2, names)
         figure.legend(loc="outside upper center", ncols=2, frameon=False)
         alt = f"Misfit of each press in units of noise: {', '.join(worst)}"
         return image_of(figure, name="misfit", alt=alt)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import monotonic
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.calibration.advice import shown_modulus_pa, why_not_identified
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
@@ -25,10 +26,11 @@ from dotsim_ros.calibration.statistics import (
 )
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
-from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.plausibility import HARDEST_PA, SOFTEST_PA, check_same_shape
 from dotsim_ros.measured.presses import Prediction
-from dotsim_ros.measured.reading import Observation, Omission, read_observations
+from dotsim_ros.measured.reading import Observation, Omission, few_of, read_observations
 from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.metrics.presses import PressFrameScore, score_press
 from dotsim_ros.specification import SensorSpecification
@@ -99,6 +101,7 @@ class Calibration:
         scores: of the held-out frames, empty where nothing could be judged.
         omissions: trajectories that were left out, and why.
         fit_seconds: what fitting took, without reading, tables and judging.
+        reasons: why the data do not tell a frozen parameter, and what to do, by its name.
     """
 
     problem: FitProblem
@@ -115,6 +118,7 @@ class Calibration:
     scores: list[PressFrameScore]
     omissions: list[Omission]
     fit_seconds: float
+    reasons: dict[str, str] = field(default_factory=dict)
 
     def named(self, name: str) -> SensorSpecification:
         """Return the calibrated sensor under a name; a network of images stays with its own."""
@@ -129,11 +133,17 @@ Progress = Callable[[str, int, int], None]
 
 
 def measured_skin(data_set: DataSet, sensor: SensorSpecification) -> tuple[SkinMesh, bool]:
-    """Return the skin to simulate, and whether the bags' clouds list its vertices."""
-    try:
-        return data_set.skin_mesh(), True
-    except FileNotFoundError:
-        return skin_of(sensor.gel), False
+    """Return the skin to simulate, and whether the bags' clouds list its vertices.
+
+    Raises:
+        ValueError: the data set's skin is no mesh, or not that of the sensor.
+    """
+    own = skin_of(sensor.gel)
+    if not data_set.has_skin_mesh:
+        return own, False
+    skin = data_set.skin_mesh()
+    check_same_shape(skin, own, data=str(data_set.directory), sensor=sensor.name)
+    return skin, True
 
 
 def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibration:
@@ -149,18 +159,20 @@ def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibrat
             f"{r.data_set.directory} has no skin_mesh.npz, so its points do not correspond to "
             "vertices; use the loss chamfer"
         )
-    count = skin.vertex_count if has_vertices else None
     observations, omissions = read_observations(
-        r.data_set, r.train, vertex_count=count, topics=r.topics
+        r.data_set, r.train, skin=skin, has_vertices=has_vertices, topics=r.topics
     )
     judged, unjudged = read_observations(
-        r.data_set, r.held_out, vertex_count=count, topics=r.topics
+        r.data_set, r.held_out, skin=skin, has_vertices=has_vertices, topics=r.topics
     )
     omissions += unjudged
     observations = [_with_losses(observation, r.losses) for observation in observations]
+    observations = _touching(observations, skin, omissions)
     if not observations:
-        reasons = "\n".join(omission.reason for omission in omissions)
-        raise ValueError(f"no trajectory can be fitted:\n{reasons}")
+        raise ValueError(
+            f"no trajectory of {r.data_set.directory} can be fitted: "
+            f"{few_of([omission.reason for omission in omissions])}"
+        )
     asked = FitProblem(
         chosen_parameters(r.fit),
         values_of(r.sensor),
@@ -186,13 +198,26 @@ def _calibrated(
     begun = monotonic()
     solves: dict[str, int] = {}
     first = stages.linearised("start", asked, observations, {}, solves, omissions)
+    shown_pa = shown_modulus_pa(asked, list(first.values()))
+    if shown_pa is not None:
+        check_modulus(shown_pa, "the forces are those of")
     identified = identifiability(asked, list(first.values()))
     everything = {i.parameter for i in identified if i.data == "skin and force" and i.is_told}
     kept = [k for k, p in enumerate(asked.parameters) if p.name in everything]
+    frozen = [p.name for p in asked.parameters if p.name not in everything]
+    reasons = why_not_identified(
+        asked,
+        frozen,
+        observations,
+        stages.skin,
+        losses=request.losses,
+        topics=request.topics,
+        shown_pa=shown_pa,
+    )
     if not kept:
         raise ValueError(
-            f"the data tell none of {', '.join(p.name for p in asked.parameters)}; add forces, or "
-            "deeper presses"
+            "the data identify no parameter: "
+            + "; ".join(f"{name}: {reason}" for name, reason in reasons.items())
         )
     problem = replace(asked, parameters=tuple(asked.parameters[k] for k in kept))
     first = {name: _restricted(asked, kept, lin) for name, lin in first.items()}
@@ -212,6 +237,8 @@ def _calibrated(
         }
     joint = joint_estimate(problem, list(at.values()), seed=request.seed)
     values = with_coordinates(problem.start, problem.parameters, joint.point)
+    if "E" in everything:
+        check_modulus(values.youngs_modulus_pa, "the fit ends at")
     fit_seconds = monotonic() - begun
     scores: list[PressFrameScore] = []
     if has_vertices:
@@ -219,7 +246,7 @@ def _calibrated(
     return Calibration(
         problem=problem,
         asked=tuple(p.name for p in asked.parameters),
-        frozen=tuple(p.name for p in asked.parameters if p.name not in everything),
+        frozen=tuple(frozen),
         identifiability=identified,
         fits=fits,
         median=median,
@@ -231,7 +258,26 @@ def _calibrated(
         scores=scores,
         omissions=omissions,
         fit_seconds=fit_seconds,
+        reasons=reasons,
     )
+
+
+def check_modulus(youngs_modulus_pa: float, what: str) -> None:
+    """Refuse a Young's modulus that no gel has.
+
+    Args:
+        youngs_modulus_pa: that was found.
+        what: how the error begins.
+
+    Raises:
+        ValueError: it lies beyond `SOFTEST_PA` and `HARDEST_PA`.
+    """
+    if not SOFTEST_PA <= youngs_modulus_pa <= HARDEST_PA:
+        raise ValueError(
+            f"{what} E = {youngs_modulus_pa:.4g} Pa, expected {SOFTEST_PA:.0e} to {HARDEST_PA:.0e} "
+            "Pa, as gels have: no sensor is written; check the unit of the force, the poses' "
+            "frame, and the indenters' meshes"
+        )
 
 
 class _Stages:
@@ -240,7 +286,7 @@ class _Stages:
     def __init__(
         self, request: CalibrationRequest, skin: SkinMesh, workers: Workers, progress: Progress
     ) -> None:
-        self._request, self._skin = request, skin
+        self._request, self.skin = request, skin
         self._workers, self._progress = workers, progress
 
     def linearised(
@@ -259,7 +305,7 @@ class _Stages:
             if points and name not in points:
                 continue
             point = points.get(name, problem.centre())
-            key = task_key(self._request.sensor, self._skin, observation, problem, point)
+            key = task_key(self._request.sensor, self.skin, observation, problem, point)
             tasks.append(Task(stage, observation, problem, point, None, 0, key))
         found = self._run(stage, tasks, solves, omissions)
         return {name: fit.best for name, fit in found.items()}
@@ -284,7 +330,7 @@ class _Stages:
             budget -= self._request.joint_steps * cost
             key = task_key(
                 self._request.sensor,
-                self._skin,
+                self.skin,
                 observation,
                 problem,
                 start.point,
@@ -316,7 +362,7 @@ class _Stages:
                     observation.press,
                     Prediction(skin, force),
                     observation.indenter,
-                    self._skin,
+                    self.skin,
                     seed=seed,
                 )
         return scores
@@ -345,7 +391,10 @@ class _Stages:
             solves[name] = solves.get(name, 0) + outcome.fit.solve_count
             found[name] = outcome.fit
         if not found:
-            raise ValueError(f"no press could be solved in stage {stage}")
+            raise ValueError(
+                f"no press could be solved in stage {stage}: "
+                f"{few_of([omission.reason for omission in omissions])}"
+            )
         return found
 
     def _counter(self, stage: str, total: int) -> Callable[[str], None]:
@@ -358,6 +407,29 @@ class _Stages:
             self._progress(stage, done, total)
 
         return count
+
+
+def _touching(
+    observations: Sequence[Observation], skin: SkinMesh, omissions: list[Omission]
+) -> list[Observation]:
+    """Return the observations whose indenter touches the gel, and list the others as left out."""
+    found = []
+    for observation in observations:
+        press = observation.press
+        nearest = int(np.argmax(tip_depth_m(skin, press.poses)))
+        distance = observation.indenter.distance_from(skin.rest_position_m, press.poses[nearest])
+        if float(distance.min()) <= 0.0:
+            found.append(observation)
+            continue
+        omissions.append(
+            Omission(
+                press.name,
+                f"{press.name}: the indenter never touches the gel, it stays "
+                f"{1e3 * float(distance.min()):.2f} mm off the skin, expected a press of 2 mm; "
+                "check the poses and the indenter's origin, or leave the trajectory out",
+            )
+        )
+    return found
 
 
 def _with_losses(observation: Observation, losses: Sequence[str]) -> Observation:

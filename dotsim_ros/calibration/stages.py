@@ -7,7 +7,6 @@ depends on.
 from __future__ import annotations
 
 import json
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
@@ -18,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key
+from dotsim_ros.cache import content_key, tell_broken
 from dotsim_ros.calibration.fitting import (
     FitProblem,
     PressFit,
@@ -27,12 +26,14 @@ from dotsim_ros.calibration.fitting import (
     linearise,
     simulate,
 )
-from dotsim_ros.files import write_json
+from dotsim_ros.documents import read_json
+from dotsim_ros.files import short_name, write_json
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.reading import Observation
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
+from dotsim_ros.worker_pool import open_worker_pool
 
 DECIDED_BY = ("dotsim_ros.calibration.stages",)
 """The code, with all that it imports, that decides a result."""
@@ -117,7 +118,7 @@ class Workers:
         outcomes: dict[str, Outcome] = {}
         waiting: dict[Future[Outcome], Task] = {}
         for task in tasks:
-            stored = _load(self._file(task), task.key)
+            stored = _load(self._file(task), task)
             if stored is None:
                 waiting[self._pool.submit(_work, task)] = task
             else:
@@ -144,7 +145,7 @@ class Workers:
         return found
 
     def _file(self, task: Task) -> Path:
-        return self._directory / task.stage / f"{task.observation.press.name}.json"
+        return self._directory / task.stage / f"{short_name(task.observation.press.name)}.json"
 
 
 @contextmanager
@@ -152,16 +153,8 @@ def open_workers(
     specification: SensorSpecification, skin: SkinMesh, directory: Path, count: int
 ) -> Iterator[Workers]:
     """Open a pool of `count` processes; their files go below a directory."""
-    # Forked children would share the threads and locks of Warp.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        count, mp_context=context, initializer=_begin, initargs=(specification, skin)
-    ) as pool:
-        try:
-            yield Workers(pool, directory)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    with open_worker_pool(count, _begin, specification, skin) as pool:
+        yield Workers(pool, directory)
 
 
 def task_key(
@@ -180,7 +173,7 @@ def task_key(
         problem.noise,
         problem.skin_loss,
         problem.with_offset,
-        skin.rest_position_m,
+        skin,
         observation,
         arrays,
     )
@@ -194,20 +187,49 @@ def _store(path: Path, key: str, outcome: Outcome) -> None:
     write_json(path, record)
 
 
-def _load(path: Path, key: str) -> Outcome | None:
-    """Return a stored outcome; None if there is none of this key."""
+def _load(path: Path, task: Task) -> Outcome | None:
+    """Return a stored outcome; None if there is none of this task that can be read."""
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        record = read_json(path)
+    except FileNotFoundError:
         return None
-    if record.get("key") != key:
+    except (OSError, ValueError) as error:
+        tell_broken(path, error)
         return None
-    if "fit" not in record:
-        return Outcome(record["name"], None, record["error"])
-    fit, best = record["fit"], record["fit"]["best"]
+    if not isinstance(record, dict) or "key" not in record:
+        tell_broken(path, "it holds no result of a press")
+        return None
+    if record["key"] != task.key:
+        return None
+    name = task.observation.press.name
+    try:
+        if "fit" not in record:
+            return Outcome(name, None, str(record["error"]))
+        return Outcome(name, _fit_of(record["fit"], task.problem.size))
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        tell_broken(path, f"it holds no whole result of a press ({error})")
+        return None
+
+
+def _fit_of(record: dict[str, Any], size: int) -> PressFit:
+    """Return a fit of so many unknowns.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: the record holds none.
+    """
+    best = record["best"]
+    shapes = {"information": (size, size), "gradient": (size,)}
     arrays = {
-        field: {channel: np.array(values) for channel, values in best[field].items()}
-        for field in ("information", "gradient")
+        field: {
+            channel: np.array(values, dtype=np.float64) for channel, values in best[field].items()
+        }
+        for field in shapes
     }
     found = PressLinearisation(**{**best, **arrays, "point": np.array(best["point"])})
-    return Outcome(record["name"], PressFit(**{**fit, "best": found}))
+    channels = [(values, shapes[field]) for field in shapes for values in arrays[field].values()]
+    for values, shape in [*channels, (found.point, (size,))]:
+        if values.shape != shape or not np.isfinite(values).all():
+            raise ValueError(f"an array of shape {values.shape}, expected {shape}, all finite")
+    if not (set(found.loss) == set(found.count) == set(arrays["gradient"])):
+        raise ValueError("channels that differ")
+    return PressFit(**{**record, "best": found})

@@ -137,11 +137,15 @@ def joint_estimate(
     its own, so that fits of single presses are weighed by their information. Each replicate draws
     presses with replacement and takes one Gauss-Newton step from their information and gradients:
     no new solve. Deviations are widened by sqrt(n / (n - 1)) and
-    Student's quantile over the normal one, since n presses are few.
+    Student's quantile over the normal one, since n presses are few. One press alone cannot be drawn
+    otherwise: its interval is that of its information and the priors.
     """
     here, informations, gradients = _stacked(problem, linearisations)
     n = len(linearisations)
     best = here + _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
+    if n == 1:
+        return _from_information(problem, best, informations[0])
+    alone = _from_information(problem, best, informations.sum(axis=0))
     drawn = np.random.default_rng(seed).integers(n, size=(replicates, n))
     points = np.array(
         [
@@ -149,19 +153,24 @@ def joint_estimate(
             for d in drawn
         ]
     )
-    return _interval(best, points, n)
+    return _interval(best, points, n, alone)
 
 
 def median_estimate(
     problem: FitProblem, fits: Sequence[PressFit], *, replicates: int = 4000, seed: int = 0
 ) -> Combination:
     """Return the paper's estimate, the median of the fits of single presses, and intervals by
-    bootstrap over them, widened as `joint_estimate`'s."""
+    bootstrap over them, widened as `joint_estimate`'s, or of a single press as there."""
     count = len(problem.parameters)
     points = np.array([fit.best.point[:count] for fit in fits])
     n = len(points)
+    if n == 1:
+        return _from_information(problem, points[0], reduced(problem, fits[0].best)[0])
     drawn = np.random.default_rng(seed).integers(n, size=(replicates, n))
-    return _interval(np.median(points, axis=0), np.median(points[drawn], axis=1), n)
+    best = np.median(points, axis=0)
+    information = sum((reduced(problem, fit.best)[0] for fit in fits), np.zeros((count, count)))
+    alone = _from_information(problem, best, information)
+    return _interval(best, np.median(points[drawn], axis=1), n, alone)
 
 
 def small_sample_widening(count: int) -> float:
@@ -172,10 +181,29 @@ def small_sample_widening(count: int) -> float:
     return float(student * np.sqrt(count / (count - 1)))
 
 
-def _interval(best: FloatArray, points: FloatArray, count: int) -> Combination:
+def _from_information(
+    problem: FitProblem, best: FloatArray, information: FloatArray
+) -> Combination:
+    precision = problem.precision()[: len(best)]
+    covariance = np.linalg.inv(information + np.diag(precision))
+    half = stats.norm.ppf(0.975) * np.sqrt(np.diag(covariance))
+    return Combination(best, best - half, best + half)
+
+
+def _interval(best: FloatArray, points: FloatArray, count: int, alone: Combination) -> Combination:
+    """Return the interval of replicates (R, P) of so many presses.
+
+    Presses that agree to the bit give replicates without any width, which is no interval: that of
+    their information, `alone`, takes its place.
+    """
     low, high = np.quantile(points, [0.025, 0.975], axis=0)
     wide = small_sample_widening(count)
-    return Combination(best, best + wide * (low - best), best + wide * (high - best))
+    has_width = high - low > 1e-9 * (alone.high - alone.low)
+    return Combination(
+        best,
+        np.where(has_width, best + wide * (low - best), alone.low),
+        np.where(has_width, best + wide * (high - best), alone.high),
+    )
 
 
 def _stacked(

@@ -11,6 +11,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from dotsim_ros.documents import read_json
+
 ORIGIN = ("commit", "date", "machine", "sensor", "command")
 """What each row keeps of the provenance of the run that made it."""
 _SAME = ("definitions", "left_out_presses")
@@ -42,10 +44,7 @@ def _read(path: Path, keys: Sequence[str]) -> dict[str, Any]:
         raise FileNotFoundError(
             f"{path} is not there, so no rows can be kept; leave --keep out the first time"
         )
-    try:
-        figures = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ValueError(f"{path} cannot be read: {error}") from error
+    figures = read_json(path)
     if not isinstance(figures, dict) or not set(keys) <= set(figures):
         raise ValueError(
             f"{path} holds no such table (it needs {', '.join(keys)}); remove it, or leave --keep "

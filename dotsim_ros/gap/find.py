@@ -5,22 +5,28 @@ from __future__ import annotations
 import hashlib
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, Effect
-from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, EffectError
+from dotsim_ros.effects.library import effect_names, load_effects
 from dotsim_ros.effects.overlay import Overlay
+from dotsim_ros.files import check_output_folder
 from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
-from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
+from dotsim_ros.gap.images.null import OpticalNull, load_optical_null, save_optical_null
 from dotsim_ros.gap.images.reading import holds_images
+from dotsim_ros.gap.presses.covariance import load_discrepancy
 from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest, Progress
-from dotsim_ros.gap.report.write import write_findings
-from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.gap.report.write import write_report
+from dotsim_ros.gel.values import values_of
+from dotsim_ros.measured.data_set import DataSet, read_data_set
+from dotsim_ros.replacement import finish_replacement
 from dotsim_ros.specification import SensorSpecification, given_sensor
+from dotsim_ros.twin.simulator import check_is_quasi_static
 
 MECHANICAL = (SKIN, FORCE)
 CHANNELS = (*MECHANICAL, IMAGE)
@@ -61,7 +67,8 @@ def find_gap(
             and the overlay of the effects that were named; None writes and keeps nothing.
         reference: folder of the unit's commissioning, to find what has changed since.
         indenters: folder of the indenters' meshes; by default looked for beside the data.
-        effects: folders of your own effects.
+        effects: folders of your own effects: Python programs, which are run, all of them or, with
+            `candidates`, those named alone.
         channels: of "skin", "force" and "image"; by default all that the data hold.
         candidates: names of the effects to look for; by default all.
         alpha: chance of a name on data without an effect.
@@ -80,19 +87,41 @@ def find_gap(
         ValueError: an argument that is out of range or names nothing, before anything is read of
             the data or written.
     """
+    # No file of the user's is run before the other arguments are known to be right.
     _check_arguments(
         channels=channels,
         candidates=candidates,
-        library=load_effects(effects),
+        known=effect_names(effects),
         alpha=alpha,
         budget=budget,
+        seed=seed,
         workers=workers,
     )
+    library = load_effects(effects, names=candidates or None)
+    if channels is not None and candidates:
+        shown = {IMAGE if library[name].image is not None else SKIN for name in candidates}
+        if not shown & {IMAGE if channel == IMAGE else SKIN for channel in channels}:
+            raise ValueError(_nothing_shows(candidates, channels))
     for path in (indenters, discrepancy, optical_noise):
         if path is not None and not Path(path).exists():
             raise FileNotFoundError(f"there is nothing at {path}")
+    if indenters is not None and not any(Path(indenters).glob("*.stl")):
+        raise ValueError(f"indenters is {indenters}, expected a folder of meshes, NAME.stl each")
+    # That a file of the user's cannot be read says nothing about the data.
+    load_discrepancy(_path(discrepancy))
+    if optical_noise is not None:
+        load_optical_null(optical_noise)
     twin = given_sensor(sensor)
+    check_is_quasi_static(twin)
+    values_of(twin)
     folder = measured.directory if isinstance(measured, DataSet) else Path(measured)
+    for data in (folder, reference):
+        if data is not None:
+            with suppress(ValueError):  # an index that cannot be read is a verdict
+                read_data_set(data)
+    if out is not None:
+        check_output_folder(out)
+        finish_replacement(out)
     overlay = None
     with tempfile.TemporaryDirectory() as temporary:
         try:
@@ -113,10 +142,12 @@ def find_gap(
                 optical_noise=_path(optical_noise),
             )
             findings, overlay = find_gap_with_images(request, progress or _silent)
+        except EffectError:  # says nothing of the data
+            raise
         except ValueError as error:
             findings = Findings(Verdict.UNUSABLE, f"The data cannot be used: {error}")
     if out is not None:
-        write_findings(Path(out), findings, overlay, effects=tuple(map(Path, effects)))
+        write_report(out, findings, effects=library, overlay=overlay)
     return findings
 
 
@@ -174,9 +205,10 @@ def _check_arguments(
     *,
     channels: Sequence[str] | None,
     candidates: Sequence[str],
-    library: Mapping[str, Effect],
+    known: Sequence[str],
     alpha: float,
     budget: int | None,
+    seed: int,
     workers: int,
 ) -> None:
     """Refuse what no search could be run with.
@@ -187,14 +219,21 @@ def _check_arguments(
     strange = sorted(set(channels or ()) - set(CHANNELS))
     if strange:
         raise ValueError(f"no channel {', '.join(strange)}; known are {', '.join(CHANNELS)}")
-    unknown = sorted(set(candidates) - set(library))
+    unknown = sorted(set(candidates) - set(known))
     if unknown:
-        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
+        raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(known)}")
     if not 0.0 < alpha < 1.0:
         raise ValueError(f"alpha is {alpha}, expected between 0 and 1")
-    for name, count in (("budget", budget), ("workers", workers)):
-        if count is not None and count < 1:
-            raise ValueError(f"{name} is {count}, expected 1 or more")
+    for name, count, least in (("budget", budget, 1), ("seed", seed, 0), ("workers", workers, 1)):
+        if count is not None and count < least:
+            raise ValueError(f"{name} is {count}, expected {least} or more")
+
+
+def _nothing_shows(candidates: Sequence[str], channels: Sequence[str]) -> str:
+    return (
+        f"none of {', '.join(candidates)} shows in {', '.join(channels)}; name another effect or "
+        "channel"
+    )
 
 
 def find_gap_with_images(
@@ -207,7 +246,7 @@ def find_gap_with_images(
         ValueError: data that cannot be used by any channel; the text says why and what to do.
     """
     begun_s = time.monotonic()
-    library = load_effects(request.effects)
+    library = request.library()
     unknown = sorted(set(request.candidates) - set(library))
     if unknown:
         raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
@@ -222,13 +261,12 @@ def find_gap_with_images(
         findings, overlay = search_presses(only, progress)
     if IMAGE not in request.channels or not optical:
         if findings is None:
-            raise ValueError(
-                f"none of {', '.join(request.candidates)} shows in {', '.join(request.channels)}; "
-                "name another effect or channel"
-            )
+            raise ValueError(_nothing_shows(request.candidates, request.channels))
         return findings, overlay
     try:
         seen, found, digest, solves = find_optical(request, optical, findings, overlay, progress)
+    except EffectError:
+        raise
     except (ValueError, FileNotFoundError) as error:
         seen, found, digest, solves = unusable_images(str(error)), (), "", 0
     if findings is None:

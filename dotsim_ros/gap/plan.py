@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.decision import ALIKE
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
@@ -45,13 +44,13 @@ def plan(request: GapRequest) -> dict[str, Any]:
     has_mesh = data_set.has_skin_mesh
     skin = data_set.skin_mesh() if has_mesh else skin_of(request.sensor.gel)
     recordings, warnings = read_poses(request.measured, skin=skin, indenters=request.indenters)
-    library = load_effects(request.effects)
+    library = request.library()
     values = values_of(request.sensor)
     with open_solver(
         request.sensor,
         skin,
         request.directory / "solves",
-        folders=request.effects,
+        library=library,
         workers=request.workers,
     ) as solver:
         # What will be measured: forces set the discrepancy, and how far an arm gives way.

@@ -329,9 +329,12 @@ class _Problem:
             measured.append(self._blurred(press.measured[frame])[mask].ravel())
         self._measured = np.concatenate(measured)
         if self._measured.size == 0:
+            deepest_m = max(float(press.tip_depth_m[frame]) for press, frame in chosen)
             raise ValueError(
-                "no pixel of the chosen frames moves, so they do not identify the camera; record "
-                "deeper presses"
+                f"no pixel of the {len(chosen)} chosen frames shows skin that moves, though the "
+                f"deepest goes {1e3 * deepest_m:.1f} mm into the gel, expected to see the dent: "
+                "check that the skin of these frames moves (or fit with --skin gel), and that the "
+                "stated camera looks at it"
             )
         self.observations = max(area / (PATCH_PX * scale) ** 2, 1.0)
 

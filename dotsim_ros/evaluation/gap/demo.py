@@ -7,7 +7,6 @@ how the finder does on data of other solvers.
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -42,30 +41,35 @@ def is_right(findings: Findings, truth: Truth) -> bool:
 
 
 def run_demo(directory: Path, *, seed: int, workers: int) -> int:
-    """Run the demonstration below a folder; return 0 where the finder was right, else 1."""
+    """Run the demonstration below a folder; return 0 where the finder was right, else 1.
+
+    Raises:
+        FileExistsError: data lie there that no demonstration made.
+    """
+    from dotsim_ros.effects.library import load_effects
     from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
     from dotsim_ros.gap.presses.search import search_presses
     from dotsim_ros.gap.presses.search_state import GapRequest
-    from dotsim_ros.gap.report.write import write_findings
+    from dotsim_ros.gap.report.write import write_report
     from dotsim_ros.geometry.skin_mesh import dome_skin
     from dotsim_ros.progress import PrintedProgress
+    from dotsim_ros.replacement import made_folder
     from dotsim_ros.specification import load_sensor
 
     sensor = load_sensor(SENSOR)
     truth = demo_truth(seed)
-    directory.mkdir(parents=True, exist_ok=True)
     print(f"hidden effect drawn, sha256 {truth.digest()}", flush=True)
-    data = directory / "measured"
-    shutil.rmtree(data, ignore_errors=True)
     progress = PrintedProgress()
-    measure_unit(
-        data,
-        sensor,
-        dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M),
-        truth,
-        seed=seed,
-        progress=lambda done, total: progress("measure", done, total),
-    )
+    with made_folder(directory, "measured") as part:
+        measure_unit(
+            part,
+            sensor,
+            dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M),
+            truth,
+            seed=seed,
+            progress=lambda done, total: progress("measure", done, total),
+        )
+    data = directory / "measured"
     request = GapRequest(
         measured=data,
         sensor=sensor,
@@ -75,7 +79,7 @@ def run_demo(directory: Path, *, seed: int, workers: int) -> int:
         workers=workers,
     )
     findings, overlay = search_presses(request, progress)
-    write_findings(directory, findings, overlay)
+    write_report(directory, findings, effects=load_effects(), overlay=overlay)
     write_truth(directory / "truth_opened.json", truth, seed=seed)
     hidden = ", ".join(f"{name} ({size:.3g} {LAWS[name].unit})" for name, size in truth.effects)
     print(f"\n{findings.sentence}")

@@ -18,6 +18,7 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.documents import ArrayForm
 from dotsim_ros.evaluation.gap.baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
 from dotsim_ros.evaluation.gap.hidden.laws import LAWS, HiddenLaw
@@ -36,6 +37,7 @@ from dotsim_ros.evaluation.gap.presses import (
 )
 from dotsim_ros.evaluation.gap.rates import median, rate
 from dotsim_ros.evaluation.gap.same_law import SameLaw, same_law_cases, same_law_figures
+from dotsim_ros.files import short_name
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.answer import answer_of, null_gains, screen, set_limits
@@ -244,8 +246,8 @@ def _hidden_changes(
                 (source.sensor, presses.skin.rest_position_m, name, size, seed, number),
                 (t.recording, t.predicted),
             )
-            stored = run / f"law_{name}_{t.recording.name}_{key}.npz"
-            known = load_arrays(stored)
+            stored = run / f"law_{name}_{short_name(t.recording.name)}_{key}.npz"
+            known = load_arrays(stored, {"change": ArrayForm(t.predicted.shape)})
             if known is not None:
                 changes.append(known["change"])
                 continue

@@ -13,7 +13,7 @@ from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.reading import read_observation
+from dotsim_ros.measured.reading import few_of, read_observation
 from dotsim_ros.measured.split import (
     HELD_OUT_COUNT,
     Split,
@@ -69,14 +69,14 @@ def read_measured(data: DataSet) -> Measured:
     left_out: dict[str, str] = {}
     for entry in data.entries:
         try:
-            found = read_observation(data, entry, vertex_count=skin.vertex_count)
+            found = read_observation(data, entry, skin=skin, has_vertices=True)
         except (ValueError, OSError) as error:
             left_out[entry.name] = str(error)
             continue
         presses[found.press.name] = found.press
         indenters.setdefault(found.press.indenter, found.indenter)
     if not presses:
-        reasons = "; ".join(left_out.values())
+        reasons = few_of(list(left_out.values()))
         raise ValueError(f"{data.directory}: no press can be read: {reasons}")
     return Measured(presses, indenters, skin, left_out)
 

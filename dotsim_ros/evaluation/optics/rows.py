@@ -8,10 +8,8 @@ does it. Frames and models that are the same give the same row, whatever the spl
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import time
-import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -21,6 +19,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from dotsim_ros.arrays import ImageArray
+from dotsim_ros.cache import tell_broken
+from dotsim_ros.documents import read_arrays, read_json
 from dotsim_ros.evaluation.optics.judge import (
     ImageFrameScores,
     ImageModel,
@@ -224,14 +224,17 @@ def _store(path: Path, row: Row) -> None:
 
 def _load(path: Path) -> Row | None:
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-        with np.load(path.with_suffix(".npz"), allow_pickle=False) as arrays:
-            keys = zip(arrays["press"].tolist(), arrays["frame"].tolist(), strict=True)
-            images = dict(zip(keys, arrays["image"], strict=True))
+        values = read_json(path)
+        arrays = read_arrays(path.with_suffix(".npz"))
+        keys = zip(arrays["press"].tolist(), arrays["frame"].tolist(), strict=True)
+        images = dict(zip(keys, arrays["image"], strict=True))
         scores = tuple(scores_from_json(values.pop("scores")))
         training = values.pop("training", None)
         record = None if training is None else TrainingRecord(**training)
         return Row(scores=scores, images=images, training=record, **values)
+    except FileNotFoundError:
+        return None
     # What is broken or of another version is made anew.
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        tell_broken(path, error)
         return None

@@ -16,6 +16,7 @@ from dotsim_ros.evaluation.optics.rows import Row, RowMaker
 from dotsim_ros.evaluation.optics.split import FrameKey
 from dotsim_ros.files import whole_file
 from dotsim_ros.metrics.images import score_image
+from dotsim_ros.printable import boxes_for_missing_glyphs, figure_label
 from dotsim_ros.view.figure import STYLE
 
 SHOWN_MODELS = ("ours", "carried", "paper", "tacto", "difftactile", "taxim")
@@ -58,21 +59,21 @@ def write_optics_sheet(
             layout="constrained",
         )
         FigureCanvasAgg(figure)
-        figure.suptitle(title, fontsize=11)
+        figure.suptitle(figure_label(title, 80), fontsize=11)
         axes = figure.subplots(height, width, squeeze=False)
         for axis in axes.flat:
             axis.set_axis_off()
         for place, (key, image) in enumerate(measured.items()):
             upper, lower = axes[2 * place], axes[2 * place + 1]
             upper[0].imshow(image[crop])
-            upper[0].set_title(f"measured: {key[0]}, frame {key[1]}", fontsize=7)
+            upper[0].set_title(f"measured: {figure_label(key[0])}, frame {key[1]}", fontsize=7)
             lower[0].text(0.5, 0.5, f"error x{ERROR_GAIN:g}", ha="center", va="center", fontsize=8)
             for column, (name, images) in enumerate(predicted.items(), start=1):
                 score = score_image(images[key], image, {"frame": None})["frame"]
                 upper[column].imshow(images[key][crop])
                 upper[column].set_title(f"{name}: {score.psnr_db:.1f} dB", fontsize=7)
                 lower[column].imshow(_error(images[key], image)[crop])
-        with whole_file(path) as temporary:
+        with whole_file(path) as temporary, boxes_for_missing_glyphs():
             figure.savefig(temporary, format="jpeg", pil_kwargs={"quality": JPEG_QUALITY})
 
 

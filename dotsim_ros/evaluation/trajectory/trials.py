@@ -18,7 +18,8 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key
+from dotsim_ros.cache import content_key, tell_broken
+from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import given_path, whole_file, write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.idle import description_of, resample
@@ -156,7 +157,7 @@ def write_shifted(folder: Path, source: str) -> Path:
 
     The camera turns in its place: its idle image is the sensor's own, seen from there.
     """
-    document = yaml.safe_load(sensor_path(source).read_text(encoding="utf-8"))
+    document = read_yaml(sensor_path(source))
     sensor = load_sensor(source)
     document["name"] = f"{sensor.name}_shifted"
     for constant in (
@@ -191,7 +192,7 @@ def write_shifted(folder: Path, source: str) -> Path:
 
 def _content(path: Path) -> str:
     """Return a hash of a sensor's file; where its images lie does not count."""
-    document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    document = read_yaml(path)
     idle = document.get("camera", {}).pop("idle_image", "")
     digest = hashlib.sha256(json.dumps(document, sort_keys=True).encode())
     if idle:
@@ -236,9 +237,8 @@ def run_trials(
             path = reference_path(name, contact)
             for number in range(plan.trial_count):
                 kept = cache / plan.file_of(setting, name, number)
-                if kept.is_file():
-                    recording = LoopRecording.load(kept)
-                else:
+                recording = _kept(kept)
+                if recording is None:
                     start = trial_start(path, contact, seed=plan.seed, number=number)
                     recording = _tried(loop, setting, name, start, plan.seconds, progress)
                     recording.save(kept)
@@ -247,6 +247,17 @@ def run_trials(
                 trials.rows.setdefault((setting.name, name), []).append(row)
                 progress(f"{setting.name}, {name}, trial {number + 1}: {summary_of(row)}")
     return trials
+
+
+def _kept(path: Path) -> LoopRecording | None:
+    """Return the recording of a trial that was run before; None where there is none to be used."""
+    try:
+        return LoopRecording.load(path)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        tell_broken(path, error)
+        return None
 
 
 def _tried(

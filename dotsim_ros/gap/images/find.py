@@ -14,7 +14,6 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import IMAGE, Effect
-from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap import decision
@@ -73,7 +72,7 @@ def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     """
     case, _ = _case_without_gap(request, progress)
     count = len(case.shots) - 1
-    effects = [e for e in load_effects(request.effects).values() if e.image is not None]
+    effects = [e for e in request.library().values() if e.image is not None]
     source = f"{count} trajectories of {request.measured.name} with {request.sensor.name}"
     return fit_optical_null(
         case,
@@ -234,13 +233,13 @@ def _skins(
     """Return the twin's skin (F, V, 3) by trajectory, how many solves it took, and what could not
     be solved."""
     sensor = request.sensor
-    active = () if overlay is None else active_effects(overlay, load_effects(request.effects))
+    active = () if overlay is None else active_effects(overlay, request.library())
     recordings = [one.recording for one in images.trajectories]
     with open_solver(
         sensor,
         skin_of(sensor.gel),
         request.directory / "solves",
-        folders=request.effects,
+        library=request.library(),
         workers=request.workers,
     ) as solver:
         answers, failures = solver.run_each(

@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 from scipy.stats import t as student
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import Arrays, read_arrays
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.files import parameter_path, whole_file
 from dotsim_ros.gap.images.case import IDLE, OpticalCase, Shot
@@ -304,45 +305,56 @@ def load_optical_null(path: str | Path | None = None) -> OpticalNull:
         raise FileNotFoundError(
             f"no file of the images' noise at {path}; find-gap --fit-optical-noise makes one"
         )
-    with np.load(path, allow_pickle=False) as arrays:
-        if "version" not in arrays.files or int(arrays["version"]) != VERSION:
-            raise ValueError(
-                f"{path} is no noise of images of version {VERSION}; make it anew with find-gap "
-                "--fit-optical-noise"
+    arrays = read_arrays(path)
+    version = arrays.get("version")
+    if version is None or version.shape != () or version.dtype.kind != "i" or version != VERSION:
+        raise ValueError(
+            f"{path} is no noise of images of version {VERSION}; make it anew with find-gap "
+            "--fit-optical-noise"
+        )
+    try:
+        return _null_of(arrays)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise ValueError(
+            f"{path} is no whole noise of images ({type(error).__name__}: {error}); make it anew "
+            "with find-gap --fit-optical-noise"
+        ) from error
+
+
+def _null_of(arrays: Arrays) -> OpticalNull:
+    noise = TileNoise(
+        arrays["centre_px"],
+        arrays["camera"],
+        arrays["model"],
+        arrays["growth"],
+        arrays["mixing"],
+        tuple(Correlation(*map(float, row)) for row in arrays["correlations"]),
+        int(arrays["trajectory_count"]),
+    )
+    parts: dict[int, dict[str, dict[str, float]]] = {}
+    effects: dict[int, str] = {}
+    for number, effect, name, kind, value in zip(
+        arrays["spurious_number"].tolist(),
+        arrays["spurious_effect"].tolist(),
+        arrays["spurious_name"].tolist(),
+        arrays["spurious_kind"].tolist(),
+        arrays["spurious_value"].tolist(),
+        strict=True,
+    ):
+        effects[number] = effect
+        parts.setdefault(number, {}).setdefault(kind, {})[name] = value
+    return OpticalNull(
+        noise,
+        tuple(
+            SpuriousSize(
+                effects[number],
+                parts[number].get("shape", {}),
+                parts[number]["step"][""],
+                parts[number]["deviation"],
             )
-        noise = TileNoise(
-            arrays["centre_px"],
-            arrays["camera"],
-            arrays["model"],
-            arrays["growth"],
-            arrays["mixing"],
-            tuple(Correlation(*map(float, row)) for row in arrays["correlations"]),
-            int(arrays["trajectory_count"]),
-        )
-        parts: dict[int, dict[str, dict[str, float]]] = {}
-        effects: dict[int, str] = {}
-        for number, effect, name, kind, value in zip(
-            arrays["spurious_number"].tolist(),
-            arrays["spurious_effect"].tolist(),
-            arrays["spurious_name"].tolist(),
-            arrays["spurious_kind"].tolist(),
-            arrays["spurious_value"].tolist(),
-            strict=True,
-        ):
-            effects[number] = effect
-            parts.setdefault(number, {}).setdefault(kind, {})[name] = value
-        return OpticalNull(
-            noise,
-            tuple(
-                SpuriousSize(
-                    effects[number],
-                    parts[number].get("shape", {}),
-                    parts[number]["step"][""],
-                    parts[number]["deviation"],
-                )
-                for number in sorted(parts)
-            ),
-            arrays["excess"],
-            str(arrays["sensor"]),
-            str(arrays["source"]),
-        )
+            for number in sorted(parts)
+        ),
+        arrays["excess"],
+        str(arrays["sensor"]),
+        str(arrays["source"]),
+    )

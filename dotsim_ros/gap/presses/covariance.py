@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import ArrayForm, Arrays, read_arrays
 from dotsim_ros.files import parameter_path, whole_file
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SECTORS, SIZE, Places, ring_of_patch
 from dotsim_ros.measured.recording import Recording
@@ -198,22 +199,45 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
         ValueError: covariances of other observables.
     """
     path = parameter_path(FILE) if path is None else Path(path)
-    with np.load(path, allow_pickle=False) as arrays:
-        found = Discrepancy(
-            arrays["between"].astype(np.float64),
-            arrays["within"].astype(np.float64),
-            str(arrays["source"]),
-            dict(zip(arrays["biased"].tolist(), arrays["bias"].tolist(), strict=True)),
-            dict(zip(arrays["limited"].tolist(), arrays["limit_factor"].tolist(), strict=True)),
-            float(arrays["pattern_factor"]),
-            float(arrays["misfit_limit"]),
-        )
-    if found.between.shape != (SIZE, SIZE):
+    arrays = read_arrays(path, _FORMS)
+    found = Discrepancy(
+        arrays["between"].astype(np.float64),
+        arrays["within"].astype(np.float64),
+        str(arrays["source"]),
+        _paired(path, arrays, "biased", "bias"),
+        _paired(path, arrays, "limited", "limit_factor"),
+        float(arrays["pattern_factor"]),
+        float(arrays["misfit_limit"]),
+    )
+    if not found.between.shape == found.within.shape == (SIZE, SIZE):
         raise ValueError(
-            f"{path} holds covariances of {len(found.between)} observables, expected {SIZE}; make "
-            "them anew with dotsim_ros evaluate gap --fit-discrepancy"
+            f"{path} holds covariances of shapes {found.between.shape} and {found.within.shape}, "
+            f"expected ({SIZE}, {SIZE}); make them anew with dotsim_ros evaluate gap "
+            "--fit-discrepancy"
         )
     return found
+
+
+_FORMS = {
+    "between": ArrayForm((None, None)),
+    "within": ArrayForm((None, None)),
+    "source": ArrayForm((), "text"),
+    "biased": ArrayForm((None,), "text"),
+    "bias": ArrayForm((None,)),
+    "limited": ArrayForm((None,), "text"),
+    "limit_factor": ArrayForm((None,)),
+    "pattern_factor": ArrayForm(()),
+    "misfit_limit": ArrayForm(()),
+}
+
+
+def _paired(path: Path, arrays: Arrays, names: str, values: str) -> dict[str, float]:
+    if len(arrays[names]) != len(arrays[values]):
+        raise ValueError(
+            f"{path}: {names} has {len(arrays[names])} entries and {values} {len(arrays[values])}, "
+            "expected as many"
+        )
+    return dict(zip(arrays[names].tolist(), arrays[values].tolist(), strict=True))
 
 
 def white_variance(noise: ChannelNoise, places: Places) -> FloatArray:

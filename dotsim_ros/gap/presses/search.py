@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.effects.simulate import open_solver
 from dotsim_ros.gap import decision
@@ -24,6 +23,7 @@ from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
+from dotsim_ros.measured.plausibility import check_same_shape
 
 
 def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:
@@ -37,7 +37,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
     if not 0.0 < request.alpha < 1.0:
         raise ValueError(f"alpha is {request.alpha}, expected between 0 and 1")
     measurement, reference = _read(request)
-    library = load_effects(request.effects)
+    library = request.library()
     unknown = sorted(set(request.candidates) - set(library))
     if unknown:
         raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
@@ -57,7 +57,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         request.sensor,
         measurement.skin,
         request.directory / "solves",
-        folders=request.effects,
+        library=library,
         workers=request.workers,
     ) as solver:
         nuisances = centred(ABSOLUTE if reference is None else DIFFERENTIAL, discrepancy.bias)
@@ -95,6 +95,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
 def _read(request: GapRequest) -> tuple[Measurement, Measurement | None]:
     own = skin_of(request.sensor.gel)
     measurement = read_measurement(request.measured, own_skin=own, indenters=request.indenters)
+    check_same_shape(measurement.skin, own, data=str(request.measured), sensor=request.sensor.name)
     if request.reference is None:
         return measurement, None
     reference = read_measurement(request.reference, own_skin=own, indenters=request.indenters)
@@ -138,6 +139,13 @@ def simulate_effects(search: Search) -> tuple[list[Variant], list[str]]:
         ValueError: nothing is excited.
     """
     variants, silent = excited_variants(search.case, search.request.candidates)
+    if not variants and search.request.candidates:
+        library = search.case.library
+        protocols = "; ".join(f"{name}: {library[name].protocol}" for name in silent)
+        raise ValueError(
+            f"no trajectory excites any of {', '.join(search.request.candidates)}, so nothing can "
+            f"be concluded of them; record what does ({protocols}), or name other candidates"
+        )
     if not variants:
         raise ValueError(
             "no trajectory excites any effect of the library: nothing can be concluded; record "

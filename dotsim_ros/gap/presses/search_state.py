@@ -11,6 +11,7 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.effects.effect import Effect
+from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
@@ -60,6 +61,10 @@ class GapRequest:
     workers: int = 2
     discrepancy: Path | None = None
     optical_noise: Path | None = None
+
+    def library(self) -> dict[str, Effect]:
+        """Return the effects, shipped and the user's; with candidates no other file is run."""
+        return load_effects(self.effects, names=self.candidates or None)
 
 
 @dataclass

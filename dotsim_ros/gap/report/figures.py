@@ -12,6 +12,7 @@ from dotsim_ros.gap.findings import ChannelGap, Findings, WorstFrame
 from dotsim_ros.gap.report.places import PlaceTable, strongest
 from dotsim_ros.gap.report.text import shown, shown_unit
 from dotsim_ros.page import LARGEST_WIDTH_INCHES, ReportImage, image_of, page_figure
+from dotsim_ros.printable import figure_label
 from dotsim_ros.view.panels import SKIN_COLOURS
 from dotsim_ros.view.skin_map import SkinMap
 
@@ -61,10 +62,11 @@ def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportIm
         title = f"{title}: the {MOST_ROWS} strongest of {len(table.rows)}"
         table = strongest(table, MOST_ROWS)
     values = table.before if stage == "before" else table.after
-    rows = [_short(row) for row in table.rows]
+    rows = [figure_label(row, _LONGEST_LABEL) for row in table.rows]
+    columns = [figure_label(column) for column in table.columns]
     largest = max(4.0, float(np.nanmax(table.before, initial=0.0)))
     # The column labels hang below, as long as they are.
-    label_inches = 0.075 * max(len(column) for column in table.columns)
+    label_inches = 0.075 * max(map(len, columns))
     with page_figure(LARGEST_WIDTH_INCHES, 0.55 + 0.24 * len(rows) + label_inches) as figure:
         axes = figure.add_subplot()
         colours = matplotlib.colormaps[HEAT_COLOURS].with_extremes(bad="#eef1f4")
@@ -75,11 +77,11 @@ def heatmap(table: PlaceTable, stage: str, *, name: str, title: str) -> ReportIm
                 dark = shade(value) > 0.6
                 text = f"{value:.1f}" if value < 9.95 else f"{value:.0f}"
                 axes.text(j, i, text, ha="center", va="center", color="white" if dark else "black")
-        axes.set_xticks(range(len(table.columns)), table.columns, rotation=90)
+        axes.set_xticks(range(len(columns)), columns, rotation=90)
         axes.set_yticks(range(len(rows)), rows)
         axes.tick_params(length=0)
         axes.spines[:].set_visible(False)
-        figure.suptitle(title)
+        figure.suptitle(figure_label(title, 60))
         return image_of(figure, name=name, alt=f"{title}: {_strongest(table, values)}")
 
 
@@ -100,7 +102,8 @@ def ranking(findings: Findings) -> ReportImage | None:
             scores,
             color=[colour.get(candidate.name, OTHER_COLOUR) for candidate in scored],
         )
-        axes.set_yticks(range(len(scored)), [_short(candidate.name) for candidate in scored])
+        names = [figure_label(candidate.name, _LONGEST_LABEL) for candidate in scored]
+        axes.set_yticks(range(len(scored)), names)
         axes.tick_params(left=False)
         axes.invert_yaxis()
         axes.set_xscale("log")
@@ -178,9 +181,3 @@ def _strongest(table: PlaceTable, values: FloatArray) -> str:
         return "nothing measured"
     i, j = np.unravel_index(int(np.nanargmax(values)), values.shape)
     return f"largest {values[i, j]:.2g} at {table.rows[i]}, {table.columns[j]}"
-
-
-def _short(label: str) -> str:
-    if len(label) <= _LONGEST_LABEL:
-        return label
-    return f"{label[: _LONGEST_LABEL - 6]}...{label[-3:]}"

@@ -2,64 +2,78 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from dotsim_ros.documents import read_json
 from dotsim_ros.effects.effect import Effect
-from dotsim_ros.effects.library import load_effects
-from dotsim_ros.effects.overlay import FILE_NAME, Overlay, write_overlay
-from dotsim_ros.files import write_json
-from dotsim_ros.gap.findings import Findings, as_record
+from dotsim_ros.effects.overlay import FILE_NAME, Overlay, overlay_text
+from dotsim_ros.gap.findings import Findings, Verdict, as_record
 from dotsim_ros.gap.report.sections import page_of
-from dotsim_ros.page import write_page
+from dotsim_ros.page import HTML, page_files
 from dotsim_ros.provenance import provenance
+from dotsim_ros.replacement import finish_replacement, replace_files
 
 FINDINGS = "findings.json"
 PROVENANCE = "provenance.json"
-
-
-def write_findings(
-    directory: Path,
-    findings: Findings,
-    overlay: Overlay | None,
-    *,
-    effects: Sequence[Path] = (),
-) -> None:
-    """Write a report, and the overlay where there is one, in place of those of an earlier search.
-
-    Args:
-        directory: made where it is absent.
-        findings: what was found.
-        overlay: the named effects.
-        effects: folders of the user's own.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    if overlay is None:
-        (directory / FILE_NAME).unlink(missing_ok=True)
-    else:
-        write_overlay(directory / FILE_NAME, overlay)
-    write_report(directory, findings, effects=load_effects(effects))
+REPORT_BEFORE = "report_before"
+"""Folder of the report that data which cannot be used have put out of its place."""
 
 
 def write_report(
-    directory: str | Path, findings: Findings, *, effects: Mapping[str, Effect]
+    directory: str | Path,
+    findings: Findings,
+    *,
+    effects: Mapping[str, Effect],
+    overlay: Overlay | None = None,
 ) -> Path:
-    """Write findings into a folder, each file whole or not at all.
+    """Write findings into a folder in place of those of an earlier search, all files or none.
 
     The folder gets `findings.json` (as `findings_of` reads it), `provenance.json`, `report.html`,
-    which needs none of the others, `report.md`, and the images of the latter; those of the report
-    before go.
+    which needs none of the others, `report.md`, the images of the latter, and the overlay where
+    there is one. What the report before wrote goes; where the new one only says that data cannot
+    be used, the one before is kept in `REPORT_BEFORE`. Files of the user stay, as `replace_files`
+    says.
 
     Args:
         directory: made where it is absent.
         findings: what was found.
         effects: the library that was searched, as `load_effects` returns it.
+        overlay: the named effects; with None no overlay is left in the folder.
 
     Returns:
         The HTML page.
+
+    Raises:
+        OSError: it could not be written; the report before is still there.
     """
     directory = Path(directory)
+    finish_replacement(directory)
+    is_unusable = findings.verdict is Verdict.UNUSABLE
     origin = provenance()
-    write_json(directory / FINDINGS, as_record(findings))
-    write_json(directory / PROVENANCE, origin)
-    return write_page(directory, page_of(findings, origin, effects))
+    replace_files(
+        directory,
+        {
+            FILE_NAME: None if overlay is None else overlay_text(overlay).encode(),
+            FINDINGS: _json(as_record(findings)),
+            PROVENANCE: _json(origin),
+            **page_files(page_of(findings, origin, effects)),
+        },
+        keep_as=REPORT_BEFORE if is_unusable and not _is_unusable(directory / FINDINGS) else None,
+    )
+    return directory / HTML
+
+
+def _is_unusable(path: Path) -> bool:
+    """Return whether the report that is there says that data could not be used."""
+    try:
+        findings = read_json(path)
+    except (OSError, ValueError):
+        return False
+    return isinstance(findings, dict) and findings.get("verdict") == Verdict.UNUSABLE.value
+
+
+def _json(figures: Mapping[str, Any]) -> bytes:
+    return (json.dumps(figures, indent=2) + "\n").encode()
