@@ -9,6 +9,7 @@ from msg_adapters.camera_info import FisheyeIntrinsics, decode_camera_info, enco
 from msg_adapters.cloud import Cloud, decode_cloud, decode_cloud_fields, encode_cloud
 from msg_adapters.diagnostics import Level, Status, decode_diagnostics, encode_diagnostics
 from msg_adapters.image import (
+    compressed_image_size,
     decode_compressed_image,
     decode_image,
     decode_rgb,
@@ -41,6 +42,7 @@ __all__ = [
     "RobotState",
     "RosTypes",
     "Status",
+    "compressed_image_size",
     "decode_camera_info",
     "decode_cloud",
     "decode_cloud_fields",

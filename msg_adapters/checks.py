@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+LONGEST_SHOWN = 16
+"""Numbers of a list that a message of ours repeats: somebody else's may hold millions."""
 UNIT_TOLERANCE = 1e-3
 """How far a quaternion's length may be from 1: single precision and rounding to three digits."""
 
@@ -19,7 +21,8 @@ def finite_vector(values: ArrayLike, length: int, name: str) -> NDArray[np.float
     if vector.shape != (length,):
         raise ValueError(f"{name} needs {length} numbers, got shape {vector.shape}")
     if not np.isfinite(vector).all():
-        raise ValueError(f"{name} holds a number that is not finite: {vector.tolist()}")
+        shown = vector.tolist() if length <= LONGEST_SHOWN else f"one of {length}"
+        raise ValueError(f"{name} holds a number that is not finite: {shown}")
     return vector
 
 

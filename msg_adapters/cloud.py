@@ -116,12 +116,14 @@ def cloud_dtype(message: Message) -> np.dtype[Any]:
             raise ValueError(f"cloud field {field.name!r} is there twice")
         base = FIELD_TYPES[field.datatype].newbyteorder(order)
         # Older publishers leave `count` at 0 where they mean 1.
-        kind = np.dtype((base, (int(field.count),))) if field.count > 1 else base
-        if field.offset + kind.itemsize > message.point_step:
+        count = max(1, int(field.count))
+        end = int(field.offset) + count * base.itemsize
+        if end > message.point_step:
             raise ValueError(
-                f"cloud field {field.name!r} ends at byte {field.offset + kind.itemsize} of a "
-                f"point of {message.point_step} bytes"
+                f"cloud field {field.name!r} ends at byte {end} of a point of "
+                f"{message.point_step} bytes"
             )
+        kind = np.dtype((base, (count,))) if count > 1 else base
         names.append(field.name)
         formats.append(kind)
         offsets.append(int(field.offset))

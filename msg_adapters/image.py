@@ -20,13 +20,18 @@ PIXEL_LAYOUTS: dict[str, tuple[np.dtype[Any], int]] = {
 """Type of a channel and number of channels, by encoding."""
 
 COMPRESSED_SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+HEADER_BYTES = 2**18
+"""What is looked at for an image's size: a JPEG may have a few segments of 64 KiB before it."""
+LARGEST_PIXEL_COUNT = 2**26
+"""Of a file that is unpacked: a few bytes may announce gigabytes."""
 
 
 def _layout(encoding: str) -> tuple[np.dtype[Any], int]:
     if encoding not in PIXEL_LAYOUTS:
         known = ", ".join(PIXEL_LAYOUTS)
         raise ValueError(
-            f"image encoding {encoding!r} is not supported; expected one of {known}"
+            f"image encoding {encoding[:40]!r} is not supported; expected one of {known}"
             + ("; the publisher must set the encoding" if not encoding else "")
         )
     return PIXEL_LAYOUTS[encoding]
@@ -184,19 +189,76 @@ def encode_compressed_image(
     )
 
 
+def compressed_image_size(message: Message) -> tuple[int, int]:
+    """Return width and height that the file in a CompressedImage announces, without unpacking it.
+
+    Raises:
+        ValueError: it is no PNG or JPEG file, or has more than `LARGEST_PIXEL_COUNT` pixels.
+    """
+    data = bytes(memoryview(message.data)[:HEADER_BYTES])
+    size = _png_size(data) if data.startswith(PNG_SIGNATURE) else _jpeg_size(data)
+    if size is None or 0 in size:
+        raise ValueError(
+            f"compressed image of {len(message.data)} bytes (format {message.format[:40]!r}) "
+            "cannot be read; expected a whole PNG or JPEG file"
+        )
+    if size[0] * size[1] > LARGEST_PIXEL_COUNT:
+        raise ValueError(
+            f"compressed image of {size[0]} x {size[1]} pixels, expected at most "
+            f"{LARGEST_PIXEL_COUNT} pixels"
+        )
+    return size
+
+
+def _has_end(data: bytes) -> bool:
+    """Return whether a PNG or JPEG file is there up to its end.
+
+    Of a JPEG file that is cut off OpenCV makes an image that is grey where nothing came. Its end
+    may be followed by other bytes; before it that sequence stands in no packed pixels.
+    """
+    return data.rfind(b"IEND" if data.startswith(PNG_SIGNATURE) else b"\xff\xd9") > 0
+
+
+def _png_size(data: bytes) -> tuple[int, int] | None:
+    if len(data) < 24 or data[12:16] != b"IHDR":
+        return None
+    return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    """Return the size in the first header of a frame; before it lie segments of given lengths."""
+    place = 2
+    if data[:2] != b"\xff\xd8":
+        return None
+    while place + 9 <= len(data) and data[place] == 0xFF:
+        marker = data[place + 1]
+        if marker == 0xFF:
+            place += 1
+        elif 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height = int.from_bytes(data[place + 5 : place + 7], "big")
+            return int.from_bytes(data[place + 7 : place + 9], "big"), height
+        else:
+            place += 2 + int.from_bytes(data[place + 2 : place + 4], "big")
+    return None
+
+
 def decode_compressed_image(message: Message) -> NDArray[np.uint8]:
     """Return the (H, W, 3) uint8 RGB or (H, W) uint8 grey pixels of a CompressedImage.
 
     Raises:
-        ValueError: the data is empty or no image that OpenCV reads.
+        ValueError: as `compressed_image_size`, or the file is broken.
     """
     import cv2
 
+    compressed_image_size(message)
     data = np.frombuffer(message.data, dtype=np.uint8)
-    pixels = cv2.imdecode(data, cv2.IMREAD_ANYCOLOR) if data.size else None
+    try:
+        pixels = cv2.imdecode(data, cv2.IMREAD_ANYCOLOR) if _has_end(bytes(message.data)) else None
+    except cv2.error:
+        pixels = None
     if pixels is None:
         raise ValueError(
-            f"compressed image of {data.size} bytes (format {message.format!r}) cannot be read; "
+            f"compressed image of {data.size} bytes (format {message.format[:40]!r}) is broken; "
             "expected a whole PNG or JPEG file"
         )
     decoded = np.asarray(pixels, dtype=np.uint8)

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import array
 import importlib
+import re
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+LONGEST_EXCERPT = 80
 
 Message = Any
 """A message of either kind: the two share attribute names, not classes."""
@@ -44,10 +47,12 @@ def message_class(name: str) -> Any:
         ImportError: its package is not installed.
         ValueError: the name is of another form, or the package has no such message.
     """
-    parts = name.split("/")
-    if len(parts) != 3:
-        raise ValueError(f"message type {name!r} is not of the form PACKAGE/msg/TYPE")
-    package, kind, class_name = parts
+    form = re.fullmatch("([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)", name)
+    if form is None:
+        raise ValueError(
+            f"message type {name[:LONGEST_EXCERPT]!r} is not of the form PACKAGE/msg/TYPE"
+        )
+    package, kind, class_name = form.groups()
     try:
         module = importlib.import_module(f"{package}.{kind}")
     except ImportError as error:

@@ -8,6 +8,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from dotsim_ros.documents import value_text
+
 METADATA_KEY = "option"
 
 
@@ -53,7 +55,8 @@ def check_options(parameters: Any) -> None:
         value = getattr(parameters, field.name)
         if known.choices and value not in known.choices:
             raise ValueError(
-                f"{field.name} is {value!r}, expected one of {', '.join(known.choices)}"
+                f"{field.name} is {value_text(str(value))}, expected one of "
+                f"{', '.join(known.choices)}"
             )
         for number in value if isinstance(value, tuple) else (value,):
             if isinstance(number, int | float) and not isinstance(number, bool):

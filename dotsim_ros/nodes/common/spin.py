@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from threading import Event, Thread
@@ -13,21 +15,27 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 
 import msg_adapters
+from dotsim_ros.nodes.common.arguments import check_start
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.reasons import reason_of
 from msg_adapters import Status
 
 SILENT_CLOCK_WARNING_S = 5.0
+WAKE_PERIOD_S = 0.25
 REFUSED = 2
 """Exit status of a node that could not start from what its user gave it."""
+BROKEN = 1
+"""Exit status of a node that could not start, or go on, for a fault of its own."""
 
 
-class WorkingNode(Node):
+class WorkingNode(GuardedNode):
     """A node that owns threads or files: it opens them in `begin`, not while it is made.
 
     Making a node may take minutes, so a SIGINT cuts it short wherever it is; what is opened then
@@ -47,6 +55,9 @@ class WorkingNode(Node):
         super().__init__(name)
         self.stopping = Event()
         self._threads: list[Thread] = []
+        # A signal between the executor's look at the context and its wait wakes nothing: of a node
+        # without a timer, one SIGINT in 20 was lost.
+        self.create_timer(WAKE_PERIOD_S, _wake, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def begin(self) -> None:
         """Open what `destroy_node` closes; a signal waits until it is done.
@@ -97,7 +108,7 @@ class WorkingNode(Node):
 
     def report_health(
         self, period_s: float, statuses: Callable[[], Sequence[Status]], without_clock: str
-    ) -> None:
+    ) -> Callable[[], None]:
         """Publish the node's health on /diagnostics.
 
         Args:
@@ -106,19 +117,25 @@ class WorkingNode(Node):
             statuses: returns the states of the node's parts.
             without_clock: what does not work while `use_sim_time` is set and /clock is silent, for
                 the log.
+
+        Returns:
+            What publishes a report at once.
         """
         publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
         def report() -> None:
-            stamp_ns = self.get_clock().now().nanoseconds
+            stamp_ns = self.time_ns()
             if stamp_ns == 0:
                 self.get_logger().warning(
-                    f"use_sim_time is set and /clock is silent: {without_clock}",
+                    f"use_sim_time is set and /clock is silent, or beyond what a stamp holds: "
+                    f"{without_clock}",
                     throttle_duration_sec=SILENT_CLOCK_WARNING_S,
                 )
-            publisher.publish(msg_adapters.encode_diagnostics(statuses(), stamp_ns=stamp_ns))
+            found = [*statuses(), *self.failure_status()]
+            publisher.publish(msg_adapters.encode_diagnostics(found, stamp_ns=stamp_ns))
 
         self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return report
 
     def _watch(self, run: Callable[[], None], broken: str) -> None:
         try:
@@ -126,9 +143,13 @@ class WorkingNode(Node):
         except Exception:
             if self.context.ok():
                 self.get_logger().fatal(broken)
-                self.exit_status = 1
+                self.exit_status = BROKEN
                 rclpy.try_shutdown()
                 raise
+
+
+def _wake() -> None:
+    """Do nothing, so that the executor looks whether the node goes on."""
 
 
 class _Interruption:
@@ -174,18 +195,20 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
         arguments: the command line, `sys.argv` by default.
 
     Returns:
-        The exit status: 0 (or the `exit_status` of a `WorkingNode`) after a stop, `REFUSED` where
-        ROS refused its arguments, or factory or `begin` the parameters or files (ValueError,
-        OSError or a ROS parameter's exception), with one line that says why.
+        The exit status: 0 (or the `exit_status` of a `WorkingNode`) after a stop; `REFUSED` where
+        its arguments were refused, or factory or `begin` the parameters or files, with one line
+        that says why; `BROKEN` where these failed for another reason, with one line that says how
+        to get its traceback.
     """
     interruption = _Interruption()
     signal.signal(signal.SIGINT, interruption)
     node: Node | None = None
+    given = sys.argv[1:] if arguments is None else list(arguments)
     try:
-        rclpy.init(args=None if arguments is None else list(arguments))
-    except (RCLError, UnknownROSArgsError) as error:
-        get_logger("dotsim_ros").fatal(f"cannot start: {error}")
-        return REFUSED
+        check_start(given)
+        rclpy.init(args=given)
+    except (ValueError, OSError, RCLError, UnknownROSArgsError) as error:
+        return _refused(error)
     try:
         # Before the node: it cannot be made any more once a signal has shut the context down.
         executor = SingleThreadedExecutor()
@@ -194,9 +217,12 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
                 node = factory()
             if isinstance(node, WorkingNode):
                 node.begin()
-        except (ValueError, OSError, ParameterException) as error:
-            get_logger("dotsim_ros").fatal(f"cannot start: {error}")
-            return REFUSED
+        except (ExternalShutdownException, KeyboardInterrupt):
+            raise
+        except Exception as error:
+            if isinstance(error, RCLError) and not rclpy.ok():
+                raise
+            return _refused(error)
         rclpy.spin(node, executor)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
@@ -211,3 +237,25 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
         # From here on Python takes its handlers down, and the default one would kill the process.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return int(getattr(node, "exit_status", 0))
+
+
+def _refused(error: Exception) -> int:
+    """Log why a node cannot start; return its exit status."""
+    logger = get_logger("dotsim_ros")
+    foreseen = (
+        ValueError,
+        OSError,
+        ParameterException,
+        NameValidationException,
+        RCLError,
+        UnknownROSArgsError,
+    )
+    if isinstance(error, foreseen):
+        logger.fatal(f"cannot start: {reason_of(error)}")
+        return REFUSED
+    logger.fatal(
+        f"cannot start: unexpected {type(error).__name__}: {reason_of(error)}; this is a fault of "
+        "the node's: report it with what --ros-args --log-level debug adds"
+    )
+    logger.debug("".join(traceback.format_exception(error)))
+    return BROKEN

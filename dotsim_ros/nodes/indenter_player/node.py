@@ -14,7 +14,6 @@ from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.time import Time
 from rclpy.utilities import try_shutdown
 
 import msg_adapters
@@ -25,7 +24,9 @@ from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, progra
 
 POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 POLL_S = 0.02
+SIMULATED_POLL_S = 0.001
 WARN_EVERY_S = 5.0
+FARTHEST_AHEAD_NS = 60_000_000_000
 
 
 class IndenterPlayer(WorkingNode):
@@ -42,7 +43,7 @@ class IndenterPlayer(WorkingNode):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         self._answered = threading.Condition()
-        self._answered_stamp_ns = -1
+        self._answered_stamp_ns = self._sent_stamp_ns = -1
         if self._settings.wait_for_answer:
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
 
@@ -55,15 +56,22 @@ class IndenterPlayer(WorkingNode):
         )
 
     def _on_answer(self, message: WrenchStamped) -> None:
+        stamp_ns = msg_adapters.message_stamp_ns(message)
         with self._answered:
-            self._answered_stamp_ns = msg_adapters.message_stamp_ns(message)
+            # One such stamp would answer all that is still to come.
+            if stamp_ns > self._sent_stamp_ns + FARTHEST_AHEAD_NS:
+                raise ValueError(
+                    "the wrench is stamped a minute and more after the newest pose, so it answers "
+                    "none: its sender must give it the pose's stamp (clock: lockstep)"
+                )
+            self._answered_stamp_ns = max(stamp_ns, self._answered_stamp_ns)
             self._answered.notify_all()
 
     def _play(self) -> None:
         if not (self._wait_for_clock() and self._wait_for_subscriber()):
             return
         count = 0
-        start_ns = self.get_clock().now().nanoseconds
+        start_ns = self.time_ns()
         start_s = time.monotonic()
         for time_s, pose in self._poses():
             stamp_ns = start_ns + round(time_s * 1e9)
@@ -96,6 +104,8 @@ class IndenterPlayer(WorkingNode):
             offset_s += program.motion.duration_s
 
     def _publish(self, stamp_ns: int, pose: Pose) -> None:
+        with self._answered:
+            self._sent_stamp_ns = stamp_ns
         self._publisher.publish(
             msg_adapters.encode_pose_stamped(
                 pose.position_m,
@@ -107,9 +117,12 @@ class IndenterPlayer(WorkingNode):
 
     def _wait_for_clock(self) -> bool:
         warned = -WARN_EVERY_S
-        while self.get_clock().now().nanoseconds == 0:
+        while self.time_ns() == 0:
             if time.monotonic() - warned > WARN_EVERY_S:
-                self.get_logger().warning("use_sim_time is set and no /clock comes: waiting")
+                self.get_logger().warning(
+                    "use_sim_time is set and no /clock comes, or one beyond what a stamp holds: "
+                    "waiting"
+                )
                 warned = time.monotonic()
             if self.stopping.wait(POLL_S):
                 return False
@@ -136,9 +149,11 @@ class IndenterPlayer(WorkingNode):
             deadline_s: the same on the monotonic clock, which no correction of the time moves.
         """
         if self.get_parameter("use_sim_time").value:
-            clock = self.get_clock()
-            clock.sleep_until(Time(nanoseconds=stamp_ns, clock_type=clock.clock_type))
-            return not self.stopping.is_set() and self.context.ok()
+            # Not Clock.sleep_until, which nothing ends while the clock stands still.
+            while self.time_ns() < stamp_ns:
+                if self.stopping.wait(SIMULATED_POLL_S):
+                    return False
+            return True
         return not self.stopping.wait(max(0.0, deadline_s - time.monotonic()))
 
     def _wait_for_answer(self, stamp_ns: int) -> None:

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.processes import NodeProcess
@@ -77,7 +77,7 @@ class LoopSetup:
 
 def loop_parameters(executable: str) -> dict[str, Any]:
     """Return the parameters of a node in `params/closed_loop.yaml`."""
-    content = yaml.safe_load(parameter_path("closed_loop.yaml").read_text(encoding="utf-8"))
+    content = read_yaml(parameter_path("closed_loop.yaml"))
     given = content[f"/**/{executable}"]["ros__parameters"]
     return {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
 

@@ -21,6 +21,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 
 import msg_adapters
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
 
 LOOP_TOPICS: dict[str, type] = {
     "ee_pose": PoseStamped,
@@ -61,7 +62,7 @@ class LoopObserver:
     def __init__(self, topics: Mapping[str, type] = LOOP_TOPICS) -> None:
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
-        self.node = rclpy.create_node("loop_observer", context=self._context)
+        self.node = GuardedNode("loop_observer", context=self._context)
         self.diagnostics: dict[str, msg_adapters.Status] = {}
         self._types = dict(topics)
         self._lock = Lock()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from dotsim_ros.documents import shortened
 from dotsim_ros.files import parameter_path
+from msg_adapters.image import LARGEST_PIXEL_COUNT
 
 
 def policy_folder(text: str) -> Path:
@@ -35,12 +38,25 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: it is no image.
+        ValueError: it is no image, or one of more than `LARGEST_PIXEL_COUNT` pixels.
     """
     if not path.is_file():
         raise FileNotFoundError(f"no idle image {path}")
     try:
-        with Image.open(path) as crop:
-            return np.asarray(crop.convert("RGB"), dtype=np.uint8)
-    except OSError as error:
-        raise ValueError(f"{path} is no image that can be read: {error}") from error
+        with warnings.catch_warnings():
+            # Pillow warns of large images, which are refused here.
+            warnings.simplefilter("ignore")
+            with Image.open(path) as crop:
+                width, height = crop.size
+                if width * height > LARGEST_PIXEL_COUNT:
+                    raise ValueError(
+                        f"{path} has {width}x{height} pixels, expected at most "
+                        f"{LARGEST_PIXEL_COUNT} pixels"
+                    )
+                return np.asarray(crop.convert("RGB"), dtype=np.uint8)
+    # What its readers meet in a broken file, and an image that it thinks too large to be one.
+    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        raise ValueError(
+            f"{path} is no image that can be read ({shortened(error)}); expected a whole PNG or "
+            "JPEG file"
+        ) from error

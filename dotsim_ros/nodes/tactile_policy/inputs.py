@@ -2,27 +2,31 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from threading import Condition
+from threading import Condition, Lock
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from numpy.typing import NDArray
-from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
 
 import msg_adapters
+from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.reasons import reason_of
 from dotsim_ros.nodes.tactile_policy.parameters import (
     BASE_FRAME,
     RAW,
     TactilePolicyParameters,
 )
+from dotsim_ros.tasks.arm.command import check_reach
 from dotsim_ros.tasks.control.freshness import HeardMessage, StreamWatch
 from dotsim_ros.tasks.control.safety import Readings, Reason
 
@@ -62,6 +66,9 @@ class HeardImage:
 class PolicyInputs:
     """The subscriptions; messages come on the executor's thread, others read.
 
+    A message is checked as a whole before any of it counts: what is refused leaves no trace but the
+    count, and the stream grows old.
+
     Args:
         node: owns the subscriptions.
         parameters: transport, limits.
@@ -70,7 +77,7 @@ class PolicyInputs:
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
         parameters: TactilePolicyParameters,
         *,
         latch: Callable[[Reason, str], None],
@@ -84,8 +91,11 @@ class PolicyInputs:
         self.refused = 0
         self._came = Condition()
         self._image: HeardImage | None = None
+        # A message's content and that it is fresh become known together.
+        self._lock = Lock()
         self._tool: Pose | None = None
         self._force_n = 0.0
+        self._wrench_frame: str | None = None
         self._refusal_logged_s = -np.inf
         subscriptions = [
             self._subscribe(Image, "image_raw", self._on_image, IMAGE_QOS)
@@ -103,14 +113,15 @@ class PolicyInputs:
 
     def readings(self, now_s: float) -> Readings:
         """Return what is known at a time."""
-        return Readings(
-            now_s=now_s,
-            image=self.image.reading(now_s),
-            pose=self.pose.reading(now_s),
-            force=self.force.reading(now_s),
-            tool=self._tool,
-            force_n=self._force_n,
-        )
+        with self._lock:
+            return Readings(
+                now_s=now_s,
+                image=self.image.reading(now_s),
+                pose=self.pose.reading(now_s),
+                force=self.force.reading(now_s),
+                tool=self._tool,
+                force_n=self._force_n,
+            )
 
     def newest_image(self) -> HeardImage | None:
         """Return the newest image."""
@@ -130,7 +141,7 @@ class PolicyInputs:
         now_s = time.monotonic()
         if now_s - self._refusal_logged_s > 1.0:
             self._refusal_logged_s = now_s
-            self._node.get_logger().warning(f"{what} refused: {error}")
+            self._node.get_logger().warning(f"{what} refused: {reason_of(error)}")
 
     def _subscribe(
         self, kind: type, topic: str, callback: Callable[[Any], None], qos: QoSProfile
@@ -149,47 +160,79 @@ class PolicyInputs:
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
 
-    def _is_new(self, watch: StreamWatch, message: Any, arrival_s: float) -> bool:
+    def _stamp_ns(self, message: Any) -> int:
         stamp_ns = msg_adapters.message_stamp_ns(message)
         if stamp_ns == 0:
             raise ValueError("its stamp is 0, expected the time that it was taken at")
-        heard, why = watch.hear(
-            stamp_ns, arrival_s=arrival_s, clock_ns=self._node.get_clock().now().nanoseconds
-        )
-        if heard is HeardMessage.JUMPED:
-            self._latch(Reason.CLOCK_JUMP, why)
-        return heard is not HeardMessage.NOTHING_NEW
+        return stamp_ns
+
+    def _take(
+        self, watch: StreamWatch, stamp_ns: int, arrival_s: float, keep: Callable[[], None]
+    ) -> None:
+        """Let a message that was checked count, and keep its content, if it holds anything new.
+
+        Args:
+            watch: of its stream.
+            stamp_ns, arrival_s: its times.
+            keep: latches where the content does not go with what came before, then keeps it.
+        """
+        clock_ns = self._node.time_ns()
+        with self._lock:
+            heard, why = watch.hear(stamp_ns, arrival_s=arrival_s, clock_ns=clock_ns)
+            if heard is HeardMessage.JUMPED:
+                self._latch(Reason.CLOCK_JUMP, why)
+            if heard is not HeardMessage.NOTHING_NEW:
+                keep()
 
     def _on_image(self, message: Any) -> None:
         arrival_s = time.monotonic()
-        image = HeardImage(message, msg_adapters.message_stamp_ns(message), arrival_s)
+        image = HeardImage(message, self._stamp_ns(message), arrival_s)
+        # It costs nothing to look, and what cannot be read must not count as fresh.
         if isinstance(message, Image):
-            # It costs nothing to look, and what cannot be read must not count as fresh.
-            msg_adapters.decode_image(message)
-        before = self._image
-        if not self._is_new(self.image, message, arrival_s):
-            return
-        if before is not None and before.message.header.frame_id != message.header.frame_id:
-            self._latch(
-                Reason.WRONG_SENSOR,
-                f"the images' frame changes from {before.message.header.frame_id!r} to "
-                f"{message.header.frame_id!r}",
-            )
-        with self._came:
-            self._image = image
-            self._came.notify_all()
+            msg_adapters.decode_rgb(message)
+        else:
+            msg_adapters.compressed_image_size(message)
+
+        def keep() -> None:
+            if self._image is not None:
+                before = self._image.message.header.frame_id
+                self._check_frame("images", before, message.header.frame_id)
+            with self._came:
+                self._image = image
+                self._came.notify_all()
+
+        self._take(self.image, image.stamp_ns, arrival_s, keep)
 
     def _on_pose(self, message: PoseStamped) -> None:
-        if message.header.frame_id != BASE_FRAME:
+        stamp_ns, frame = self._stamp_ns(message), message.header.frame_id
+        if frame != BASE_FRAME:
             raise ValueError(
-                f"its frame is {message.header.frame_id!r}, expected {BASE_FRAME!r}: transform the "
-                "tool's pose into the arm's base"
+                f"its frame is {value_text(frame)}, expected {BASE_FRAME!r}: transform the tool's "
+                "pose into the arm's base"
             )
-        # Before it counts as fresh: the control loop may look at any moment.
-        self._tool = Pose(*msg_adapters.decode_pose_stamped(message))
-        self._is_new(self.pose, message, time.monotonic())
+        tool = Pose(*msg_adapters.decode_pose_stamped(message))
+        check_reach(tool.position_m)
+
+        def keep() -> None:
+            self._tool = tool
+
+        self._take(self.pose, stamp_ns, time.monotonic(), keep)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
+        stamp_ns = self._stamp_ns(message)
         force, _ = msg_adapters.decode_wrench_stamped(message)
-        self._force_n = float(np.linalg.norm(force))
-        self._is_new(self.force, message, time.monotonic())
+        force_n, frame = math.hypot(*force), message.header.frame_id
+
+        def keep() -> None:
+            if self._wrench_frame is not None:
+                self._check_frame("forces", self._wrench_frame, frame)
+            self._force_n, self._wrench_frame = force_n, frame
+
+        self._take(self.force, stamp_ns, time.monotonic(), keep)
+
+    def _check_frame(self, what: str, before: str, frame: str) -> None:
+        if frame != before:
+            self._latch(
+                Reason.WRONG_SENSOR,
+                f"the {what}' frame changes from {value_text(before)} to {value_text(frame)}",
+            )

@@ -21,6 +21,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
+from dotsim_ros.documents import value_text
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
@@ -70,8 +71,8 @@ class TactilePolicy(WorkingNode):
         self._policy = load(policy_folder(self._settings.policy), self._settings.path)
         if abs(self._policy.rate_hz - POLICY_RATE_HZ) > 0.01:
             raise ValueError(
-                f"the policy {self._policy.name!r} was trained for {self._policy.rate_hz} Hz, "
-                f"expected {POLICY_RATE_HZ:g} Hz"
+                f"the policy {value_text(self._policy.name)} was trained for "
+                f"{self._policy.rate_hz} Hz, expected {POLICY_RATE_HZ:g} Hz"
             )
         self._control = ArmControl(self._settings.limits(), self._settings.control())
         self._inputs = PolicyInputs(
@@ -102,7 +103,7 @@ class TactilePolicy(WorkingNode):
             inference=self._inference,
             beat=beat,
             every_tick=self._settings.command_rate_hz == CONTROL_RATE_HZ,
-            clock_ns=lambda: int(self.get_clock().now().nanoseconds),
+            clock_ns=self.time_ns,
             publish=self._publish,
             changed=self._report_change,
             report=self._report_miss,
@@ -131,7 +132,7 @@ class TactilePolicy(WorkingNode):
         blank = np.zeros((*self._policy.image_shape, 3), dtype=np.uint8)
         self._policy.image_distance(blank, blank)
         self._policy(blank, blank)
-        self._publish(zero_twist(), int(self.get_clock().now().nanoseconds))
+        self._publish(zero_twist(), self.time_ns())
         # Before the loops: the first line of a log takes its time as well.
         self.get_logger().info(
             f"ready: {self._policy.name}, path {self._policy.path}, "

@@ -1,28 +1,39 @@
 """`tactile_record`: writes what the sensor publishes to a ROS 2 bag (mcap).
 
 Messages are taken as they come over the wire, without being unpacked, and written by a thread.
+Until the recording ends the bag lies in OUTPUT.partial; `dotsim_ros record --repair` makes a bag of
+one that was cut short.
 """
 
 from __future__ import annotations
 
+import re
+import signal
 import sys
+from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.logging import get_logger
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
+from dotsim_ros.documents import value_text
+from dotsim_ros.measured.bag import PARTIAL, unfinished_path
+from dotsim_ros.measured.bag_metadata import METADATA
 from dotsim_ros.nodes.common.declare import declare
+from dotsim_ros.nodes.common.health import Report, statuses_of
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.tactile_record.recording import BagRecording, RecordingSummary
-from msg_adapters import message_class
+from msg_adapters import Level, message_class
 
 SENSOR_TOPICS = {
     "image_raw": "sensor_msgs/msg/Image",
@@ -35,9 +46,13 @@ SENSOR_TOPICS = {
 }
 """Message types of the topics that need no type to be given."""
 
-# Deeper than the publishers': a recorder must not lose what waits behind one large image.
-RECORD_QOS = QoSProfile(depth=50, reliability=ReliabilityPolicy.RELIABLE)
+TOPIC_NAME = re.compile("~?/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*")
+
+# Deeper than the publishers': a recorder must not lose what waits behind one large image, nor 100
+# messages a second while its machine is busy. What is deeper is replaced unseen by DDS.
+RECORD_QOS = QoSProfile(depth=1000, reliability=ReliabilityPolicy.RELIABLE)
 CHECK_PERIOD_S = 0.5
+REPORT_PERIOD_S = 1.0
 
 
 @dataclass(frozen=True)
@@ -45,11 +60,14 @@ class RecordParameters:
     """Parameters of `tactile_record`.
 
     Raises:
-        ValueError: a value out of its range, or a topic without a type.
+        ValueError: a value out of its range, a topic without a type, or one named twice or wrongly.
     """
 
     output: str = option(
-        "", "folder of the bag, which must not exist (empty: tactile_DATE_TIME)", read_only=True
+        "",
+        "folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording "
+        "ends it has .partial behind its name",
+        read_only=True,
     )
     topics: tuple[str, ...] = option(
         ("image_raw", "camera_info", "depth/image", "points", "wrench", "indenter/pose"),
@@ -84,10 +102,21 @@ class RecordParameters:
         types = {}
         for entry in self.topics:
             name, _, given = entry.partition("=")
+            if not TOPIC_NAME.fullmatch(name):
+                raise ValueError(
+                    f"topics holds {value_text(entry)}, whose name is none of a topic: letters, "
+                    "digits, _ and / are expected, and no part may begin with a digit"
+                )
+            if name in types:
+                raise ValueError(f"topics names {name!r} twice, expected each topic once")
+            if given and "/msg/" not in given:
+                raise ValueError(
+                    f"topics holds {value_text(entry)}, expected NAME=PACKAGE/msg/TYPE"
+                )
             if not given and name not in SENSOR_TOPICS:
                 raise ValueError(
-                    f"topics holds {entry!r}, which is none of {', '.join(SENSOR_TOPICS)}: give "
-                    f"its type, '{name or 'NAME'}=sensor_msgs/msg/Image'"
+                    f"topics holds {value_text(entry)}, which is none of "
+                    f"{', '.join(SENSOR_TOPICS)}: give its type, '{name}=sensor_msgs/msg/Image'"
                 )
             types[name] = given or SENSOR_TOPICS[name]
         if not types:
@@ -96,6 +125,8 @@ class RecordParameters:
 
 
 def _check_stamped(kind: str) -> None:
+    if kind.split("/")[1:2] != ["msg"]:
+        raise ValueError(f"{value_text(kind)} is no message type of the form PACKAGE/msg/TYPE")
     try:
         fields = list(message_class(kind).get_fields_and_field_types().values())
     except ImportError as error:
@@ -114,11 +145,20 @@ class TactileRecord(WorkingNode):
         named = self._settings.message_types()
         for kind in named.values():
             _check_stamped(kind)
-        self._types = {self.resolve_topic_name(name): kind for name, kind in named.items()}
+        self._types: dict[str, str] = {}
+        for name, kind in named.items():
+            topic = self.resolve_topic_name(name)
+            if topic in self._types:
+                raise ValueError(f"topics names {topic} twice, expected each topic once")
+            self._types[topic] = kind
         self._received = 0
         self._heard: set[str] = set()
-        self._lost = 0
+        self._told_lost: Counter[str] = Counter()
+        self._gaps: Counter[str] = Counter()
+        self._numbers: dict[str, int] = {}
+        self._shared: set[str] = set()
         self._recording: BagRecording | None = None
+        self._is_ending = False
 
     def begin(self) -> None:
         """Open the recording and listen."""
@@ -133,13 +173,27 @@ class TactileRecord(WorkingNode):
                 partial(self._on_message, recording, topic),
                 RECORD_QOS,
                 raw=True,
-                event_callbacks=SubscriptionEventCallbacks(message_lost=self._on_lost),
+                event_callbacks=SubscriptionEventCallbacks(
+                    message_lost=partial(self._on_lost, topic)
+                ),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
-        self.create_timer(CHECK_PERIOD_S, partial(self._check, recording))
+        report = self.report_health(
+            REPORT_PERIOD_S,
+            lambda: statuses_of(self.get_name(), "", {"recording": self._health(recording)}),
+            "diagnostics have no time",
+        )
+        self.create_timer(
+            CHECK_PERIOD_S,
+            partial(self._check, recording, report),
+            clock=Clock(clock_type=ClockType.STEADY_TIME),
+        )
         if self._settings.duration_s > 0.0:
             self.create_timer(self._settings.duration_s, try_shutdown)
-        self.get_logger().info(f"recording {', '.join(self._types)} to {self._path}")
+        self.get_logger().info(
+            f"recording {', '.join(self._types)} to {self._path} (until it is finished: "
+            f"{unfinished_path(self._path).name})"
+        )
 
     def destroy_node(self) -> None:
         """Finish the bag, log what is in it, and take the node down."""
@@ -150,40 +204,124 @@ class TactileRecord(WorkingNode):
     def _finish(self, summary: RecordingSummary) -> None:
         # Not the node's own logger, which would try to publish what it says after the shutdown.
         logger = get_logger("dotsim_ros.tactile_record")
-        dropped = sum(summary.dropped.values())
+        count = sum(summary.written.values())
+        odd = sum(summary.stamp_is_no_time.values())
+        if odd:
+            logger.warning(
+                f"{odd} messages have a stamp that is no time "
+                f"({_by_topic(summary.stamp_is_no_time)}); they are in the bag, where the message "
+                "before them lies: mend what publishes them, calibrate refuses such messages"
+            )
+        if summary.refused:
+            logger.warning(
+                f"{sum(summary.refused.values())} messages are too short to hold a header "
+                f"({_by_topic(summary.refused)}) and are not in the bag"
+            )
         if summary.error is not None:
-            logger.error(f"no bag at {self._path}: {summary.error}")
             self.exit_status = 1
-        elif not summary.written:
+            logger.error(_ending(summary))
+        elif not count:
             logger.warning("no message came: no bag written")
         else:
-            counts = ", ".join(f"{topic} {count}" for topic, count in summary.written.items())
-            logger.info(
-                f"wrote {sum(summary.written.values())} messages to {self._path} ({counts}); "
-                f"{dropped} dropped, {self._lost} lost on the way"
+            log = logger.warning if summary.missing or self._lost else logger.info
+            log(
+                f"wrote {count} messages to {self._path} ({_by_topic(summary.written)}); "
+                f"{sum(summary.dropped.values())} dropped, {self._lost} lost on the way"
             )
 
-    def _on_message(self, recording: BagRecording, topic: str, serialized: bytes) -> None:
+    def _health(self, recording: BagRecording) -> Report:
+        summary = recording.summary()
+        level, message = Level.OK, "recording"
+        odd = sum(summary.stamp_is_no_time.values())
+        if summary.error is not None:
+            level, message = Level.ERROR, _ending(summary)
+        elif summary.missing or self._lost:
+            missing = summary.missing + self._lost
+            level, message = Level.WARN, f"{missing} messages are missing from the bag"
+        elif odd:
+            level, message = Level.WARN, f"{odd} messages have a stamp that is no time"
+        values = {
+            "folder": str(summary.folder),
+            "written": str(sum(summary.written.values())),
+            "waiting": str(summary.waiting),
+            "dropped": str(sum(summary.dropped.values())),
+            "lost": str(sum(summary.lost.values())),
+            "lost_on_the_way": str(self._lost),
+            "refused": str(sum(summary.refused.values())),
+            "stamp_is_no_time": str(odd),
+        }
+        return level, message, values
+
+    def _on_message(
+        self, recording: BagRecording, topic: str, serialized: bytes, info: dict[str, int | None]
+    ) -> None:
         self._received += 1
+        self._look_for_gap(topic, info["publication_sequence_number"])
         if topic not in self._heard:
             self._heard.add(topic)
             self.get_logger().info(f"receiving {topic}")
-        if not recording.put(topic, serialized):
+        if not recording.put(topic, serialized) and recording.error is None:
             self.get_logger().warning(
                 "the disk does not keep up: messages are dropped", throttle_duration_sec=5.0
             )
 
-    def _on_lost(self, event: Any) -> None:
-        self._lost += event.total_count_change
+    def _on_lost(self, topic: str, event: Any) -> None:
+        self._told_lost[topic] += event.total_count_change
 
-    def _check(self, recording: BagRecording) -> None:
+    def _look_for_gap(self, topic: str, number: int | None) -> None:
+        """Count what its publisher sent before this message and what did not come.
+
+        DDS tells of messages that the network lost, not of those that newer ones replaced in its
+        own memory.
+        """
+        if number is None:
+            return
+        last, self._numbers[topic] = self._numbers.get(topic, number - 1), number
+        if number == last + 1:
+            return
+        # Each publisher counts for itself, and which one sent a message is not known.
+        if self.count_publishers(topic) != 1:
+            self._shared.add(topic)
+        elif topic not in self._shared:
+            self._gaps[topic] += max(0, number - last - 1)
+
+    @property
+    def _lost(self) -> int:
+        return (self._told_lost | self._gaps).total()
+
+    def _check(self, recording: BagRecording, report: Callable[[], None]) -> None:
         self.get_logger().debug(f"{self._received} messages so far")
-        if recording.error is not None:
+        if self._is_ending:
             try_shutdown()
+        elif recording.error is not None:
+            # Once more before the end, so that who listens hears why.
+            report()
+            self._is_ending = True
+
+
+def _by_topic(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{topic} {count}" for topic, count in counts.items())
+
+
+def _ending(summary: RecordingSummary) -> str:
+    """Say how a recording broke off."""
+    count = sum(summary.written.values())
+    words = f"the recording broke off: {summary.error}; {summary.missing} messages are missing"
+    if not count:
+        return f"{words}, no bag was written"
+    advice = ""
+    if (summary.folder / METADATA).is_file():
+        advice = "" if summary.folder.suffix != PARTIAL else ", a whole bag: give it another name"
+    else:
+        advice = f", without an index: dotsim_ros record --repair {summary.folder}"
+    return f"{words}, {count} are in {summary.folder}{advice}"
 
 
 def main() -> None:
     """Run the executable."""
+    # A terminal that is closed ends a recording as Ctrl-C does, unless nohup keeps it.
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_DFL:
+        signal.signal(signal.SIGHUP, lambda *_: try_shutdown())
     sys.exit(run_node(TactileRecord))
 
 

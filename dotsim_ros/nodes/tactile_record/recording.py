@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from dotsim_ros.measured.bag import BagFile, serialized_stamp_ns
+
+FLUSH_PERIOD_S = 0.5
+"""No message waits longer than this in memory, unless the disk does not keep up."""
+
+_HEADER_BYTES = 12
 
 
 @dataclass(frozen=True)
@@ -17,17 +23,38 @@ class RecordingSummary:
 
     Attributes:
         written: messages in the bag.
-        dropped: messages that found the queue full, or came after the disk failed.
-        error: why the bag could not be written, or None.
+        waiting: taken and not in the bag yet; none once the recording is closed.
+        dropped: messages that found the queue full, or came after the recording broke off.
+        lost: messages that were taken and are not in the bag, since the recording broke off.
+        refused: messages too short to hold a header.
+        stamp_is_no_time: messages in the bag whose stamp is negative or malformed; they lie at the
+            log time of the message before.
+        error: why the recording broke off, or None.
+        folder: where the bag is.
     """
 
     written: Mapping[str, int]
+    waiting: int
     dropped: Mapping[str, int]
+    lost: Mapping[str, int]
+    refused: Mapping[str, int]
+    stamp_is_no_time: Mapping[str, int]
     error: str | None
+    folder: Path
+
+    @property
+    def missing(self) -> int:
+        """How many messages came and are not in the bag, for whatever reason."""
+        parts = (self.dropped, self.lost, self.refused)
+        return sum(sum(counts.values()) for counts in parts)
 
 
 class BagRecording:
     """Takes serialised messages without waiting for the disk.
+
+    What is written can be read again whatever happens: until `close` it lies in the folder that
+    `unfinished_path` names, no more than `FLUSH_PERIOD_S` behind, without an index; where the disk
+    fails, the bag is finished with what it took.
 
     Args:
         path: folder of the bag, which must not exist; it appears when `close` is called.
@@ -35,21 +62,31 @@ class BagRecording:
         queue_bytes: memory for messages that wait for the disk; what finds it full is dropped.
 
     Raises:
-        FileExistsError: there is something at `path` already.
+        FileExistsError: there is something at `path` already, or an unfinished recording of it.
+        OSError: it cannot be written.
         ValueError: a message type is not known.
     """
 
     def __init__(self, path: Path, topics: Mapping[str, str], *, queue_bytes: int) -> None:
-        self._bag = BagFile(path)
+        self._bag = BagFile(path, keep_unfinished=True)
+        try:
+            for topic, message_type in topics.items():
+                self._bag.add_topic(topic, message_type)
+        except ValueError:
+            self._bag.discard()
+            raise
         self._queue: deque[tuple[str, bytes]] = deque()
         self._queue_bytes = queue_bytes
         self._waiting_bytes = 0
         self._ready = threading.Condition()
         self._is_closing = False
-        self._written: Counter[str] = Counter()
+        self._taken: Counter[str] = Counter()
         self._dropped: Counter[str] = Counter()
+        self._refused: Counter[str] = Counter()
+        self._stamp_is_no_time: Counter[str] = Counter()
+        self._newest_ns: int | None = None
         self._error: str | None = None
-        self._topics = dict(topics)
+        self._flush_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="recording")
         self._thread.start()
 
@@ -61,14 +98,34 @@ class BagRecording:
                 self._dropped[topic] += 1
                 return False
             self._queue.append((topic, serialized))
+            self._taken[topic] += 1
             self._waiting_bytes += len(serialized)
             self._ready.notify()
         return True
 
     @property
     def error(self) -> str | None:
-        """Why the bag cannot be written, or None."""
+        """Why the recording broke off, or None."""
         return self._error
+
+    def summary(self) -> RecordingSummary:
+        """Return what became of the messages up to now."""
+        with self._ready:
+            # Somebody may have removed the folder.
+            is_there = self._bag.folder.is_dir()
+            written = Counter(self._bag.written if is_there else {})
+            left = self._taken - written - self._refused
+            is_over = not self._thread.is_alive()
+            return RecordingSummary(
+                written=+written,
+                waiting=0 if is_over else left.total(),
+                dropped=dict(self._dropped),
+                lost=dict(left) if is_over else {},
+                refused=dict(self._refused),
+                stamp_is_no_time=dict(self._stamp_is_no_time),
+                error=self._error,
+                folder=self._bag.folder,
+            )
 
     def close(self) -> RecordingSummary:
         """Write what waits, finish the bag and return what became of the messages.
@@ -79,36 +136,65 @@ class BagRecording:
             self._is_closing = True
             self._ready.notify()
         self._thread.join()
-        return RecordingSummary(dict(self._written), dict(self._dropped), self._error)
+        return self.summary()
 
     def _run(self) -> None:
-        item = None
+        # Whatever goes wrong: what came before must become a bag, and the reason must be told.
+        for step in (self._write_all, self._bag.flush, self._end):
+            try:
+                step()
+            except Exception as error:
+                self._break_off(error)
+
+    def _write_all(self) -> None:
+        while (item := self._next()) is not None:
+            self._write(*item)
+
+    def _end(self) -> None:
+        if any(self._bag.written.values()):
+            self._bag.finish()
+        else:
+            self._bag.discard()
+
+    def _break_off(self, error: Exception) -> None:
+        words = str(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+        with self._ready:
+            if self._error is None:
+                self._error = words
+            elif words not in self._error:
+                self._error += f"; then {words}"
+            self._queue.clear()
+            self._waiting_bytes = 0
+
+    def _write(self, topic: str, serialized: bytes) -> None:
+        if len(serialized) < _HEADER_BYTES:
+            self._refused[topic] += 1
+            return
         try:
-            with self._bag as bag:
-                for topic, message_type in self._topics.items():
-                    bag.add_topic(topic, message_type)
-                while (item := self._next()) is not None:
-                    topic, serialized = item
-                    # Acquisition times, so that a replay keeps the pace of the sensor.
-                    bag.write_serialized(topic, serialized_stamp_ns(serialized), serialized)
-                    self._written[topic] += 1
-                if not self._written:
-                    bag.discard()
-        except (OSError, ValueError) as error:
-            with self._ready:
-                self._error = str(error)
-                self._dropped.update(self._written)
-                lost = [*self._queue, *([item] if item is not None else [])]
-                self._dropped.update(topic for topic, _ in lost)
-                self._written.clear()
-                self._queue.clear()
+            # Acquisition times, so that a replay keeps the pace of the sensor.
+            log_time_ns = serialized_stamp_ns(serialized)
+            self._newest_ns = max(self._newest_ns or 0, log_time_ns)
+        except ValueError:
+            # A recorder keeps what came; who reads it finds the stamp in the message.
+            self._stamp_is_no_time[topic] += 1
+            log_time_ns = time.time_ns() if self._newest_ns is None else self._newest_ns
+        self._bag.write_serialized(topic, log_time_ns, serialized)
+        if self._flush_s is None:
+            self._flush_s = time.monotonic() + FLUSH_PERIOD_S
 
     def _next(self) -> tuple[str, bytes] | None:
-        with self._ready:
-            while not self._queue and not self._is_closing:
-                self._ready.wait()
-            if not self._queue:
-                return None
-            topic, serialized = self._queue.popleft()
-            self._waiting_bytes -= len(serialized)
-        return topic, serialized
+        """Return the next message, None at the end; flush when it is time."""
+        while True:
+            if self._flush_s is not None and time.monotonic() >= self._flush_s:
+                self._flush_s = None
+                self._bag.flush(sync=True)
+            with self._ready:
+                if not self._queue and not self._is_closing:
+                    left_s = None if self._flush_s is None else self._flush_s - time.monotonic()
+                    self._ready.wait(left_s)
+                if self._queue:
+                    topic, serialized = self._queue.popleft()
+                    self._waiting_bytes -= len(serialized)
+                    return topic, serialized
+                if self._is_closing:
+                    return None

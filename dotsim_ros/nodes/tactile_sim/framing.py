@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import FisheyeCamera
 
+MESSAGE_BYTES = 25.0
+"""For a pixel of the published image: with readers of colours, depth and compressed images the node
+grew by 20."""
+LARGEST_MESSAGES_BYTES = 0.21e9
+"""Of an image of 3840 x 2160, which the node still publishes several times a second."""
+
 
 @dataclass(frozen=True)
 class Framing:
@@ -36,7 +42,8 @@ class Framing:
 
         Raises:
             ValueError: the part reaches beyond the image, or the size has another aspect ratio
-                than the part (then no equidistant camera has that image).
+                than the part (then no equidistant camera has that image), or its messages would
+                take more memory than `LARGEST_MESSAGES_BYTES`.
         """
         x, y, width, height = crop_px if crop_px[2] else (0, 0, camera.width, camera.height)
         if x + width > camera.width or y + height > camera.height:
@@ -45,6 +52,15 @@ class Framing:
                 f"{camera.height} pixels"
             )
         framing = cls((x, y, width, height), image_size_px if image_size_px[0] else (width, height))
+        pixel_count = framing.size_px[0] * framing.size_px[1]
+        largest = max(int(LARGEST_MESSAGES_BYTES / MESSAGE_BYTES), camera.width * camera.height)
+        if pixel_count > largest:
+            raise ValueError(
+                f"image_size_px is {list(image_size_px)}: the messages would take "
+                f"{1e-9 * MESSAGE_BYTES * pixel_count:.1f} GB of memory, expected at most "
+                f"{1e-9 * LARGEST_MESSAGES_BYTES:.2f} GB or the sensor's own image; that is "
+                f"{largest} pixels"
+            )
         framing.camera(camera)
         return framing
 

@@ -147,12 +147,12 @@ def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
         else f"{condition.silence_s:.2f}",
         **fault_values(faults),
     }
+    if is_recent(faults, now_s):
+        return Level.WARN, faults.last_reason, values
     if condition.silence_s is None:
         return Level.OK, "no input so far", values
     if condition.silence_s > condition.timeout_s:
         return Level.WARN, f"no input for {condition.silence_s:.1f} s: the last frame holds", values
-    if is_recent(faults, now_s):
-        return Level.WARN, faults.last_reason, values
     return Level.OK, "input is valid", values
 
 

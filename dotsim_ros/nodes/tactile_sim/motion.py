@@ -8,11 +8,15 @@ from threading import Lock
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
+FARTHEST_M = 10.0
+"""An indenter that is farther away is none of this sensor's."""
+LARGEST_SPEED_M_S, LARGEST_RATE_RAD_S = 100.0, 1000.0
 
 
 @dataclass(frozen=True)
@@ -49,19 +53,33 @@ class MotionGate:
         """Let the next pose be a start, wherever and whenever it is."""
         self._last = None
 
-    def hear(self, pose: Pose, stamp_ns: int, *, frame_id: str) -> MotionOrder:
-        """Return the motion to a pose.
+    def check(self, pose: Pose, *, frame_id: str) -> None:
+        """Refuse what is wrong whatever came before.
 
         Raises:
-            RefusedInputError: another frame, or a stamp that is not after the last one. What was
-                received before stays in force.
+            RefusedInputError: another frame, or a place where no indenter is.
         """
         if frame_id != self._base_frame:
             raise RefusedInputError(
                 Fault.FRAME,
-                f"frame_id of the pose is {frame_id!r}, expected {self._base_frame!r}: transform "
-                "poses into the sensor's base frame, or set the parameter base_frame",
+                f"frame_id of the pose is {value_text(frame_id)}, expected {self._base_frame!r}: "
+                "transform poses into the sensor's base frame, or set the parameter base_frame",
             )
+        if np.abs(pose.position_m).max() > FARTHEST_M:
+            raise RefusedInputError(
+                Fault.NUMBERS,
+                f"the indenter would be at {pose.position_m.tolist()} m, expected within "
+                f"{FARTHEST_M:g} m of the sensor; is it in millimetres?",
+            )
+
+    def hear(self, pose: Pose, stamp_ns: int, *, frame_id: str) -> MotionOrder:
+        """Return the motion to a pose.
+
+        Raises:
+            RefusedInputError: as `check`, or a stamp that is not after the last one. What was
+                received before stays in force.
+        """
+        self.check(pose, frame_id=frame_id)
         self._last = MotionOrder(pose, stamp_ns, self._new_start(pose, stamp_ns))
         return self._last
 
@@ -113,11 +131,23 @@ class Velocity:
         linear_m_s: (3,).
         angular_rad_s: (3,).
         along: the axes of both.
+
+    Raises:
+        ValueError: it is beyond anything that moves an indenter.
     """
 
     linear_m_s: FloatArray
     angular_rad_s: FloatArray
     along: TwistFrame
+
+    def __post_init__(self) -> None:
+        linear, angular = np.abs(self.linear_m_s).max(), np.abs(self.angular_rad_s).max()
+        if not (linear <= LARGEST_SPEED_M_S and angular <= LARGEST_RATE_RAD_S):
+            raise ValueError(
+                f"the velocity is {self.linear_m_s.tolist()} m/s and "
+                f"{self.angular_rad_s.tolist()} rad/s, expected at most {LARGEST_SPEED_M_S:g} and "
+                f"{LARGEST_RATE_RAD_S:g}; is it in millimetres or degrees?"
+            )
 
     def moved(self, pose: Pose, duration_s: float) -> Pose:
         """Return the pose after some time at this velocity."""
@@ -138,5 +168,6 @@ def velocity_axes(frame_id: str, *, base_frame: str, indenter_frame: str) -> Twi
         return TwistFrame.OWN
     raise RefusedInputError(
         Fault.FRAME,
-        f"frame_id of the velocity is {frame_id!r}, expected {base_frame!r} or {indenter_frame!r}",
+        f"frame_id of the velocity is {value_text(frame_id)}, expected {base_frame!r} or "
+        f"{indenter_frame!r}",
     )

@@ -7,14 +7,15 @@ from collections.abc import Callable
 from threading import Lock
 
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
-from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
+from dotsim_ros.nodes.common.reasons import shortened
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
     MotionGate,
@@ -51,7 +52,7 @@ class MotionInput:
 
     def __init__(
         self,
-        node: Node,
+        node: GuardedNode,
         parameters: TactileSimParameters,
         *,
         faults: FaultLog,
@@ -113,8 +114,8 @@ class MotionInput:
             velocity = self._velocity
             if velocity is None or self._arbiter.is_silent(time.monotonic()):
                 return
-            pose = velocity.moved(self._pose, duration_s)
-        self.guard(lambda: self._move(pose, stamp_ns))
+            start = self._pose
+        self.guard(lambda: self._move(velocity.moved(start, duration_s), stamp_ns))
 
     def _subscribe(
         self, kind: type, topic: str, callback: Callable[[msg_adapters.Message], None]
@@ -135,10 +136,12 @@ class MotionInput:
             time.sleep(REALTIME_PAUSE_S)
 
     def _note(self, fault: Fault, reason: str) -> None:
+        reason = shortened(reason)
         if self._faults.note(fault, reason, time.monotonic()):
             self._node.get_logger().warning(f"input: {reason}")
 
     def _admit(self, name: str) -> None:
+        """Let a message that was checked move the indenter; nothing of one that was not counts."""
         if self._arbiter.admit(name, time.monotonic()):
             with self._lock:
                 # The two inputs' stamps may come from different clocks.
@@ -147,12 +150,12 @@ class MotionInput:
                 self._twist_stamp_ns = None
 
     def _hear_pose(self, message: PoseStamped) -> None:
+        pose, stamp_ns = Pose(*msg_adapters.decode_pose_stamped(message)), self._stamp_ns(message)
+        self._gate.check(pose, frame_id=message.header.frame_id)
         self._admit("indenter/pose")
-        position, quaternion = msg_adapters.decode_pose_stamped(message)
-        self._move(Pose(position, quaternion), self._stamp_ns(message), message.header.frame_id)
+        self._move(pose, stamp_ns)
 
     def _hear_twist(self, message: TwistStamped | Twist) -> None:
-        self._admit("indenter/twist")
         axes = TwistFrame.PARENT
         if isinstance(message, TwistStamped):
             axes = velocity_axes(
@@ -164,11 +167,13 @@ class MotionInput:
         else:
             linear, angular = msg_adapters.decode_twist(message)
         velocity = Velocity(linear, angular, axes)
+        # In real time too: a sender whose clock makes no sense is not followed.
+        stamp_ns = self._stamp_ns(message) if isinstance(message, TwistStamped) else 0
+        self._admit("indenter/twist")
         if self._is_realtime:
             with self._lock:
                 self._velocity = velocity
             return
-        stamp_ns = self._stamp_ns(message)
         last_ns, duration_s = self._twist_stamp_ns, 1.0 / self._parameters.rate_hz
         if last_ns is not None:
             duration_s = max(0.0, (stamp_ns - last_ns) / NANOSECONDS_PER_SECOND)
@@ -181,13 +186,12 @@ class MotionInput:
         stamp_ns = msg_adapters.message_stamp_ns(message)
         # Tools that leave stamps at zero mean "now"; in lockstep there is no other clock.
         if stamp_ns == 0 and self._is_realtime:
-            return int(self._node.get_clock().now().nanoseconds)
+            return self._node.time_ns()
         return stamp_ns
 
-    def _move(self, pose: Pose, stamp_ns: int, frame_id: str | None = None) -> None:
+    def _move(self, pose: Pose, stamp_ns: int) -> None:
         with self._lock:
-            frame_id = self._parameters.base_frame if frame_id is None else frame_id
-            motion = self._gate.hear(pose, stamp_ns, frame_id=frame_id)
+            motion = self._gate.hear(pose, stamp_ns, frame_id=self._parameters.base_frame)
             self._pose = pose
         if motion.new_start is not None:
             self._note(motion.new_start, f"new start, not a motion: {motion.new_start.value}")

@@ -16,13 +16,13 @@ from threading import RLock
 from typing import Any
 
 import numpy as np
-import yaml
 from std_srvs.srv import SetBool, Trigger
 
+from dotsim_ros.documents import parse_yaml
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.live import specification_with_effects
-from dotsim_ros.effects.overlay import described, load_active
+from dotsim_ros.effects.overlay import active_effects, described, read_overlay
 from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.nodes.common.declare import declare, follow
@@ -117,8 +117,13 @@ class TactileSim(WorkingNode):
         if not self._settings.effects:
             return ()
         folder = self._settings.effects_folder
-        library = load_effects((folder,) if folder else ())
-        overlay, effects = load_active(self._settings.effects, library)
+        overlay = read_overlay(self._settings.effects)
+        library = load_effects(
+            (folder,) if folder else (),
+            names=[found.name for found in overlay.effects],
+            announce=self.get_logger().warning,
+        )
+        effects = active_effects(overlay, library, place=self._settings.effects)
         if overlay.sensor != sensor_name:
             self.get_logger().warning(
                 f"{self._settings.effects} was found on the sensor {overlay.sensor!r}, this one is "
@@ -165,7 +170,7 @@ class TactileSim(WorkingNode):
         return FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
 
     def _realtime_frame(self) -> None:
-        stamp_ns = self.get_clock().now().nanoseconds
+        stamp_ns = self.time_ns()
         if stamp_ns == 0:
             return
         with self._lock:
@@ -235,9 +240,7 @@ class TactileSim(WorkingNode):
                 response.message = "the indenter touches the gel: lift it, then calibrate"
                 return response
             self._session.reset()
-            self._outputs.publish_idle(
-                self._session.moment.render(), self.get_clock().now().nanoseconds
-            )
+            self._outputs.publish_idle(self._session.moment.render(), self.time_ns())
         response.success = True
         response.message = f"the image at rest is on {self.get_fully_qualified_name()}/idle_image"
         return response
@@ -254,11 +257,16 @@ class TactileSim(WorkingNode):
         indenter = (
             None if changed.indenter == self._settings.indenter else indenter_of(changed.indenter)
         )
+        # All that may be refused comes before anything is changed, and what takes long (ten seconds
+        # for the largest mesh) before the frames have to wait for it.
+        self._outputs.framing_of(changed)
+        if indenter is not None and indenter.mesh is not None:
+            indenter.distance_grid()
         with self._lock:
-            self._outputs.configure(changed)
             if indenter is not None:
                 self._session.change_indenter(indenter)
                 self._input.forget()
+            self._outputs.configure(changed)
             self._input.configure(changed)
             has_new_rate = changed.rate_hz != self._settings.rate_hz
             self._settings = changed
@@ -275,11 +283,7 @@ def indenter_of(text: str) -> Indenter:
     """
     if not text.lstrip().startswith("{"):
         return load_indenter(text)
-    try:
-        definition = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(f"indenter {text!r} is no definition in braces: {error}") from error
-    return load_indenter(definition)
+    return load_indenter(parse_yaml(text, "indenter"))
 
 
 def main() -> int:

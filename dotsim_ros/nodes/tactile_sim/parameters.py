@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.quantity import check_value, quantities_of
@@ -142,8 +144,8 @@ class TactileSimParameters:
     )
     effects_folder: str = option(
         "",
-        "Folder of effects of your own that the overlay may name, one a Python file. Empty: those "
-        "shipped.",
+        "Folder of effects of your own that the overlay may name, one a Python file: the files of "
+        "those that it names are run as programs. Empty: those shipped.",
         read_only=True,
     )
     compression: str = option("jpeg", "Format of image_raw/compressed.", choices=("jpeg", "png"))
@@ -167,6 +169,8 @@ class TactileSimParameters:
         ):
             if len(getattr(self, name)) != length:
                 raise ValueError(f"{name} needs {length} numbers, got {len(getattr(self, name))}")
+        if not re.fullmatch("cpu|cuda(:[0-9]{1,3})?", self.device):
+            raise ValueError(f"device is {value_text(self.device)}, expected cpu, or cuda:0")
         self.start_pose()
         if self.grid_spacing_m != 0.0:
             spacing, name = self.grid_spacing_m, "grid_spacing_m"
@@ -204,5 +208,12 @@ class TactileSimParameters:
             )
 
     def start_pose(self) -> Pose:
-        """Return where the indenter starts under velocity input."""
-        return Pose(np.array(self.start_position_m), np.array(self.start_quaternion_xyzw))
+        """Return where the indenter starts under velocity input.
+
+        Raises:
+            ValueError: the quaternion is not of unit length.
+        """
+        try:
+            return Pose(np.array(self.start_position_m), np.array(self.start_quaternion_xyzw))
+        except ValueError as error:
+            raise ValueError(f"start_quaternion_xyzw: {error}") from None

@@ -65,17 +65,21 @@ class FramePublishers:
         self._state = self._publisher(node, PoseStamped, "indenter/state")
         self._idle = node.create_publisher(Image, "~/idle_image", LATCHED_QOS)
 
-    def configure(self, parameters: TactileSimParameters) -> None:
-        """Take changed parameters.
+    def framing_of(self, parameters: TactileSimParameters) -> Framing:
+        """Return what of the sensor's image parameters ask for.
 
         Raises:
-            ValueError: the crop or the size does not fit the camera; the ones before stay.
+            ValueError: the crop or the size does not fit the camera, or takes too much memory.
         """
-        self._framing = Framing.of_camera(
+        return Framing.of_camera(
             self._sensor.camera,
             crop_px=parameters.crop_px,
             image_size_px=parameters.image_size_px,
         )
+
+    def configure(self, parameters: TactileSimParameters) -> None:
+        """Take changed parameters; errors as `framing_of`, and the ones before stay."""
+        self._framing = self.framing_of(parameters)
         self._camera = self._framing.camera(self._sensor.camera)
         self._parameters = parameters
 

@@ -113,10 +113,20 @@ class SensorSession:
         self.moment = self._pressed(None, first_dt_s)
 
     def warm_up(self) -> float:
-        """Press once and forget it, so that no frame waits for a compiler; return the seconds."""
+        """Press once and forget it, so that no frame waits for a compiler; return the seconds.
+
+        Raises:
+            EffectError: an effect fails at a press, which it would do in the first frame.
+        """
         start_s = time.monotonic()
         apex_m = self._sensor.skin.rest_position_m[:, 2].max()
-        self._sensor.step(Pose(np.array([0.0, 0.0, apex_m - WARM_UP_DEPTH_M])), self._first_dt_s)
+        pose, step_s = Pose(np.array([0.0, 0.0, apex_m - WARM_UP_DEPTH_M])), self._first_dt_s
+        frame = self._sensor.step(pose, step_s)
+        moved = self._effects.moved(pose, frame.wrench.force_n, step_s)
+        self._effects.answered(self._sensor.press(pose, step_s), moved)
+        camera = self._effects.camera(None, step_s)
+        if camera is not None:
+            camera(frame.image, frame.skin_position_m)
         self.reset()
         return time.monotonic() - start_s
 
@@ -153,8 +163,8 @@ class SensorSession:
 
     def _move(self, commanded: Pose, step_s: float) -> SensorMoment:
         self._commanded, self._is_behind = commanded, False
-        pose = self._effects.moved(commanded, self._force_n, step_s)
         try:
+            pose = self._effects.moved(commanded, self._force_n, step_s)
             reached = self._within_reach(pose)
             self.moment = self._pressed(reached, step_s)
         except ValueError as error:

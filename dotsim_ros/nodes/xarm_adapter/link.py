@@ -11,7 +11,13 @@ from enum import StrEnum
 
 import numpy as np
 
-from dotsim_ros.tasks.arm.command import Twist, within_speed, zero_twist
+from dotsim_ros.tasks.arm.command import (
+    Twist,
+    check_plausible,
+    check_reach,
+    within_speed,
+    zero_twist,
+)
 from msg_adapters import RobotState
 
 VELOCITY_MODE = 5
@@ -106,11 +112,13 @@ class VelocityLink:
             along_tool: its axes are the tool's, else the base's.
 
         Raises:
-            ValueError: a number that is not finite; the command counts as zero.
+            ValueError: no velocity of an arm's tool; the command counts as zero.
         """
-        if not np.isfinite(twist).all():
+        try:
+            check_plausible(twist)
+        except ValueError:
             self.drop()
-            raise ValueError(f"the velocity holds a number that is not finite: {twist.tolist()}")
+            raise
         limits = self.limits
         limited = within_speed(
             twist, linear_m_s=limits.linear_m_s, angular_rad_s=limits.angular_rad_s
@@ -126,7 +134,12 @@ class VelocityLink:
         return now_s - self._command_s <= self.limits.stale_s
 
     def hear(self, robot: RobotState, now_s: float) -> None:
-        """Note the arm's state."""
+        """Note the arm's state.
+
+        Raises:
+            ValueError: its tool is where no arm reaches; the state before stays, until it is old.
+        """
+        check_reach(robot.position_m)
         self._robot, self._robot_s = robot, now_s
 
     def next_call(self, now_s: float, *, has_service: bool) -> Call | None:

@@ -15,9 +15,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
+from dotsim_ros.documents import value_text
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.reasons import shortened
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.xarm_adapter.health import link_statuses
 from dotsim_ros.nodes.xarm_adapter.link import Call, Hindrance, VelocityLink
@@ -122,38 +124,36 @@ class XarmAdapter(WorkingNode):
         if frame not in (settings.base_frame, settings.tool_frame):
             self._refuse(
                 Fault.FRAME,
-                f"frame_id of the velocity is {frame!r}, expected {settings.base_frame!r} or "
-                f"{settings.tool_frame!r}: stamp it with the frame whose axes it is along",
+                f"frame_id of the velocity is {value_text(frame)}, expected "
+                f"{settings.base_frame!r} or {settings.tool_frame!r}: stamp it with the "
+                "frame whose axes it is along",
             )
             return
         try:
-            linear, angular = msg_adapters.decode_twist_stamped(message)
+            twist = np.concatenate(msg_adapters.decode_twist_stamped(message))
+            # A sender whose clock makes no sense is not followed either; zero means now.
+            msg_adapters.message_stamp_ns(message)
+            with self._lock:
+                self._link.command(twist, time.monotonic(), along_tool=frame == settings.tool_frame)
         except ValueError as error:
             with self._lock:
                 self._link.drop()
             self._refuse(Fault.NUMBERS, f"{error}: the arm is stopped")
-            return
-        with self._lock:
-            self._link.command(
-                np.concatenate([linear, angular]),
-                time.monotonic(),
-                along_tool=frame == settings.tool_frame,
-            )
 
     def _refuse(self, fault: Fault, reason: str) -> None:
+        reason = shortened(reason)
         if self._faults.note(fault, reason, time.monotonic()):
             self.get_logger().warning(f"cmd_vel: {reason}")
 
     def _on_state(self, message: Any) -> None:
         try:
             robot = msg_adapters.decode_robot_state(message)
+            stamp_ns = msg_adapters.message_stamp_ns(message) or self.time_ns()
+            with self._lock:
+                self._link.hear(robot, time.monotonic())
         except ValueError as error:
             self._refuse_state(str(error))
             return
-        with self._lock:
-            self._link.hear(robot, time.monotonic())
-        now_ns = self.get_clock().now().nanoseconds
-        stamp_ns = msg_adapters.message_stamp_ns(message) or now_ns
         self._poses.publish(
             msg_adapters.encode_pose_stamped(
                 robot.position_m,

@@ -18,14 +18,16 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 import msg_adapters
+from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose, compose, inverse
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.reasons import shortened
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.xarm_sim.health import ArmCondition, arm_statuses
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
-from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
+from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR, check_plausible
 from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
 from dotsim_ros.tasks.arm.simulated import ArmState, SimulatedArm
 from msg_adapters import Status
@@ -150,7 +152,7 @@ class XarmSim(WorkingNode):
         readings = []
         for _ in range(CLOCK_TRIES):
             before_s = time.monotonic()
-            stamp_ns = self.get_clock().now().nanoseconds
+            stamp_ns = self.time_ns()
             after_s = time.monotonic()
             readings.append((after_s - before_s, 0.5 * (before_s + after_s), stamp_ns))
             if after_s - before_s < CLOCK_TOLERANCE_S:
@@ -199,24 +201,27 @@ class XarmSim(WorkingNode):
         if frame not in (settings.base_frame, settings.tool_frame):
             self._refuse(
                 Fault.FRAME,
-                f"frame_id of the velocity is {frame!r}, expected {settings.base_frame!r} or "
-                f"{settings.tool_frame!r}: stamp it with the frame whose axes it is along",
+                f"frame_id of the velocity is {value_text(frame)}, expected "
+                f"{settings.base_frame!r} or {settings.tool_frame!r}: stamp it with the "
+                "frame whose axes it is along",
             )
             return
         try:
-            linear, angular = msg_adapters.decode_twist_stamped(message)
+            twist = np.concatenate(msg_adapters.decode_twist_stamped(message))
+            check_plausible(twist)
+            # A sender whose clock makes no sense is not followed either; zero means now.
+            msg_adapters.message_stamp_ns(message)
         except ValueError as error:
             with self._lock:
                 self._arm.halt(now_s)
             self._refuse(Fault.NUMBERS, f"{error}: the arm is stopped")
             return
         with self._lock:
-            self._arm.command(
-                np.concatenate([linear, angular]), now_s, along_tool=frame == settings.tool_frame
-            )
+            self._arm.command(twist, now_s, along_tool=frame == settings.tool_frame)
             self._heard_s = now_s
 
     def _refuse(self, fault: Fault, reason: str) -> None:
+        reason = shortened(reason)
         if self._faults.note(fault, reason, time.monotonic()):
             self.get_logger().warning(f"cmd_vel: {reason}")
 

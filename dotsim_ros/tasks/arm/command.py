@@ -17,6 +17,41 @@ Twist = NDArray[np.float64]
 LINEAR, ANGULAR = slice(0, 3), slice(3, 6)
 
 
+LARGEST_SPEED_M_S, LARGEST_RATE_RAD_S = 10.0, 100.0
+"""No arm is commanded beyond: such a number is none of metres and radians a second."""
+LARGEST_REACH_M = 5.0
+"""Nor is its tool that far from its base."""
+
+
+def check_plausible(twist: Twist) -> None:
+    """Refuse what can be no velocity of an arm's tool; its limits are much lower.
+
+    Raises:
+        ValueError: a number is not finite, or far beyond what arms do.
+    """
+    if not np.isfinite(twist).all():
+        raise ValueError(f"the velocity holds a number that is not finite: {twist.tolist()}")
+    linear, angular = np.abs(twist[LINEAR]).max(), np.abs(twist[ANGULAR]).max()
+    if linear > LARGEST_SPEED_M_S or angular > LARGEST_RATE_RAD_S:
+        raise ValueError(
+            f"the velocity is {twist.tolist()}, expected at most {LARGEST_SPEED_M_S:g} m/s and "
+            f"{LARGEST_RATE_RAD_S:g} rad/s; is it in millimetres or degrees?"
+        )
+
+
+def check_reach(position_m: NDArray[np.float64]) -> None:
+    """Refuse what can be no place (3,) of an arm's tool in its base.
+
+    Raises:
+        ValueError: a number is not finite, or beyond any arm's reach.
+    """
+    if not np.abs(position_m).max() <= LARGEST_REACH_M:
+        raise ValueError(
+            f"the tool is at {position_m.tolist()} m, expected within {LARGEST_REACH_M:g} m of the "
+            "base; is it in millimetres?"
+        )
+
+
 def zero_twist() -> Twist:
     """Return the command to stand still."""
     return np.zeros(6)

@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import parse_json, read_arrays
 from dotsim_ros.files import whole_file
 from dotsim_ros.geometry.pose import Pose, compose, inverse
 
@@ -114,17 +114,17 @@ class LoopRecording:
             ValueError: it is none that `save` wrote.
         """
         try:
-            with np.load(path) as stored:
-                known = json.loads(str(stored["known"]))
-                arrays = {name: stored[name] for name in _ARRAYS}
-        except (BadZipFile, KeyError, EOFError, json.JSONDecodeError) as error:
+            stored = read_arrays(path)
+            known = parse_json(str(stored["known"]), "what is known of it")
+            arrays = {name: stored[name] for name in _ARRAYS}
+            indenter, sensor = known["indenter"], known["tool_from_sensor"]
+            return cls(
+                **arrays,
+                indenter=Pose(np.array(indenter[:3]), np.array(indenter[3:])),
+                tool_from_sensor=Pose(np.array(sensor[:3]), np.array(sensor[3:])),
+                notes=dict(known["notes"]),
+            )
+        except (KeyError, TypeError, ValueError) as error:
             raise ValueError(
                 f"{path} is no recording of a closed loop ({error}); remove it"
             ) from error
-        indenter, sensor = known["indenter"], known["tool_from_sensor"]
-        return cls(
-            **arrays,
-            indenter=Pose(np.array(indenter[:3]), np.array(indenter[3:])),
-            tool_from_sensor=Pose(np.array(sensor[:3]), np.array(sensor[3:])),
-            notes=known["notes"],
-        )

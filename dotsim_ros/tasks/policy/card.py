@@ -7,11 +7,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.optics.network.carded_weights import CardKind, read_weights
-from dotsim_ros.tasks.policy.images import PolicyView
+from dotsim_ros.optics.network.carded_weights import WEIGHTS, CardKind, read_weights
+from dotsim_ros.tasks.policy.images import FINGERPRINT, PolicyView
 
 FORMAT = 1
 """Raised whenever a policy's input or output changes its meaning."""
@@ -40,6 +39,9 @@ class PolicyCard:
         data: what it was trained on.
         metrics: figures by name.
         commit, date, command: that it was trained by.
+
+    Raises:
+        ValueError: a number is out of range, or the paths have no names.
     """
 
     version: int
@@ -64,6 +66,15 @@ class PolicyCard:
     def __post_init__(self) -> None:
         # JSON knows no tuples.
         object.__setattr__(self, "paths", tuple(self.paths))
+        if not self.paths or "" in self.paths or len(set(self.paths)) < len(self.paths):
+            raise ValueError(f"paths is {list(self.paths)}, expected names, each of them once")
+        for name, largest in (("rate_hz", 1000.0), ("largest_distance", 1e9)):
+            if not 0.0 < getattr(self, name) <= largest:
+                raise ValueError(
+                    f"{name} is {getattr(self, name):g}, expected above 0 and at most {largest:g}"
+                )
+        # Refuses a part of an image that is none.
+        PolicyView((self.image_height, self.image_width), self.share, self.side_px)
 
     @property
     def view(self) -> PolicyView:
@@ -82,9 +93,16 @@ def read_policy(folder: Path) -> tuple[PolicyCard, dict[str, NDArray[Any]]]:
     """Return card and arrays of a policy after a check that its files are whole.
 
     Raises:
-        FileNotFoundError, ValueError: as `read_weights`, and for weights that are not finite.
+        FileNotFoundError, ValueError: as `read_weights`, and where the training images' statistics
+            are missing or of another shape.
     """
     card, arrays = read_weights(folder, POLICY)
-    if not np.all(np.isfinite(arrays[USUAL_ROOT])):
-        raise ValueError(f"{folder} holds weights that are not finite; train the policy anew")
+    for name, shape in ((USUAL_MEAN, (FINGERPRINT,)), (USUAL_ROOT, (FINGERPRINT, FINGERPRINT))):
+        found = arrays.get(name)
+        if found is None or found.shape != shape or found.dtype.kind != "f":
+            had = "is missing" if found is None else f"is {found.dtype} of shape {found.shape}"
+            raise ValueError(
+                f"{folder / WEIGHTS}: {name} {had}, expected numbers of shape {shape}; train the "
+                "policy anew"
+            )
     return card, arrays

@@ -19,12 +19,12 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.documents import read_arrays, read_json
 from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
@@ -338,11 +338,10 @@ def read_episode(path: Path) -> Episode:
         ValueError: the file holds none.
     """
     try:
-        with np.load(path) as content:
-            arrays = {name: content[name] for name in content.files}
+        arrays: dict[str, Any] = dict(read_arrays(path))
         arrays["paths"] = tuple(str(name) for name in arrays["paths"])
         return Episode(**arrays)
-    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{path} holds no demonstration ({error}); remove it and make it anew with dotsim_ros "
             "demonstrate"
@@ -412,7 +411,7 @@ def read_card(folder: Path) -> dict[str, Any]:
         ValueError: it holds none.
     """
     try:
-        record = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        record = read_json(folder / CARD)
         if not isinstance(record, dict) or "plan" not in record:
             raise ValueError("no plan in it")
     except (OSError, ValueError) as error:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
-from dotsim_ros.tasks.policy.demonstration import CARD, Episode, read_card, read_episode
+from dotsim_ros.tasks.policy.demonstration import Episode, read_card, read_episode
 from dotsim_ros.tasks.policy.expert import Expert
 from dotsim_ros.tasks.policy.images import PolicyInput
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
@@ -93,7 +93,7 @@ def data_hash(folders: Sequence[Path]) -> str:
     """Return a key of sets of demonstrations: their cards and the sizes of their files."""
     digest = hashlib.sha256()
     for folder in folders:
-        plan = json.loads((folder / CARD).read_text(encoding="utf-8"))["plan"]
+        plan = read_card(folder)["plan"]
         digest.update(json.dumps(plan, sort_keys=True).encode())
     for file in episode_files(folders):
         digest.update(f"{file.name} {file.stat().st_size}".encode())

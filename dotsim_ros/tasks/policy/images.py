@@ -21,6 +21,9 @@ GRID = (6, 8)
 """Rows and columns of the cells that `fingerprint` summarises."""
 CELL_PX = 10
 CHANNEL_COUNT = 8
+FINGERPRINT = 2 * GRID[0] * GRID[1]
+"""How many numbers `fingerprint` gives."""
+LARGEST_SIDE_PX = 4096
 
 
 @dataclass(frozen=True)
@@ -41,9 +44,11 @@ class PolicyView:
     side_px: int = 80
 
     def __post_init__(self) -> None:
-        if len(self.image_shape) != 2 or min(self.image_shape) < 32:
+        are_lengths = all(32 <= length <= LARGEST_SIDE_PX for length in self.image_shape)
+        if len(self.image_shape) != 2 or not are_lengths:
             raise ValueError(
-                f"image_shape is {self.image_shape}, expected height and width of 32 and more"
+                f"image_shape is {self.image_shape}, expected height and width from 32 to "
+                f"{LARGEST_SIDE_PX}"
             )
         if not 0.1 <= self.share <= 1.0:
             raise ValueError(f"share is {self.share}, expected 0.1 to 1")

@@ -9,23 +9,26 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import onnxruntime
 
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
+from dotsim_ros.documents import shortened, value_text
 from dotsim_ros.optics.network.carded_weights import GRAPH
+from dotsim_ros.optics.network.session import Network
 from dotsim_ros.tasks.policy.card import (
     COMMAND_SIZE,
+    POLICY,
     USUAL_MEAN,
     USUAL_ROOT,
     PolicyCard,
     read_policy,
 )
-from dotsim_ros.tasks.policy.images import PolicyInput, fingerprint
+from dotsim_ros.tasks.policy.images import CHANNEL_COUNT, PolicyInput, fingerprint
 
 if TYPE_CHECKING:
     from torch import nn
 
 
+INPUT = "picture"
 THREADS = 1
 """A second one gains a third on an idle machine, and costs tails beside a simulation."""
 
@@ -34,7 +37,7 @@ class Policy:
     """A trained policy with the path that it follows.
 
     Args:
-        session: of the graph.
+        network: the graph.
         card: what the policy is.
         usual_mean, usual_root: (F,) and (F, F); see `policy_card`.
         path: name of the path to follow.
@@ -51,14 +54,14 @@ class Policy:
 
     def __init__(
         self,
-        session: onnxruntime.InferenceSession,
+        network: Network,
         card: PolicyCard,
         *,
         usual_mean: Float32Array,
         usual_root: Float32Array,
         path: str,
     ) -> None:
-        self._session, self.card = session, card
+        self._network, self.card = network, card
         self._usual_mean, self._usual_root = usual_mean, usual_root
         self._row = card.paths.index(path)
         self._view = card.view
@@ -100,7 +103,7 @@ class Policy:
         """
         self._check(image, idle)
         given = self._input_for(idle)(self._view.crop(image))
-        commands = self._session.run(None, {"picture": given[None]})[0]
+        commands = self._network({INPUT: given[None]})
         return np.asarray(commands[0, self._row], dtype=np.float64)
 
     def image_distance(self, image: ImageArray, idle: ImageArray) -> float:
@@ -129,39 +132,30 @@ def load_policy(folder: Path, path: str = "", *, thread_count: int = THREADS) ->
 
     Raises:
         FileNotFoundError: no policy there.
-        ValueError: a file is corrupt or of another version, or the policy has no such path.
+        ValueError: a file is corrupt or of another version, the policy has no such path, or its
+            graph cannot be run, or takes or gives something else.
     """
     card, arrays = read_policy(folder)
     path = path or card.paths[0]
     if path not in card.paths:
         raise ValueError(
-            f"the policy {card.name!r} follows no path {path!r}; choose one of "
-            f"{', '.join(card.paths)}"
+            f"the policy {value_text(card.name)} follows no path {value_text(path)}; choose one of "
+            f"{shortened(', '.join(card.paths))}"
         )
-    session = open_session(folder / GRAPH, thread_count)
-    if session.get_outputs()[0].shape[1:] != [len(card.paths), COMMAND_SIZE]:
-        raise ValueError(
-            f"{folder / GRAPH} gives {session.get_outputs()[0].shape}, expected "
-            f"{COMMAND_SIZE} numbers for each of {len(card.paths)} paths; train the policy anew"
-        )
+    network = Network(
+        folder / GRAPH,
+        inputs={INPUT: (1, CHANNEL_COUNT, card.side_px, card.side_px)},
+        output=(1, len(card.paths), COMMAND_SIZE),
+        thread_count=thread_count,
+        noun=POLICY.noun,
+    )
     return Policy(
-        session,
+        network,
         card,
         usual_mean=arrays[USUAL_MEAN],
         usual_root=arrays[USUAL_ROOT],
         path=path,
     )
-
-
-def open_session(graph: Path, thread_count: int) -> onnxruntime.InferenceSession:
-    """Return ONNX Runtime's session of a graph."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = thread_count
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    # A thread that waits for the next image must not take a core from the simulation.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
 
 
 def save_policy(

@@ -6,7 +6,6 @@ import copy
 import datetime
 import hashlib
 import math
-import pickle
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -16,11 +15,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from dotsim_ros.arrays import Float32Array
 from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.learning.checkpoint import read_checkpoint, state_to_resume, take_weights
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import FORMAT, PolicyCard
@@ -113,7 +112,7 @@ class PolicyTraining:
         seed: of the first weights and of all that is drawn.
         key: of this training's data.
         checkpoint: file of the state; an interrupted run resumes from it.
-        start: weights to begin with, in place of random ones.
+        start: weights to begin with, in place of random ones, and the file that they are of.
 
     Raises:
         ValueError: the checkpoint is of another training, or corrupt.
@@ -128,7 +127,7 @@ class PolicyTraining:
         seed: int,
         key: str,
         checkpoint: Path,
-        start: dict[str, Tensor] | None = None,
+        start: tuple[Any, Path] | None = None,
     ) -> None:
         self._examples, self._recipe, self._checkpoint = examples, recipe, checkpoint
         self._key = hashlib.sha256(repr((key, asdict(recipe), seed)).encode()).hexdigest()
@@ -136,15 +135,14 @@ class PolicyTraining:
             torch.manual_seed(seed)
             network = PolicyResNet(path_count)
         if start is not None:
-            network.load_state_dict(start)
+            take_weights(network, *start)
         self.network = network.to(memory_format=torch.channels_last)
         self._averaged = copy.deepcopy(self.network)
         self._optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay
         )
         self._seed, self._step, self._spent_s = seed, 0, 0.0
-        if checkpoint.is_file():
-            self._resume()
+        self._resume()
 
     @property
     def done(self) -> int:
@@ -233,33 +231,22 @@ class PolicyTraining:
             torch.save(state, part)
 
     def _resume(self) -> None:
-        state = read_checkpoint(self._checkpoint)
+        state = state_to_resume(self._checkpoint, _ENTRIES)
+        if state is None:
+            return
         if state["key"] != self._key:
             raise ValueError(
                 f"{self._checkpoint} belongs to a training with other data, seed or settings; "
                 "choose another folder, or remove it to train anew"
             )
-        self.network.load_state_dict(state["network"])
-        self._averaged.load_state_dict(state["averaged"])
+        take_weights(self.network, state["network"], self._checkpoint)
+        take_weights(self._averaged, state["averaged"], self._checkpoint)
         self._optimiser.load_state_dict(state["optimiser"])
         self._step, self._spent_s = int(state["step"]), float(state["spent_s"])
 
 
-def read_checkpoint(path: Path) -> dict[str, Any]:
-    """Return the state of a training.
-
-    Raises:
-        ValueError: the file holds none.
-    """
-    try:
-        state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-        if "key" not in state:
-            raise KeyError("key")
-    except (RuntimeError, EOFError, OSError, KeyError, pickle.UnpicklingError) as error:
-        raise ValueError(
-            f"{path} is no checkpoint that can be read ({error}); remove it to train anew"
-        ) from error
-    return state
+_ENTRIES = ("key", "network", "averaged", "optimiser", "step", "spent_s")
+"""Of a checkpoint."""
 
 
 def judge(
@@ -349,7 +336,7 @@ def train_policy(
         seed=seed,
         key=data_hash(folders),
         checkpoint=record / CHECKPOINT,
-        start=None if start is None else read_checkpoint(start)["averaged"],
+        start=None if start is None else (read_checkpoint(start, _ENTRIES)["averaged"], start),
     )
     network = training.run(progress)
     figures = judge(network, PolicyExamples(held_out, paths, contact, recipe.side_px), paths)

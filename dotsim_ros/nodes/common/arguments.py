@@ -1,0 +1,82 @@
+"""What a node's user gives it before it runs: the command line and what DDS is set to.
+
+ROS and DDS themselves ignore much of what is wrong here. Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from dotsim_ros.documents import read_yaml, value_text
+from dotsim_ros.nodes.common.reasons import EXPECTED, HOW
+from dotsim_ros.nodes.common.transport import PROFILE_FILES
+
+LARGEST_DOMAIN = 232
+
+
+def check_start(arguments: Sequence[str]) -> None:
+    """Refuse a command line or an environment that ROS would misread or ignore.
+
+    Args:
+        arguments: without the program's name.
+
+    Raises:
+        ValueError: an argument that is none of ROS's, one that is no text, a file of parameters
+            that holds none, a domain that does not exist, or a profile of Fast DDS that is not
+            there.
+        OSError: a file cannot be read.
+    """
+    for argument in arguments:
+        if any("\ud800" <= character <= "\udfff" for character in argument):
+            raise ValueError(
+                f"the argument {value_text(argument)} is no text in UTF-8: write it anew"
+            )
+    for argument in _foreign(arguments):
+        raise ValueError(f"the argument {value_text(argument)} is none that nodes take: {HOW}")
+    for path in _parameter_files(arguments):
+        _check_parameters(read_yaml(path), path)
+    _check_domain(os.environ.get("ROS_DOMAIN_ID") or "0")
+    for name in PROFILE_FILES:
+        profile = os.environ.get(name)
+        if profile and not Path(profile).is_file():
+            raise ValueError(
+                f"{name} names {profile}, which is no file, so that DDS would use its defaults: "
+                "correct or unset it"
+            )
+
+
+def _check_domain(text: str) -> None:
+    # DDS ends the process where the ports of a domain would be none.
+    if not re.fullmatch("[0-9]{1,9}", text) or int(text) > LARGEST_DOMAIN:
+        raise ValueError(
+            f"ROS_DOMAIN_ID is {value_text(text)}, expected a whole number from 0 to "
+            f"{LARGEST_DOMAIN}"
+        )
+
+
+def _foreign(arguments: Sequence[str]) -> Iterator[str]:
+    """Yield the arguments that are not between `--ros-args` and `--`."""
+    is_ros = False
+    for argument in arguments:
+        if is_ros:
+            is_ros = argument != "--"
+        elif argument == "--ros-args":
+            is_ros = True
+        else:
+            yield argument
+
+
+def _parameter_files(arguments: Sequence[str]) -> Iterator[str]:
+    for flag, value in pairwise(arguments):
+        if flag == "--params-file":
+            yield value
+
+
+def _check_parameters(content: Any, path: str) -> None:
+    if not isinstance(content, dict) or not content:
+        raise ValueError(f"{path} holds no parameters; expected {EXPECTED['params file']}")

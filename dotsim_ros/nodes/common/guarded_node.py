@@ -1,0 +1,231 @@
+"""A node that goes on, whatever is sent to it, and that starts with one line or not at all."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from copy import copy
+from inspect import signature
+from threading import Lock
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.exceptions import NameValidationException, ParameterException
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+from dotsim_ros.nodes.common.health import FAULT_MEMORY_S
+from dotsim_ros.nodes.common.reasons import reason_of
+from msg_adapters import Level, Status
+from msg_adapters.stamps import MAXIMUM_SECONDS, NANOSECONDS_PER_SECOND
+
+LOG_EVERY_S = 5.0
+"""Between two lines about the same topic or service."""
+LARGEST_DEPTH = 10_000
+LATEST_NS = (MAXIMUM_SECONDS - 1_000_000) * NANOSECONDS_PER_SECOND
+"""Eleven days before the end of what a stamp holds: what is planned from a time must have one,
+too."""
+
+
+class GuardedNode(Node):
+    """A node whose callbacks cannot end it.
+
+    What a message or a request brings a callback to raise is counted, logged, and reported by
+    `failure_status`; the node goes on with the next one, and a request is answered with the reason.
+
+    Args:
+        name: of the node.
+        options: of `rclpy.node.Node`.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        # Before the node: it makes services of its own.
+        self._failure_lock = Lock()
+        self._failure_count = 0
+        self._failure_reason = ""
+        self._failure_s = -np.inf
+        self._failure_logged_s: dict[str, float] = {}
+        super().__init__(name, **options)
+        self.add_on_set_parameters_callback(_refuse_nameless)
+
+    def time_ns(self) -> int:
+        """Return the node's time; 0 where there is none, since /clock is silent or its time is none
+        that messages could be stamped with."""
+        now_ns = int(self.get_clock().now().nanoseconds)
+        return now_ns if 0 < now_ns <= LATEST_NS else 0
+
+    def failure_status(self) -> list[Status]:
+        """Return the state of the callbacks, for the diagnostics; nothing where none has failed."""
+        with self._failure_lock:
+            count, reason, since_s = self._failure_count, self._failure_reason, self._failure_s
+        if not count:
+            return []
+        is_recent = time.monotonic() - since_s < FAULT_MEMORY_S
+        return [
+            Status(
+                f"{self.get_name()}: callbacks",
+                Level.WARN if is_recent else Level.OK,
+                reason if is_recent else "running",
+                self.get_name(),
+                {"failures": str(count), "last_failure": reason},
+            )
+        ]
+
+    def note_failure(self, what: str, error: Exception) -> str:
+        """Count and log what a callback raised; return the reason in words.
+
+        Args:
+            what: was being done.
+            error: that it ended with.
+        """
+        # What is meant to be read is a ValueError or an OSError; anything else is a fault of ours.
+        is_foreseen = isinstance(error, ValueError | OSError)
+        name = "" if is_foreseen else f"unexpected {type(error).__name__}: "
+        reason = f"{name}{reason_of(error)}"
+        # Publishing fails once a signal has shut the context down: that is how a run ends.
+        if not self.context.ok():
+            return reason
+        now_s = time.monotonic()
+        with self._failure_lock:
+            self._failure_count += 1
+            self._failure_reason, self._failure_s = f"{what}: {reason}", now_s
+            is_logged = now_s - self._failure_logged_s.get(what, -np.inf) >= LOG_EVERY_S
+            if is_logged:
+                self._failure_logged_s[what] = now_s
+        if is_logged and is_foreseen:
+            self.get_logger().warning(f"{what}: {reason}")
+        elif is_logged:
+            self.get_logger().error(f"{what}: {reason}")
+            self.get_logger().debug("".join(traceback.format_exception(error)))
+        return reason
+
+    def create_publisher(
+        self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
+    ) -> Any:
+        """See `rclpy.node.Node.create_publisher`.
+
+        Raises:
+            ValueError: the topic's name, or a policy that the user set for it, is not valid.
+        """
+        # A copy, since what the user overrides for this topic is written into it.
+        quality = copy(qos_profile)
+        try:
+            return super().create_publisher(msg_type, topic, quality, **_with_check(options))
+        except Exception as error:
+            raise self._refusal(topic, error) from error
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[..., object],
+        qos_profile: QoSProfile | int,
+        **options: Any,
+    ) -> Any:
+        """See `rclpy.node.Node.create_subscription`; errors as `create_publisher`."""
+
+        def take(*what: Any) -> None:
+            try:
+                callback(*what)
+            except Exception as error:
+                self.note_failure(f"a message on {topic} is left out", error)
+
+        # ROS sees by the number of its arguments whether a callback wants to know more.
+        if len(signature(callback).parameters) == 1:
+            hear: Callable[..., None] = lambda message: take(message)  # noqa: E731
+        else:
+            hear = lambda message, information: take(message, information)  # noqa: E731
+        quality = copy(qos_profile)
+        try:
+            return super().create_subscription(
+                msg_type, topic, hear, quality, **_with_check(options)
+            )
+        except Exception as error:
+            raise self._refusal(topic, error) from error
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Any:
+        """See `rclpy.node.Node.create_service`."""
+
+        def answer(request: Any, response: Any) -> Any:
+            try:
+                return callback(request, response)
+            except Exception as error:
+                reason = self.note_failure(f"a call of {srv_name} fails", error)
+                return _refused(srv_type, reason)
+
+        def answer_each(request: Any, response: Any) -> Any:
+            # ROS sets one after the other: those before a broken one are set.
+            for parameter in request.parameters:
+                one = answer(SetParameters.Request(parameters=[parameter]), srv_type.Response())
+                response.results.extend(one.results)
+            return response
+
+        is_each = srv_type is SetParameters
+        return super().create_service(
+            srv_type, srv_name, answer_each if is_each else answer, **options
+        )
+
+    def _refusal(self, topic: str, error: Exception) -> Exception:
+        if isinstance(error, ParameterException) or not self.context.ok():
+            return error
+        reason = reason_of(error)
+        if isinstance(error, NameValidationException) or "resolve name" in reason:
+            return ValueError(f"the topic {topic!r} has no valid name ({reason})")
+        return ValueError(
+            f"the topic {topic} cannot be opened ({reason}): correct its parameters "
+            f"qos_overrides.{self.resolve_topic_name(topic)}; reliability is reliable or "
+            f"best_effort, history keep_last or keep_all, depth from 1 to {LARGEST_DEPTH}"
+        )
+
+
+def _refuse_nameless(changes: Sequence[Parameter]) -> SetParametersResult:
+    # ROS lets a parameter of no name pass as one that was declared, and keeps it.
+    is_named = all(change.name for change in changes)
+    reason = "" if is_named else "a parameter without a name, expected one of the node's"
+    return SetParametersResult(successful=is_named, reason=reason)
+
+
+def _with_check(options: dict[str, Any]) -> dict[str, Any]:
+    """Return options of a topic so that policies of the user's are checked before they are used."""
+    given: QoSOverridingOptions | None = options.get("qos_overriding_options")
+    if given is None:
+        return options
+    checked = QoSOverridingOptions(
+        given.policy_kinds, callback=_check_policies, entity_id=given.entity_id
+    )
+    return {**options, "qos_overriding_options": checked}
+
+
+def _check_policies(quality: QoSProfile) -> SetParametersResult:
+    """Refuse policies that the middleware cannot keep.
+
+    Raises:
+        ValueError: names the policy.
+    """
+    if quality.history not in (HistoryPolicy.KEEP_LAST, HistoryPolicy.KEEP_ALL):
+        raise ValueError(f"history is {quality.history.name.lower()}")
+    if quality.reliability not in (ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFFORT):
+        raise ValueError(f"reliability is {quality.reliability.name.lower()}")
+    if quality.history is HistoryPolicy.KEEP_LAST and not 1 <= quality.depth <= LARGEST_DEPTH:
+        raise ValueError(f"depth is {quality.depth}")
+    return SetParametersResult(successful=True)
+
+
+def _refused(srv_type: Any, reason: str) -> Any:
+    """Return the response to a request that failed, with the reason where it has a place for it."""
+    response = srv_type.Response()
+    refused = SetParametersResult(successful=False, reason=reason)
+    if srv_type is SetParameters:
+        response.results = [refused]
+    elif srv_type is SetParametersAtomically:
+        response.result = refused
+    elif hasattr(response, "message"):
+        response.success, response.message = False, reason
+    return response
