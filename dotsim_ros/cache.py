@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import zipfile
+import logging
 from collections.abc import Mapping
 from enum import Enum
 from pathlib import Path
@@ -17,9 +17,11 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.code_version import version_of
+from dotsim_ros.documents import ArrayForm, Arrays, read_arrays
 from dotsim_ros.files import whole_file
+from dotsim_ros.printable import one_line
 
-Arrays = dict[str, np.ndarray[Any, Any]]
+_log = logging.getLogger(__name__)
 
 KEY_LENGTH = 24
 
@@ -70,14 +72,25 @@ def _add(digest: hashlib._Hash, value: Any) -> None:
         )
 
 
-def load_arrays(path: Path) -> Arrays | None:
-    """Return the arrays of a kept answer; None where there is none that can be read."""
+def load_arrays(path: Path, forms: Mapping[str, ArrayForm] | None = None) -> Arrays | None:
+    """Return the arrays of a kept answer; None where there is none, or none that can be read.
+
+    Args:
+        path: of the answer.
+        forms: the arrays that it must hold, and what they must be; None for any.
+    """
     try:
-        with np.load(path, allow_pickle=False) as stored:
-            return {name: stored[name] for name in stored.files}
-    # A file that was cut short is computed anew.
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
+        return read_arrays(path, forms)
+    except FileNotFoundError:
         return None
+    except (OSError, ValueError) as error:
+        tell_broken(path, error)
+        return None
+
+
+def tell_broken(path: Path, reason: object) -> None:
+    """Log that a kept answer cannot be used, which is computed anew then."""
+    _log.warning("%s cannot be used and is computed anew: %s", path, one_line(reason))
 
 
 def store_arrays(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:

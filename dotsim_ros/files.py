@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -19,22 +20,42 @@ from numpy.typing import NDArray
 PACKAGE_ROOT = Path(str(files("dotsim_ros")))
 
 
-MANIFEST = ".report_files.json"
-"""Names and SHA-256 of the files that a report wrote into its folder."""
-
-
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Yield a temporary path that takes the name of `path` when the block ends well.
 
-    The temporary file has the suffix of `path`, from which writers infer the format.
+    The temporary file has the suffix of `path`, from which writers infer the format. An OSError of
+    the block names `path`.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{path.stem}.", dir=path.parent) as folder:
+    with (
+        no_room_named(path),
+        tempfile.TemporaryDirectory(prefix=".part.", dir=path.parent) as folder,
+    ):
         temporary = Path(folder) / path.name
-        yield temporary
-        os.replace(temporary, path)
+        try:
+            yield temporary
+            os.replace(temporary, path)
+        except OSError as error:
+            if error.errno is None or error.filename not in (None, str(temporary), temporary):
+                raise
+            # Else users are told of a name that they never gave, or of none.
+            raise OSError(error.errno, error.strerror, str(path)) from error
+
+
+@contextmanager
+def no_room_named(path: Path) -> Iterator[None]:
+    """Say in the system's error of a full disk what was to be written."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            raise
+        raise OSError(
+            f"{path} could not be written ({error.strerror}), and what was there before is as it "
+            "was; make room, and give the same command again"
+        ) from error
 
 
 def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
@@ -46,6 +67,20 @@ def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
     with whole_file(path) as part:
         if not cv2.imwrite(str(part), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
             raise OSError(f"{path} could not be written")
+
+
+def beside(path: str | Path, ending: str, *, replaces: tuple[str, ...]) -> Path:
+    """Return the path of a file that belongs to another and lies beside it.
+
+    Args:
+        path: of the other.
+        ending: what its name ends with.
+        replaces: suffixes that give way to it; all else behind a dot is part of the name, so that
+            "press_0.5mm" and "press_0.7mm" do not share their files.
+    """
+    path = Path(path)
+    name = path.stem if path.suffix.lower() in replaces else path.name
+    return path.with_name(f"{name}{ending}")
 
 
 def parameter_path(relative: str) -> Path:
@@ -87,39 +122,64 @@ def given_path(name: str) -> Path:
     return path if path.is_absolute() else parameter_path(name)
 
 
-def replace_files(directory: str | Path, files: Mapping[str, bytes]) -> None:
-    """Write files into a folder, and remove those of the call before that are not among them.
+def short_name(name: str, most: int = 80) -> str:
+    """Return a name as it is, or where it is longer than `most` bytes its beginning and a hash.
 
-    A file that has changed since, or that no call wrote, is left alone.
-
-    Args:
-        directory: made where it is absent; it keeps what was written in `MANIFEST`.
-        files: contents by name.
+    File systems take 255 bytes, and what is written for a while beside a file needs some of them.
     """
-    directory = Path(directory)
-    before = _written_files(directory)
-    now = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-    # Both, until the old ones are gone: an interrupted call leaves no file that is not listed.
-    _write_manifest(directory, before | now)
-    for name, content in files.items():
-        with whole_file(directory / name) as part:
-            part.write_bytes(content)
-    for name in before.keys() - now.keys():
-        path = directory / name
-        if path.is_file() and hashlib.sha256(path.read_bytes()).hexdigest() == before[name]:
-            path.unlink()
-    _write_manifest(directory, now)
+    encoded = os.fsencode(name)
+    if len(encoded) <= most:
+        return name
+    digest = hashlib.sha256(encoded).hexdigest()[:16]
+    return f"{encoded[: most - 17].decode(errors='ignore')}-{digest}"
 
 
-def _written_files(directory: Path) -> dict[str, str]:
+PROBE_BYTES = 1 << 20
+"""What an output folder must have room for before anything long begins."""
+
+
+def check_output_folder(path: str | Path) -> None:
+    """Try whether files can be written into a folder that need not be there yet.
+
+    A file is written into it, or into the nearest folder above that is there, and removed.
+
+    Raises:
+        OSError: they cannot; the text says why and what to do.
+    """
+    path = Path(path)
+    there = path.absolute()
     try:
-        listed = json.loads((directory / MANIFEST).read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
-        return {}
-    if not isinstance(listed, dict):
-        return {}
-    return {name: str(digest) for name, digest in listed.items() if Path(name).name == name}
+        while not _is_there(there):
+            there = there.parent
+        if not there.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        with tempfile.NamedTemporaryFile(prefix=".dotsim_ros.", dir=there) as file:
+            file.write(bytes(PROBE_BYTES))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        reason = f"{there} is no folder" if error.errno == errno.ENOTDIR else error.strerror
+        raise OSError(
+            f"nothing can be written to {path} ({reason}), expected a folder with room for files; "
+            "name another, or make room"
+        ) from error
 
 
-def _write_manifest(directory: Path, digests: Mapping[str, str]) -> None:
-    write_json(directory / MANIFEST, digests)
+def _is_there(path: Path) -> bool:
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+def check_output_file(path: str | Path) -> None:
+    """Try whether a file can be written, as `check_output_folder`.
+
+    Raises:
+        OSError: it cannot, or a folder has its name.
+    """
+    path = Path(path)
+    if path.is_dir():
+        raise IsADirectoryError(f"{path} is a folder, expected the name of a file to write")
+    check_output_folder(path.parent)

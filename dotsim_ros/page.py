@@ -10,13 +10,15 @@ from __future__ import annotations
 import base64
 import html
 import io
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.files import replace_files
+from dotsim_ros.printable import boxes_for_missing_glyphs, one_line, printable
+from dotsim_ros.replacement import replace_files
 
 HTML = "report.html"
 MARKDOWN = "report.md"
@@ -146,7 +148,8 @@ def page_figure(width_inches: float, height_inches: float) -> Iterator[Any]:
 def image_of(figure: Any, *, name: str, alt: str) -> ReportImage:
     """Return a matplotlib figure as an image, sharp on screens of twice the usual density."""
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=PIXELS_PER_INCH * _DOTS_PER_PIXEL)
+    with boxes_for_missing_glyphs():
+        figure.savefig(buffer, format="png", dpi=PIXELS_PER_INCH * _DOTS_PER_PIXEL)
     width_px = round(float(figure.get_figwidth()) * PIXELS_PER_INCH)
     return ReportImage(name, buffer.getvalue(), alt, width_px)
 
@@ -165,10 +168,15 @@ def images_of(page: Page) -> list[ReportImage]:
 def write_page(directory: Path, page: Page) -> Path:
     """Write a page as `report.html`, and as `report.md` with its images beside it, in place of
     the page before; return the former."""
+    replace_files(directory, page_files(page))
+    return directory / HTML
+
+
+def page_files(page: Page) -> dict[str, bytes]:
+    """Return the files of a page by name: `report.html`, `report.md` and the latter's images."""
     files = {f"{image.name}.png": image.png for image in images_of(page)}
     texts = {MARKDOWN: as_markdown(page), HTML: as_html(page)}
-    replace_files(directory, files | {name: text.encode() for name, text in texts.items()})
-    return directory / HTML
+    return files | {name: printable(text).encode() for name, text in texts.items()}
 
 
 def as_html(page: Page) -> str:
@@ -246,19 +254,22 @@ def block_markdown(block: Block) -> str:
         case Bullets(items):
             return "\n".join(f"- {_plain(item)}" for item in items)
         case Table(head, rows):
-            lines = [head, ["---"] * len(head), *rows]
-            return "\n".join(
-                "| " + " | ".join(_plain(cell).replace("|", "\\|") for cell in line) + " |"
-                for line in lines
-            )
+            shown = [[_plain(cell).replace("|", "\\|") for cell in line] for line in (head, *rows)]
+            lines = [shown[0], ["---"] * len(head), *shown[1:]]
+            return "\n".join(f"| {' | '.join(line)} |" for line in lines)
         case Gallery(images):
             return "\n\n".join(f"![{_plain(p.alt)}]({p.name}.png)" for p in images)
 
 
+_MARKS = re.compile(r"[\\`*\[$~]|(?<![^\W_])_|_(?![^\W_])|^[#+-](?=[#\s-]|$)")
+"""What Markdown would read as markup: underscores at the ends of words alone, and what begins a
+heading, a list or a rule."""
+
+
 def _plain(text: str) -> str:
     """Return text on one line that Markdown takes as it is."""
-    escaped = html.escape(" ".join(text.split()), quote=False)
-    return escaped.replace("[", "\\[").replace("*", "\\*")
+    escaped = _MARKS.sub(r"\\\g<0>", one_line(text))
+    return html.escape(escaped, quote=False)
 
 
 _CSS = """

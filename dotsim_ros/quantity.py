@@ -12,6 +12,8 @@ import numbers
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from dotsim_ros.documents import value_text
+
 _KEY = "quantity"
 
 _SLIPS = {"m": (1e-3, "metres"), "Pa": (1e6, "pascals")}
@@ -253,12 +255,3 @@ def number_text(number: float) -> str:
         "e"
     )
     return f"{mantissa}{'' if '.' in mantissa or not exponent else '.0'}{exponent}{power}"
-
-
-def value_text(value: Any) -> str:
-    """Return a value, of any type, as messages show it: much as in a YAML file."""
-    if value is None or isinstance(value, bool):
-        return {None: "empty", True: "true", False: "false"}[value]
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(value_text, value))}]"
-    return str(value) if isinstance(value, numbers.Real) else repr(value)

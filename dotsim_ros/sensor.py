@@ -28,6 +28,8 @@ from dotsim_ros.specification import SensorSpecification, given_sensor
 
 FRAME_S = 0.04
 """Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""
+FARTHEST_M = 100.0
+"""No indenter is farther away; a larger number is in another unit, or none at all."""
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -179,7 +181,25 @@ class TactileSensor:
         )
 
     def _placed(self, pose: Pose | ApexPose | None) -> Pose | None:
-        return pose.on(self.skin.apex_m) if isinstance(pose, ApexPose) else pose
+        """Return a pose in the base frame.
+
+        Raises:
+            ValueError: it lies below the base of the gel, or nowhere near.
+        """
+        if isinstance(pose, ApexPose):
+            height_m = float(self.skin.apex_m[2])
+            if pose.depth_m > height_m:
+                raise ValueError(
+                    f"a depth of {pose.depth_m:g} m below the apex is below the base of the gel, "
+                    f"which is {height_m:g} m high; expected metres"
+                )
+            pose = pose.on(self.skin.apex_m)
+        if pose is not None and np.abs(pose.position_m).max() > FARTHEST_M:
+            raise ValueError(
+                f"the indenter is at {pose.position_m.tolist()}, expected metres in the base frame "
+                f"and at most {FARTHEST_M:g} m; None takes it away"
+            )
+        return pose
 
     @property
     def remembers(self) -> bool:

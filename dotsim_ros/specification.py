@@ -13,7 +13,6 @@ import argparse
 import dataclasses
 import itertools
 import math
-import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,14 +20,15 @@ from typing import Any
 
 import yaml
 
+from dotsim_ros.documents import read_yaml, value_text
 from dotsim_ros.files import parameter_path, whole_file, write_text
+from dotsim_ros.printable import printable
 from dotsim_ros.quantity import (
     check_fields,
     field_table,
     number_text,
     quantity,
     section_from,
-    value_text,
 )
 
 SHAPES = ("dome", "flat_pad")
@@ -659,30 +659,6 @@ def sensor_path(source: str | Path) -> Path:
     return path if path.suffix in (".yaml", ".yml") else parameter_path(f"sensors/{source}.yaml")
 
 
-class _SensorLoader(yaml.SafeLoader):
-    """Reads YAML as `yaml.safe_load`, but refuses a name that is given twice, and reads `3e5` as
-    the number that it is in YAML 1.2; YAML 1.1 takes it for text."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen = set()
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                continue
-            if key.value in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"{key.value!r} is given twice", key.start_mark
-                )
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-_SensorLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+.0123456789"),
-)
-
-
 def load_sensor(source: str | Path) -> SensorSpecification:
     """Read a sensor from a YAML file, or by name from `params/sensors/`.
 
@@ -691,11 +667,7 @@ def load_sensor(source: str | Path) -> SensorSpecification:
         ValueError: an entry is unknown, of the wrong type or out of range; the message names it.
     """
     path = sensor_path(source)
-    try:
-        document = yaml.load(path.read_text(encoding="utf-8"), _SensorLoader)
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is not valid YAML: {error}") from error
-    return sensor_from(document, str(path), name=path.stem)
+    return sensor_from(read_yaml(path), str(path), name=path.stem)
 
 
 def given_sensor(sensor: str | Path | SensorSpecification) -> SensorSpecification:
@@ -748,7 +720,7 @@ def write_sensor(path: Path, specification: SensorSpecification, comment: str) -
         values = getattr(specification, section)
         if section not in WRITTEN_BY_NEED or values != kind():
             document[section] = _plain(dataclasses.asdict(values))
-    head = "".join(f"# {line}\n" for line in comment.splitlines())
+    head = "".join(f"# {printable(line)}\n" for line in comment.splitlines())
     with whole_file(path) as part:
         part.write_text(head + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
         if load_sensor(part) != specification:

@@ -3,6 +3,7 @@
 Starts tactile_sim, tactile_record and indenter_player as processes of their own, which talk over
 DDS. Leaves the bag OUT/presses, the video OUT/presses.mp4 and the contact sheet OUT/presses.png.
 Needs ROS 2.
+DDS stays on this machine unless the environment names a Fast DDS profile.
 
 example:
   dotsim_ros demo --out out/demo
@@ -12,7 +13,6 @@ example:
 from __future__ import annotations
 
 import argparse
-import shutil
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -33,12 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     from dotsim_ros.nodes.common.processes import NodeProcess
+    from dotsim_ros.nodes.common.transport import stay_local
+    from dotsim_ros.replacement import note_made, remove_made
     from dotsim_ros.view.bag import ViewRequest, view_bag
     from dotsim_ros.view.timeline import ViewTopics
 
+    stay_local()
     bag: Path = arguments.out / "presses"
-    if (bag / "metadata.yaml").is_file():
-        shutil.rmtree(bag)  # that of the demonstration before
+    remove_made(arguments.out, "presses")  # that of the demonstration before
     with ExitStack() as stack:
         sensor = NodeProcess("tactile_sim", {})
         stack.callback(sensor.stop)
@@ -62,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
+    note_made(arguments.out, "presses")
     request = ViewRequest(
         bag=bag,
         out=arguments.out,
@@ -72,6 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
         column_count=6,
         rest=None,
     )
-    for path in [bag, *view_bag(request)]:
+    for path in [bag, *view_bag(request, print)]:
         print(path)
     return 0

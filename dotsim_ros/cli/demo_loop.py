@@ -3,7 +3,7 @@
 Starts tactile_sim, tactile_policy, xarm_sim and tactile_record as processes of their own, which
 talk over DDS, and enables the policy for a while. Leaves the bag OUT/loop, the image of the path
 OUT/path.png, and the report OUT/report.html and OUT/report.md with the figures of the bag.
-Needs ROS 2.
+Needs ROS 2. DDS stays on this machine unless the environment names a Fast DDS profile.
 
 example:
   dotsim_ros demo-loop --out out/demo-loop
@@ -13,7 +13,6 @@ example:
 from __future__ import annotations
 
 import argparse
-import shutil
 from pathlib import Path
 
 POLICY = "densetact2_sphere"
@@ -37,21 +36,23 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
     from dotsim_ros.evaluation.trajectory.page import path_image, trial_report
     from dotsim_ros.evaluation.trajectory.trials import judge, summary_of, trial_start
-    from dotsim_ros.files import write_json
+    from dotsim_ros.files import beside, write_json
+    from dotsim_ros.nodes.common.transport import stay_local
     from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
     from dotsim_ros.page import write_page
     from dotsim_ros.provenance import provenance
+    from dotsim_ros.replacement import note_made, remove_made
     from dotsim_ros.tasks.policy.card import read_policy
     from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
+    stay_local()
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)
     contact = DomeContact()
     path = reference_path(arguments.path, contact)
     bag: Path = arguments.out / "loop"
-    if (bag / "metadata.yaml").is_file():
-        shutil.rmtree(bag)  # that of the demonstration before
+    remove_made(arguments.out, "loop")  # that of the demonstration before
     setup = LoopSetup(policy_name(folder), sensor=arguments.sensor or card.sensor)
     with ClosedLoop(setup, contact=contact) as loop:
         loop.start(path.name)
@@ -61,6 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
+    note_made(arguments.out, "loop")
     recording = read_loop_bag(bag, notes=observed.notes)
     row = judge(recording, path, setup.limits())
     image = path_image(path.name, [recording], name="path")
@@ -70,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         image,
         path=path.name,
         policy=card.name,
-        sensor=Path(setup.sensor).stem,
+        sensor=beside(setup.sensor, "", replaces=(".yaml", ".yml")).name,
         origin=provenance(),
     )
     write_page(arguments.out, page)

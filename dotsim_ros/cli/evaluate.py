@@ -467,11 +467,13 @@ def _trajectory(arguments: argparse.Namespace) -> int:
         trajectory_figures,
     )
     from dotsim_ros.files import cache_directory, write_json, write_text
+    from dotsim_ros.nodes.common.transport import stay_local
     from dotsim_ros.nodes.loop.trials import TrialLoop
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
     from dotsim_ros.provenance import provenance
     from dotsim_ros.tasks.policy.card import read_policy
 
+    stay_local()
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)
     cache = arguments.cache or cache_directory() / "trajectory"

@@ -31,7 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
     add("--reference", type=Path, help="the unit's commissioning: what has changed since?")
     add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
-    add("--effects", type=Path, nargs="+", default=[], help="folders of your own effects")
+    add(
+        "--effects",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="folders of your own effects: every NAME.py there is run as a program, or with "
+        "--candidates those named alone; they are listed before",
+    )
     add(
         "--channels",
         nargs="+",
@@ -60,6 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.demo == (arguments.measured is not None):
         raise ValueError("name a data set with --measured, or ask for --demo")
     if arguments.demo:
+        _check_demo(arguments)
         from dotsim_ros.evaluation.gap.demo import run_demo
 
         return run_demo(arguments.out, seed=arguments.seed, workers=arguments.workers)
@@ -67,6 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.gap.find import find_gap, fit_optical_noise
     from dotsim_ros.gap.findings import as_record
     from dotsim_ros.page import HTML
+    from dotsim_ros.printable import one_line
     from dotsim_ros.progress import PrintedProgress
 
     common: dict[str, Any] = {
@@ -100,8 +110,30 @@ def run(arguments: argparse.Namespace) -> int:
     )
     if arguments.json is not None:
         write_json(arguments.json, as_record(findings))
-    print(f"\n{findings.sentence}")
+    print(f"\n{one_line(findings.sentence)}")
     for text in findings.warnings:
-        print(f"- {text}")
+        print(f"- {one_line(text)}")
     print(f"{arguments.out / HTML}: {findings.verdict.value}")
     return findings.verdict.exit_status
+
+
+def _check_demo(arguments: argparse.Namespace) -> None:
+    """Refuse what the demonstration would leave out of account."""
+    parser = argparse.ArgumentParser()
+    add_arguments(parser)
+    taken = ("demo", "out", "seed", "workers")
+    others = [
+        f"--{name.replace('_', '-')}"
+        for name, value in vars(arguments).items()
+        if name not in taken and value != parser.get_default(name)
+    ]
+    if others:
+        raise ValueError(
+            "--demo makes its own data and searches for every effect: leave out "
+            f"{', '.join(others)}"
+        )
+    if arguments.seed < 0 or arguments.workers < 1:
+        raise ValueError(
+            f"seed is {arguments.seed} and workers {arguments.workers}, expected 0 or more and 1 "
+            "or more"
+        )

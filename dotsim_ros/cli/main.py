@@ -10,11 +10,24 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
+import io
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
+from typing import NoReturn
+
+from dotsim_ros.printable import one_line
 
 FAILED = 1
+INTERRUPTED, TERMINATED = 130, 143
+"""128 and the number of SIGINT or SIGTERM, as shells have it."""
+OUTPUT_FOLDERS = ("out", "run", "record", "cache", "images")
+"""Options of the verbs that name folders to write into; `out` may be a sensor's file, too."""
+OUTPUT_FILES = ("json", "sensor_out", "fit_optical_noise", "fit_discrepancy")
 _NOT_VERBS = ("executables", "main")
 
 
@@ -29,11 +42,18 @@ def verbs() -> dict[str, str]:
     return found
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line, whatever stands in the argument that it repeats."""
+
+    def error(self, message: str) -> NoReturn:
+        super().error(one_line(message))
+
+
 def _overview() -> argparse.ArgumentParser:
     known = verbs()
     width = max(map(len, known), default=0)
     listing = "\n".join(f"  {name:<{width}}  {summary}" for name, summary in known.items())
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="dotsim_ros",
         description="Simulated optical tactile sensors: the commands that need no ROS graph.",
         epilog=f"verbs:\n{listing}\n\nexample:\n  dotsim_ros view --help",
@@ -49,26 +69,76 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         The exit status: 0 when done, 1 where the input was bad (with one line that says why).
-        A wrong command line exits with 2, as argparse does.
+        A wrong command line exits with 2, as argparse does, Ctrl-C with 130, SIGTERM with 143.
     """
     chosen = _overview().parse_args(arguments)
-    module = importlib.import_module(f"dotsim_ros.cli.{chosen.verb.replace('-', '_')}")
+    try:
+        with _ending_on_terminate():
+            return _run(chosen.verb, chosen.rest)
+    except _TerminateError:
+        print(f"dotsim_ros {chosen.verb}: terminated", file=sys.stderr)
+        return TERMINATED
+    except KeyboardInterrupt:
+        print(f"dotsim_ros {chosen.verb}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+class _TerminateError(KeyboardInterrupt):
+    """SIGTERM: what is begun ends as with Ctrl-C, so that nothing of it is left."""
+
+
+@contextmanager
+def _ending_on_terminate() -> Iterator[None]:
+    def end(_number: int, _frame: FrameType | None) -> None:
+        raise _TerminateError
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's
+        return
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _run(verb: str, rest: Sequence[str]) -> int:
+    module = importlib.import_module(f"dotsim_ros.cli.{verb.replace('-', '_')}")
     summary, _, details = (module.__doc__ or "").partition("\n")
-    parser = argparse.ArgumentParser(
-        prog=f"dotsim_ros {chosen.verb}",
+    parser = _Parser(
+        prog=f"dotsim_ros {verb}",
         description=summary,
         epilog=details.strip("\n"),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.add_arguments(parser)
-    parsed = parser.parse_args(chosen.rest)
+    parsed = parser.parse_args(rest)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # A name that the terminal cannot show must not end a command.
+        sys.stdout.reconfigure(errors="backslashreplace")
     try:
+        _check_outputs(parsed)
         return int(module.run(parsed))
     except (ValueError, OSError) as error:
-        print(f"dotsim_ros {chosen.verb}: {error}", file=sys.stderr)
+        # One line, whatever stands in the names that it repeats.
+        print(f"dotsim_ros {verb}: {one_line(error)}", file=sys.stderr)
         return FAILED
-    except KeyboardInterrupt:
-        return 130
+
+
+def _check_outputs(parsed: argparse.Namespace) -> None:
+    """Try whether what a command will write can be written, before it begins.
+
+    Raises:
+        OSError: it cannot; the text names the file or folder.
+    """
+    given = {name: path for name, path in vars(parsed).items() if isinstance(path, Path)}
+    for name in (*OUTPUT_FOLDERS, *OUTPUT_FILES):
+        if name not in given:
+            continue
+        from dotsim_ros.files import check_output_file, check_output_folder
+
+        is_file = name in OUTPUT_FILES or given[name].suffix in (".yaml", ".yml")
+        (check_output_file if is_file else check_output_folder)(given[name])
 
 
 if __name__ == "__main__":

@@ -22,7 +22,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("plan"), help="folder of the solves (plan)")
     add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
     add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
-    add("--effects", type=Path, nargs="+", default=[], help="folders of your own effects")
+    add(
+        "--effects",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="DIR",
+        help="folders of your own effects: every NAME.py there is run as a program; they are "
+        "listed before",
+    )
     add(
         "--channels",
         nargs="+",

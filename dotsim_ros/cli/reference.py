@@ -119,6 +119,12 @@ def run(arguments: argparse.Namespace) -> int:
                 settings=settings,
             )
             notes = press.notes() | {"calculix": version}
+            there = data_set.notes(press.name)
+            if there is not None and "calculix" not in there:
+                raise ValueError(
+                    f"{arguments.out} holds a trajectory {press.name} that was not solved here, "
+                    "expected a folder of solved presses; name another with --out"
+                )
             if data_set.holds(press.name, notes):
                 print(f"{press.name}: there already")
                 continue

@@ -1,7 +1,8 @@
 """Turn a bag into a video and a contact sheet of image, depth, skin and force.
 
 Writes NAME.mp4 (or NAME.gif) and NAME.png, where NAME is the bag's. Topics are found by how their
-names end; name them where a bag has several or others.
+names end; name them where a bag has several or others. A recording that was cut short is shown up
+to its end; a bag whose checksums do not match is refused.
 
 example:
   dotsim_ros view recordings/press --out images
@@ -12,21 +13,36 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
+SLOWEST_FPS, FASTEST_FPS = 0.1, 240.0
+LEAST_SPEED, GREATEST_SPEED = 1e-3, 1e3
+LARGEST_COLUMN_COUNT = 24
 
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (value > 0.0 and math.isfinite(value)):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
+
+def _within(least: float, greatest: float) -> Callable[[str], float]:
+    def number(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not least <= value <= greatest:
+            raise argparse.ArgumentTypeError(
+                f"{text} is not a number from {least:g} to {greatest:g}"
+            )
+        return value
+
+    return number
 
 
 def _count(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 24:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to 24")
-    return value
+    if not (text.isascii() and text.isdigit() and 1 <= int(text[:4]) <= LARGEST_COLUMN_COUNT):
+        raise argparse.ArgumentTypeError(
+            f"{text} is not a whole number from 1 to {LARGEST_COLUMN_COUNT}"
+        )
+    return int(text)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,9 +55,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="mp4",
         help="format of the video (mp4)",
     )
-    parser.add_argument("--fps", type=_positive, help="frames a second (those of the bag)")
     parser.add_argument(
-        "--speed", type=_positive, default=1.0, help="seconds of the bag in one of the video (1)"
+        "--fps",
+        type=_within(SLOWEST_FPS, FASTEST_FPS),
+        help=f"frames a second, {SLOWEST_FPS:g} to {FASTEST_FPS:g} (those of the bag)",
+    )
+    parser.add_argument(
+        "--speed",
+        type=_within(LEAST_SPEED, GREATEST_SPEED),
+        default=1.0,
+        help=f"seconds of the bag in one of the video, {LEAST_SPEED:g} to {GREATEST_SPEED:g} (1)",
     )
     parser.add_argument(
         "--columns", type=_count, default=6, help="columns of the contact sheet (6)"
@@ -73,7 +96,8 @@ def run(arguments: argparse.Namespace) -> int:
         column_count=arguments.columns,
         rest=arguments.rest,
     )
-    for path in view_bag(request):
+    paths = view_bag(request, lambda words: print(f"dotsim_ros view: {words}", file=sys.stderr))
+    for path in paths:
         print(path)
     return 0
 

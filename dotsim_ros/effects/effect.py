@@ -10,15 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import value_text
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.recording import Recording
+from dotsim_ros.printable import one_line
 
 Values = Mapping[str, float]
+Returned = TypeVar("Returned")
 
 SKIN, FORCE, IMAGE = "skin", "force", "image"
 
@@ -154,7 +159,7 @@ class Effect:
         unknown = sorted(set(values) - set(known))
         if unknown:
             raise ValueError(
-                f"effect {self.name!r} has no parameter {', '.join(unknown)}; it has "
+                f"effect {self.name!r} has no parameter {value_text(', '.join(unknown))}; it has "
                 f"{', '.join(known)}"
             )
         result = {name: float(values.get(name, p.probes[0])) for name, p in known.items()}
@@ -172,45 +177,104 @@ class Active:
     values: Mapping[str, float]
 
 
+class EffectError(ValueError):
+    """A hook of an effect that fails or returns what it must not; the text names both."""
+
+
+def _called(
+    active: Active, hook: str, expected: type[Returned], call: Callable[[], Any]
+) -> Returned:
+    """Return what a hook gives.
+
+    Raises:
+        EffectError: it raises an error, or gives something else.
+    """
+    try:
+        found = call()
+    # A user's code fails in whatever way; the search or the sensor says which code it was.
+    except Exception as error:
+        raise EffectError(
+            f"the effect {active.effect.name}: its hook {hook} fails with "
+            f"{type(error).__name__}: {one_line(error)}; mend its file"
+        ) from error
+    if not isinstance(found, expected):
+        raise EffectError(
+            f"the effect {active.effect.name}: its hook {hook} gives "
+            f"{one_line(repr(found))[:80]}, expected a {expected.__name__}; mend its file"
+        )
+    return found
+
+
 def gel_with(effects: Sequence[Active], term: GelTerm, recording: Recording | None) -> GelTerm:
-    """Return the gel that the effects make of one."""
+    """Return the gel that the effects make of one.
+
+    Raises:
+        EffectError: a hook fails.
+    """
     for active in effects:
         if active.effect.gel is not None:
-            term = active.effect.gel(term, active.values, recording)
+            call = partial(active.effect.gel, term, active.values, recording)
+            term = _called(active, "gel", GelTerm, call)
     return term
 
 
+def _filters(effects: Sequence[Active], hook: str) -> list[tuple[Active, Callable[..., Any]]]:
+    """Return a fresh filter of each effect that has the hook."""
+    made = []
+    for active in effects:
+        make = getattr(active.effect, hook)
+        if make is not None:
+            one: Any = _called(active, hook, object, partial(make, active.values))
+            made.append((active, one))
+    return made
+
+
 def motion_filters(effects: Sequence[Active]) -> MotionFilter:
-    """Return fresh filters of the pose, one after the other."""
-    filters = [a.effect.motion(a.values) for a in effects if a.effect.motion is not None]
+    """Return fresh filters of the pose, one after the other; they raise EffectError."""
+    filters = _filters(effects, "motion")
 
     def filtered(stamp_s: float, pose: Pose, force_n: FloatArray) -> Pose:
-        for one in filters:
-            pose = one(stamp_s, pose, force_n)
+        for active, one in filters:
+            pose = _called(active, "motion", Pose, partial(one, stamp_s, pose, force_n))
         return pose
 
     return filtered
 
 
 def response_filters(effects: Sequence[Active]) -> ResponseFilter:
-    """Return fresh filters of skin and force, one after the other."""
-    filters = [a.effect.response(a.values) for a in effects if a.effect.response is not None]
+    """Return fresh filters of skin and force, one after the other; they raise EffectError."""
+    filters = _filters(effects, "response")
 
     def filtered(response: Response) -> Response:
-        for one in filters:
-            response = one(response)
+        for active, one in filters:
+            before = response
+            response = _called(active, "response", Response, partial(one, before))
+            _check_shape(active, "skin", response.skin_position_m, before.skin_position_m)
+            _check_shape(active, "force", response.force_n, before.force_n)
         return response
 
     return filtered
 
 
 def image_filters(effects: Sequence[Active]) -> ImageFilter:
-    """Return fresh filters of the image, one after the other."""
-    filters = [a.effect.image(a.values) for a in effects if a.effect.image is not None]
+    """Return fresh filters of the image, one after the other; they raise EffectError."""
+    filters = _filters(effects, "image")
 
     def filtered(image: SeenImage) -> FloatArray:
-        for one in filters:
-            image = replace(image, pixels=one(image))
+        for active, one in filters:
+            pixels = _called(active, "image", np.ndarray, partial(one, image))
+            _check_shape(active, "image", pixels, image.pixels)
+            image = replace(image, pixels=pixels)
         return image.pixels
 
     return filtered
+
+
+def _check_shape(active: Active, what: str, found: FloatArray, before: FloatArray) -> None:
+    shape = np.shape(found)
+    if shape != before.shape or not np.isfinite(np.sum(found)):
+        wrong = f"of shape {shape}" if shape != before.shape else "that is not finite"
+        raise EffectError(
+            f"the effect {active.effect.name} gives the {what} {wrong}, expected finite numbers of "
+            f"shape {before.shape}; mend its file"
+        )

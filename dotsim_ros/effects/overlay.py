@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 
 from dotsim_ros import __version__
+from dotsim_ros.documents import read_yaml, shortened, value_text
 from dotsim_ros.effects.effect import Active, Effect
 from dotsim_ros.files import write_text
 
@@ -60,6 +61,19 @@ def write_overlay(path: Path, overlay: Overlay) -> None:
     Raises:
         ValueError: an estimate that `read_overlay` would refuse.
     """
+    write_text(path, overlay_text(overlay, place=str(path)))
+
+
+def overlay_text(overlay: Overlay, *, place: str = FILE_NAME) -> str:
+    """Return an overlay as the text of its file.
+
+    Args:
+        overlay: the effects.
+        place: how errors call it.
+
+    Raises:
+        ValueError: an estimate that `read_overlay` would refuse.
+    """
     record = {
         "version": VERSION,
         "dotsim_ros": overlay.written_by,
@@ -76,8 +90,8 @@ def write_overlay(path: Path, overlay: Overlay) -> None:
             for effect in overlay.effects
         ],
     }
-    _overlay_of(record, str(path))
-    write_text(path, yaml.safe_dump(record, sort_keys=False))
+    _overlay_of(record, place)
+    return str(yaml.safe_dump(record, sort_keys=False))
 
 
 def read_overlay(path: str | Path) -> Overlay:
@@ -90,11 +104,7 @@ def read_overlay(path: str | Path) -> Overlay:
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"no overlay of effects at {path}; find_gap writes one")
-    try:
-        record = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path} is no YAML file: {error}") from error
-    return _overlay_of(record, str(path))
+    return _overlay_of(read_yaml(path), str(path))
 
 
 def active_effects(
@@ -115,25 +125,15 @@ def active_effects(
     for name in names:
         if name not in library:
             raise ValueError(
-                f"{place}: unknown effect {name!r}; known are {', '.join(sorted(library))}. One of "
-                "your own lies in a folder that must be named, too"
+                f"{place}: unknown effect {value_text(name)}; known are "
+                f"{', '.join(sorted(library))}. One of your own lies in a folder that must be "
+                "named, too"
             )
         if names.count(name) > 1:
-            raise ValueError(f"{place}: the effect {name!r} stands there twice, expected once")
+            raise ValueError(
+                f"{place}: the effect {value_text(name)} stands there twice, expected once"
+            )
     return tuple(_active(found, library[found.name], place) for found in overlay.effects)
-
-
-def load_active(
-    path: str | Path, library: Mapping[str, Effect]
-) -> tuple[Overlay, tuple[Active, ...]]:
-    """Read an overlay and return it with its effects at work.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: as `read_overlay` and `active_effects`.
-    """
-    overlay = read_overlay(path)
-    return overlay, active_effects(overlay, library, place=str(path))
 
 
 def _active(found: FoundEffect, effect: Effect, place: str) -> Active:
@@ -174,16 +174,15 @@ def _overlay_of(record: Any, place: str) -> Overlay:
         )
     if record["version"] != VERSION:
         raise ValueError(
-            f"{place} is an overlay of version {record['version']!r}, this dotsim_ros reads "
-            f"{VERSION}; search the data again with find_gap"
+            f"{place} is an overlay of version {value_text(record['version'])}, this dotsim_ros "
+            f"reads {VERSION}; search the data again with find_gap"
         )
     if set(record) != _KEYS:
         raise ValueError(
-            f"{place} has the keys {', '.join(map(str, record))}; expected "
-            f"{', '.join(sorted(_KEYS))}"
+            f"{place} has the keys {value_text(list(record))}; expected {', '.join(sorted(_KEYS))}"
         )
     if not isinstance(record["effects"], list):
-        raise ValueError(f"{place}: effects is {record['effects']!r}, expected a list")
+        raise ValueError(f"{place}: effects is {value_text(record['effects'])}, expected a list")
     return Overlay(
         sensor=str(record["sensor"]),
         data_hash=str(record["data_hash"]),
@@ -198,11 +197,15 @@ def _effect_of(entry: Any, place: str) -> FoundEffect:
         or set(entry) != {"name", "parameters"}
         or not isinstance(entry["parameters"], Mapping)
     ):
-        raise ValueError(f"{place}: {entry!r} is no effect, expected its name and parameters")
+        raise ValueError(
+            f"{place}: {value_text(entry)} is no effect, expected its name and parameters"
+        )
     return FoundEffect(
         str(entry["name"]),
         tuple(
-            _estimate_of(str(name), numbers, f"{place}: {entry['name']}.{name}")
+            _estimate_of(
+                str(name), numbers, f"{place}: {shortened(entry['name'])}.{shortened(name)}"
+            )
             for name, numbers in entry["parameters"].items()
         ),
     )
@@ -210,11 +213,11 @@ def _effect_of(entry: Any, place: str) -> FoundEffect:
 
 def _estimate_of(name: str, numbers: Any, place: str) -> Estimate:
     if not isinstance(numbers, Mapping) or set(numbers) != {"unit", *_NUMBERS}:
-        raise ValueError(f"{place} is {numbers!r}, expected unit, {', '.join(_NUMBERS)}")
+        raise ValueError(f"{place} is {value_text(numbers)}, expected unit, {', '.join(_NUMBERS)}")
     for key in _NUMBERS:
         number = numbers[key]
         if isinstance(number, bool) or not isinstance(number, int | float):
-            raise ValueError(f"{place}: {key} is {number!r}, expected a number")
+            raise ValueError(f"{place}: {key} is {value_text(number)}, expected a number")
         if not math.isfinite(number):
             raise ValueError(f"{place}: {key} is {number}, expected a finite number")
     if not numbers["low"] <= numbers["value"] <= numbers["high"]:

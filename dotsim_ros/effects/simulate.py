@@ -174,7 +174,7 @@ def open_solver(
     skin: SkinMesh,
     directory: Path,
     *,
-    folders: Sequence[str | Path] = (),
+    library: Mapping[str, Effect] | None = None,
     workers: int = 2,
 ) -> Iterator[EffectSolver]:
     """Open a pool of processes that each hold the sensor's gel.
@@ -183,9 +183,9 @@ def open_solver(
         specification: the sensor.
         skin: the skin's markers.
         directory: where solves are kept.
-        folders: of the user's effects.
+        library: effects by name; None for those shipped.
         workers: processes.
     """
-    library = load_effects(folders)
     with open_press_solver(specification, skin, directory, workers=workers) as presses:
-        yield EffectSolver(presses, specification, skin, library)
+        known = load_effects() if library is None else library
+        yield EffectSolver(presses, specification, skin, known)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -15,10 +16,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import yaml
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import is_number, read_yaml, value_text
 from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
@@ -302,10 +303,7 @@ def load_indenter(source: str | Path | Mapping[str, Any]) -> Indenter:
         path = parameter_path(f"indenters/{source}.yaml")
     elif not path.is_file():
         raise FileNotFoundError(f"no indenter file {path}")
-    try:
-        definition = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
-        raise ValueError(f"{path}: not a YAML file: {error}") from error
+    definition = read_yaml(path)
     if not isinstance(definition, Mapping):
         raise ValueError(f"{path}: expected a mapping with 'kind', got {type(definition).__name__}")
     return _from_mapping(definition, str(path), path.parent)
@@ -315,23 +313,59 @@ def _from_mapping(definition: Mapping[str, Any], where: str, folder: Path) -> In
     arguments = dict(definition)
     kind = arguments.pop("kind", None)
     name = arguments.pop("name", None)
-    if kind == "mesh":
-        arguments["path"] = folder / str(arguments.get("path", ""))
-    elif kind not in _FACTORIES:
+    if not isinstance(kind, str) or kind not in (*_FACTORIES, "mesh"):
         expected = ", ".join([*sorted(_FACTORIES), "mesh"])
-        raise ValueError(f"{where}: kind must be one of {expected}, got {kind!r}")
+        raise ValueError(f"{where}: kind must be one of {expected}, got {value_text(kind)}")
+    if not isinstance(name, str | None):
+        raise ValueError(f"{where}: name must be text, got {value_text(name)}")
     factory: Callable[..., Indenter] = load_mesh if kind == "mesh" else _FACTORIES[kind]
+    _check_arguments(kind, factory, arguments, where)
+    if kind == "mesh":
+        arguments["path"] = folder / arguments["path"]
     try:
         indenter = factory(**arguments)
-    except (TypeError, ValueError) as error:
+    except FileNotFoundError as error:
+        raise FileNotFoundError(f"{where}: {error}") from error
+    except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
     return Indenter(
         indenter.kind,
         indenter.parameters,
         indenter.mount,
         indenter.mesh,
-        indenter.name if name is None else str(name),
+        indenter.name if name is None else name,
     )
+
+
+def _check_arguments(
+    kind: str, factory: Callable[..., Indenter], arguments: Mapping[str, Any], where: str
+) -> None:
+    """Check that a definition gives what a shape needs, in the right types.
+
+    Raises:
+        ValueError: an entry is missing, unknown, or of another type.
+    """
+    known = inspect.signature(factory).parameters
+    unknown = [name for name in arguments if name not in known]
+    if unknown:
+        raise ValueError(
+            f"{where}: a {kind} has no {value_text(unknown)}; it takes {', '.join(known)}"
+        )
+    for name, parameter in known.items():
+        if name not in arguments:
+            if parameter.default is inspect.Parameter.empty:
+                raise ValueError(f"{where}: a {kind} needs {name}, which is missing")
+            continue
+        value = arguments[name]
+        if name in ("path", "away_axis", "origin"):
+            fits, expected = isinstance(value, str), "text"
+        elif name == "size_m":
+            fits = isinstance(value, list | tuple) and all(map(is_number, value))
+            expected = "3 numbers"
+        else:
+            fits, expected = is_number(value), "a number"
+        if not fits:
+            raise ValueError(f"{where}: {name} is {value_text(value)}, expected {expected}")
 
 
 def _lying(full_length_m: float, radius_m: float) -> Pose:
@@ -342,16 +376,14 @@ def _lying(full_length_m: float, radius_m: float) -> Pose:
 
 def _check_lengths(**lengths: float) -> None:
     for name, value in lengths.items():
-        if not isinstance(value, int | float):
-            raise ValueError(f"{name} must be a number of metres, got {value!r}")
-        if not (np.isfinite(value) and 0.0 < value <= MAXIMUM_EXTENT_M):
+        if not 0.0 < value <= MAXIMUM_EXTENT_M:
             raise ValueError(
                 f"{name} must be a length above 0 and at most {MAXIMUM_EXTENT_M} m, got {value}"
             )
 
 
 def _check_rounding(radius_m: float, largest_m: float) -> None:
-    if not (np.isfinite(radius_m) and 0.0 <= radius_m <= largest_m):
+    if not 0.0 <= radius_m <= largest_m:
         raise ValueError(f"the rounding must lie within 0 to {largest_m:.6g} m, got {radius_m}")
 
 
@@ -374,7 +406,7 @@ def _read_closed_surface(path: Path) -> tuple[FloatArray, NDArray[np.int32]]:
     try:
         mesh: Any = trimesh.load(path, force="mesh", process=True)
     except Exception as error:  # the readers raise whatever their parsers meet
-        raise ValueError(f"{path}: not a readable mesh: {error}") from error
+        raise ValueError(f"{path}: not a readable mesh: {value_text(str(error))}") from error
     faces = getattr(mesh, "faces", None)
     if faces is None or len(faces) == 0:
         raise ValueError(f"{path}: the mesh has no triangles")
@@ -383,6 +415,10 @@ def _read_closed_surface(path: Path) -> tuple[FloatArray, NDArray[np.int32]]:
             f"{path}: {len(faces)} triangles, at most {MAXIMUM_TRIANGLE_COUNT} expected; "
             "simplify it"
         )
+    if np.shape(mesh.vertices)[1:] != (3,):
+        raise ValueError(f"{path}: its vertices have no 3 coordinates; write the mesh anew")
+    if np.shape(faces)[1:] != (3,) or not 0 <= np.min(faces) <= np.max(faces) < len(mesh.vertices):
+        raise ValueError(f"{path}: triangles name vertices that are not there; write the mesh anew")
     if not np.all(np.isfinite(mesh.vertices)):
         raise ValueError(f"{path}: a vertex is not finite")
     if not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0):

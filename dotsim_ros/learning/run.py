@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from dotsim_ros.arrays import ImageArray
+from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import parameter_path, whole_file, write_image, write_json
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, fit_network
@@ -198,7 +199,7 @@ def _write_sensor(request: TrainOpticsRequest, filmed: FilmedData) -> None:
         write_image(fine_path(out / IDLE), filmed.fine)
     described = description_of(request.sensor)
     if described is not None:
-        lights = yaml.safe_load(described.read_text(encoding="utf-8")) or {}
+        lights = read_yaml(described) or {}
         # The disc is that of another image: this one shows the camera's own view.
         lights.pop("disc", None)
         with whole_file((out / IDLE).with_suffix(".yaml")) as part:

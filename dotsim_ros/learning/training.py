@@ -5,17 +5,16 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-import pickle
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from dotsim_ros.files import whole_file
+from dotsim_ros.learning.checkpoint import state_to_resume, take_weights
 from dotsim_ros.learning.examples import ImageExamples
 from dotsim_ros.optics.network.card import BASES
 from dotsim_ros.optics.network.input import CARRIED
@@ -137,6 +136,19 @@ def _fingerprint(kind: str, recipe: TrainingRecipe, examples: ImageExamples, see
     return digest.hexdigest()
 
 
+_ENTRIES = (
+    "fingerprint",
+    "network",
+    "averaged",
+    "optimiser",
+    "order",
+    "psnr_db",
+    "spent_s",
+    "step",
+)
+"""Of a checkpoint."""
+
+
 class NetworkTraining:
     """One network being trained.
 
@@ -153,7 +165,7 @@ class NetworkTraining:
         checkpoint_interval_s: least time between two checkpoints; they are made after an epoch.
 
     Raises:
-        ValueError: the folder holds the checkpoint of another training, or a corrupt one.
+        ValueError: the folder holds the checkpoint of another training. A corrupt one is set aside.
     """
 
     def __init__(
@@ -185,7 +197,7 @@ class NetworkTraining:
         self._steps_an_epoch = len(batches(torch.arange(len(examples.frame)), recipe.batch))
         self._psnr_db: list[float] = []
         self._spent_s, self._step, self._cut_short = 0.0, 0, False
-        if self._checkpoint is not None and self._checkpoint.is_file():
+        if self._checkpoint is not None:
             self._resume(self._checkpoint)
 
     @property
@@ -297,20 +309,16 @@ class NetworkTraining:
             torch.save(state, part)
 
     def _resume(self, path: Path) -> None:
-        try:
-            state: dict[str, Any] = torch.load(path, map_location="cpu", weights_only=True)
-            fingerprint = state["fingerprint"]
-        except (RuntimeError, EOFError, OSError, KeyError, pickle.UnpicklingError) as error:
-            raise ValueError(
-                f"{path} is no checkpoint that can be read ({error}); remove it to train anew"
-            ) from error
-        if fingerprint != self._fingerprint:
+        state = state_to_resume(path, _ENTRIES)
+        if state is None:
+            return
+        if state["fingerprint"] != self._fingerprint:
             raise ValueError(
                 f"{path} belongs to a training with other data, network, seed or settings; choose "
                 "another folder, or remove it to train anew"
             )
-        self.network.load_state_dict(state["network"])
-        self._averaged.load_state_dict(state["averaged"])
+        take_weights(self.network, state["network"], path)
+        take_weights(self._averaged, state["averaged"], path)
         self._optimiser.load_state_dict(state["optimiser"])
         self._order.set_state(state["order"])
         self._psnr_db = list(state["psnr_db"])

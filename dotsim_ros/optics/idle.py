@@ -8,9 +8,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-import yaml
 
 from dotsim_ros.arrays import BoolArray, ImageArray
+from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -262,14 +262,14 @@ def _read_sections(
     path: Path,
 ) -> tuple[LitDisc | None, LightingSpecification, VignettingSpecification]:
     try:
-        document = yaml.safe_load(path.read_text()) or {}
+        document = read_yaml(path) or {}
         unknown = sorted(map(str, set(document) - {"disc", "lighting", "vignetting"}))
         if unknown:
             raise ValueError(f"unknown sections {unknown}; known are disc, lighting, vignetting")
         disc = LitDisc(**_numbers(document["disc"])) if "disc" in document else None
         lighting = section_from(LightingSpecification, "lighting", document.get("lighting"))
         vignetting = section_from(VignettingSpecification, "vignetting", document.get("vignetting"))
-    except (TypeError, ValueError, AttributeError, yaml.YAMLError) as error:
+    except (TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path} describes no idle image: {error}") from error
     return disc, lighting, vignetting
 

@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
+from dotsim_ros.documents import read_yaml
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import INDEX, read_data_set
@@ -44,7 +43,7 @@ def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:
         ValueError: an entry does not state what it was solved for, so it is not a reference's.
     """
     data_set = read_data_set(directory)
-    content = yaml.safe_load((directory / INDEX).read_text(encoding="utf-8"))
+    content = read_yaml(directory / INDEX)
     indenters: dict[str, Indenter] = {}
     presses = []
     for entry, record in zip(data_set.entries, content["trajectories"], strict=True):

@@ -15,7 +15,8 @@ import numpy as np
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
-from dotsim_ros.files import cache_directory
+from dotsim_ros.documents import ArrayForm
+from dotsim_ros.files import cache_directory, short_name
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
@@ -354,8 +355,9 @@ class _Follower:
 
     def __call__(self, press: Press, indenter: Indenter) -> Float32Array:
         """Return the skin (F, V, 3) at the poses of a press."""
-        path = self._cache / f"{press.name}-{self._key(press, indenter)}.npz"
-        known = load_arrays(path)
+        path = self._cache / f"{short_name(press.name)}-{self._key(press, indenter)}.npz"
+        shape = (press.frame_count, self._skin.vertex_count, 3)
+        known = load_arrays(path, {"skin_position_m": ArrayForm(shape)})
         if known is not None:
             return known["skin_position_m"]
         self._say(f"{press.name}: following {press.frame_count} poses")

@@ -49,6 +49,21 @@ KEPT_GELS = 4
 KEPT_TABLES = 4
 
 
+def check_is_quasi_static(specification: SensorSpecification) -> None:
+    """Refuse a solver whose force is not proportional to Young's modulus.
+
+    Raises:
+        ValueError: the solver is explicit or dynamic.
+    """
+    solver = specification.solver
+    if solver.method != "implicit" or solver.dynamic:
+        raise ValueError(
+            f"{specification.name}: solver.method is {solver.method!r} and solver.dynamic "
+            f"{str(solver.dynamic).lower()}, expected a quasi-static implicit gel: set "
+            "solver.method to 'implicit' and solver.dynamic to false"
+        )
+
+
 def offset_pose(pose: Pose, offset: FloatArray) -> Pose:
     """Return a pose moved by (6,): metres along the indenter's axes, radians about its origin."""
     turn = np.array([*(0.5 * offset[3:]), 1.0])
@@ -80,12 +95,8 @@ class GelSimulator:
         progress: Callable[[float], None] | None = None,
         tolerance_m: float = TOLERANCE_M,
     ) -> None:
+        check_is_quasi_static(specification)
         solver = specification.solver
-        if solver.method != "implicit" or solver.dynamic:
-            raise ValueError(
-                "calibration needs a quasi-static implicit gel: set solver.method to 'implicit' "
-                "and solver.dynamic to false"
-            )
         self.specification, self.skin = specification, skin
         self._refined, self._progress = solver.refined, progress
         self._solver = replace(

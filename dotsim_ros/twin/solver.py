@@ -3,7 +3,6 @@ can be resumed, and nothing is solved twice."""
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
@@ -13,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import content_key, load_arrays, store_arrays, tell_broken
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import Indenter
@@ -22,6 +21,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
+from dotsim_ros.worker_pool import open_worker_pool
 
 TOLERANCE_M = 5.0e-6
 """Tolerance of the solves: effects move the skin by tens of micrometres where tried, and a solve
@@ -93,7 +93,8 @@ class PressSolver:
     ) -> None:
         self._pool, self._directory = pool, directory
         s = specification
-        self._sensor = (s.gel, s.solver, s.contact, TOLERANCE_M, skin.rest_position_m)
+        self._sensor = (s.gel, s.solver, s.contact, TOLERANCE_M, skin)
+        self._vertex_count = skin.vertex_count
         self._known: dict[str, SimulatedPress | str] = {}
         self.solve_count = 0
 
@@ -106,7 +107,7 @@ class PressSolver:
         for key, request in zip(keys, requests, strict=True):
             if key in self._known or key in waiting.values():
                 continue
-            stored = _load(self._path(key))
+            stored = _load(self._path(key), (len(request.poses), self._vertex_count))
             if stored is None:
                 waiting[self._pool.submit(_solve, request)] = key
             else:
@@ -163,13 +164,25 @@ def _store(path: Path, found: SimulatedPress | str) -> None:
     )
 
 
-def _load(path: Path) -> SimulatedPress | str | None:
+def _load(path: Path, shape: tuple[int, int]) -> SimulatedPress | str | None:
+    """Return a kept solve of so many frames and vertices; None where there is none to be used."""
     stored = load_arrays(path)
     if stored is None:
         return None
     if "error" in stored:
         return str(stored["error"])
-    return SimulatedPress(stored["skin_position_m"], stored["force_n"], bool(stored["converged"]))
+    skin, force = stored.get("skin_position_m"), stored.get("force_n")
+    if (
+        skin is None
+        or force is None
+        or skin.shape != (*shape, 3)
+        or force.shape != (shape[0], 3)
+        or not (np.isfinite(skin).all() and np.isfinite(force).all())
+        or stored.get("converged", np.zeros(0)).shape != ()
+    ):
+        tell_broken(path, f"it holds no skin and force of {shape[0]} frames")
+        return None
+    return SimulatedPress(skin, force, bool(stored["converged"]))
 
 
 @contextmanager
@@ -184,13 +197,5 @@ def open_press_solver(
         directory: where solves are kept.
         workers: processes.
     """
-    # Forked children would share the threads and locks of Warp.
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(
-        workers, mp_context=context, initializer=_begin, initargs=(specification, skin)
-    ) as pool:
-        try:
-            yield PressSolver(pool, directory, specification, skin)
-        except BaseException:
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+    with open_worker_pool(workers, _begin, specification, skin) as pool:
+        yield PressSolver(pool, directory, specification, skin)

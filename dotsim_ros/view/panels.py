@@ -20,6 +20,7 @@ CHANGE_GAIN = 3.0
 DEPTH_COLOURS = "viridis_r"
 SKIN_COLOURS = "inferno"
 LEAST_DISPLACEMENT_M = 1e-4
+LARGEST_ASPECT = 10
 SAMPLE = 7
 """Depth ranges are taken from every seventh pixel of every seventh row."""
 
@@ -35,6 +36,15 @@ class Ranges:
 
     depth_m: tuple[float, float] | None
     displacement_m: float | None
+
+
+def _check_sides(image: ImageArray) -> None:
+    height, width = image.shape[:2]
+    if max(height, width) > LARGEST_ASPECT * min(height, width):
+        raise ValueError(
+            f"an image of {width} x {height} pixels cannot be shown: expected no side longer than "
+            f"{LARGEST_ASPECT} times the other"
+        )
 
 
 def coloured(values: FloatArray, low: float, high: float, colours: str) -> ImageArray:
@@ -70,13 +80,17 @@ class PanelImages:
         displacements: list[float] = []
         for moment in moments:
             if moment.image is not None and self._first_image is None:
+                _check_sides(moment.image)
                 self._first_image = moment.image.copy()
             if moment.depth_m is not None:
                 sample = np.asarray(moment.depth_m[::SAMPLE, ::SAMPLE], dtype=np.float64)
                 if np.isfinite(sample).any():
                     depths += np.nanpercentile(sample, [1.0, 99.0]).tolist()
             if moment.cloud is not None:
-                displacements.append(float(np.nanmax(self._displacement_m(moment))))
+                displacement_m = self._displacement_m(moment)
+                displacements.append(
+                    float(np.max(displacement_m, where=np.isfinite(displacement_m), initial=0.0))
+                )
         self.ranges = Ranges(
             (min(depths), max(depths)) if depths else None,
             max(LEAST_DISPLACEMENT_M, *displacements) if displacements else None,
@@ -133,7 +147,12 @@ class PanelImages:
     def _rest(self, moment: BagMoment) -> FloatArray:
         if self._rest_m is None:
             assert moment.cloud is not None
-            self._rest_m = rest_position_m(moment.cloud)
+            rest_m = rest_position_m(moment.cloud)
+            if not np.isfinite(rest_m).all():
+                raise ValueError(
+                    "the skin at rest holds a point that is not finite: name the skin with --rest"
+                )
+            self._rest_m = rest_m
         return self._rest_m
 
     def _displacement_m(self, moment: BagMoment) -> FloatArray:

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dotsim_ros.files import whole_file
+from dotsim_ros.printable import boxes_for_missing_glyphs, figure_label
 from dotsim_ros.view.figure import FAINT, INK, STYLE, TITLES, colour_scale, draw_forces
 from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.timeline import BagMoment, Forces
@@ -73,7 +74,7 @@ def write_sheet(
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=size, dpi=DOTS_PER_INCH, layout="constrained")
         FigureCanvasAgg(figure)
-        figure.suptitle(title, fontsize=13)
+        figure.suptitle(figure_label(title, 80), fontsize=13)
         grid = figure.add_gridspec(
             len(shapes) + 1, len(columns), height_ratios=[*heights, PLOT_INCHES]
         )
@@ -105,7 +106,7 @@ def write_sheet(
                 clip_on=False,
                 markersize=7,
             )
-        with whole_file(path) as temporary:
+        with whole_file(path) as temporary, boxes_for_missing_glyphs():
             figure.savefig(temporary, format="png")
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,7 +13,11 @@ from numpy.typing import NDArray
 import msg_adapters
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.measured.bag import BagMessage, BagReader, serialized_stamp_ns
+from dotsim_ros.measured.mcap.reader import Tolerance
 from dotsim_ros.measured.trajectory import decode_colour
+
+LARGEST_FORCE_N = 1e6
+"""What is larger is no force that was measured, and leaves no scale for the others."""
 
 IMAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
@@ -114,26 +119,72 @@ class Forces:
 
 
 def _changed(moment: BagMoment, message: BagMessage, topics: ViewTopics) -> BagMoment:
+    """Return the moment with what a message shows.
+
+    Raises:
+        ValueError: the message is malformed.
+    """
     content = message.message()
-    if message.topic == topics.image:
-        return replace(moment, image=decode_colour(content))
-    if message.topic == topics.depth:
-        if content.encoding != "32FC1":
-            raise ValueError(f"{message.topic} holds {content.encoding} images, expected 32FC1")
-        return replace(moment, depth_m=msg_adapters.decode_image(content))
-    return replace(moment, cloud=msg_adapters.decode_cloud(content))
+    with _named(message, moment.stamp_ns):
+        if message.topic == topics.image:
+            return replace(moment, image=decode_colour(content))
+        if message.topic == topics.depth:
+            if content.encoding != "32FC1":
+                raise ValueError(f"holds a {content.encoding} image, expected 32FC1")
+            return replace(moment, depth_m=msg_adapters.decode_image(content))
+        return replace(moment, cloud=msg_adapters.decode_cloud(content))
 
 
-def read_stamps(path: str | Path, topics: ViewTopics) -> NDArray[np.int64]:
-    """Return the increasing times (ns) at which `iterate_moments` yields.
+@contextmanager
+def _named(message: BagMessage, stamp_ns: int) -> Iterator[None]:
+    """Put bag, topic and time before what is wrong with a message."""
+    try:
+        yield
+    except ValueError as error:
+        place = f"{message.bag}, {message.topic}, message of {1e-9 * stamp_ns:.3f} s"
+        raise ValueError(f"{place}: {error}") from error
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """Times of what a bag shows.
+
+    Attributes:
+        stamp_ns: (N,) increasing, those at which `iterate_moments` yields.
+        refused_count: messages whose stamp is no time; they are not shown.
+        damage: what is wrong with the bag, in words.
+    """
+
+    stamp_ns: NDArray[np.int64]
+    refused_count: int
+    damage: tuple[str, ...]
+
+
+def read_stamps(path: str | Path, topics: ViewTopics) -> Stamps:
+    """Return the times of what a bag shows.
 
     Raises:
         FileNotFoundError: no bag at `path`.
         ValueError: it is no bag that can be read.
     """
-    with BagReader(path) as bag:
-        stamps = {serialized_stamp_ns(m.serialized) for m in bag.messages(*_visible(topics))}
-    return np.array(sorted(stamps), dtype=np.int64)
+    stamps: set[int] = set()
+    refused_count = 0
+    with BagReader(path, Tolerance.UNFINISHED) as bag:
+        visible = _visible(topics)
+        for message in bag.messages(*visible, *([topics.wrench] if topics.wrench else [])):
+            stamp_ns = _stamp_ns(message)
+            if stamp_ns is None:
+                refused_count += 1
+            elif message.topic in visible:
+                stamps.add(stamp_ns)
+        return Stamps(np.array(sorted(stamps), dtype=np.int64), refused_count, bag.damage)
+
+
+def _stamp_ns(message: BagMessage) -> int | None:
+    try:
+        return serialized_stamp_ns(message.serialized)
+    except ValueError:
+        return None
 
 
 def _visible(topics: ViewTopics) -> list[str]:
@@ -143,14 +194,18 @@ def _visible(topics: ViewTopics) -> list[str]:
 def iterate_moments(path: str | Path, topics: ViewTopics) -> Iterator[BagMoment]:
     """Yield what the bag shows, once for each stamp, when all of that stamp has been read.
 
+    A bag that was not finished is read up to its end; messages whose stamp is no time are left out.
+
     Raises:
         FileNotFoundError: no bag at `path`.
         ValueError: it is no bag that can be read, or a message is malformed.
     """
     moment: BagMoment | None = None
-    with BagReader(path) as bag:
+    with BagReader(path, Tolerance.UNFINISHED) as bag:
         for message in bag.messages(*_visible(topics)):
-            stamp_ns = serialized_stamp_ns(message.serialized)
+            stamp_ns = _stamp_ns(message)
+            if stamp_ns is None:
+                continue
             if moment is None:
                 moment = BagMoment(stamp_ns)
             elif stamp_ns != moment.stamp_ns:
@@ -171,11 +226,21 @@ def read_forces(path: str | Path, topic: str | None) -> Forces | None:
     if topic is None:
         return None
     stamps, forces = [], []
-    with BagReader(path) as bag:
+    with BagReader(path, Tolerance.UNFINISHED) as bag:
         for bag_message in bag.messages(topic):
+            stamp_ns = _stamp_ns(bag_message)
+            if stamp_ns is None:
+                continue
             message = bag_message.message()
-            stamps.append(msg_adapters.message_stamp_ns(message))
-            forces.append(msg_adapters.decode_wrench_stamped(message)[0])
+            with _named(bag_message, stamp_ns):
+                force_n = msg_adapters.decode_wrench_stamped(message)[0]
+                if np.abs(force_n).max() > LARGEST_FORCE_N:
+                    raise ValueError(
+                        f"a force of {np.abs(force_n).max():.3g} N, expected at most "
+                        f"{LARGEST_FORCE_N:g} N"
+                    )
+            stamps.append(stamp_ns)
+            forces.append(force_n)
     if not stamps:
         return None
     order = np.argsort(stamps, kind="stable")

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
+import tempfile
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import IO
 
 import cv2
 import imageio_ffmpeg
@@ -19,6 +23,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import whole_file
+from dotsim_ros.printable import boxes_for_missing_glyphs, figure_label
 from dotsim_ros.view.figure import INK, STYLE, TITLES, colour_scale, draw_forces
 from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.timeline import BagMoment, Forces
@@ -30,6 +35,8 @@ MARGIN_PX = 20
 TITLE_PX = 34
 LONGEST_PANEL_PX = 400
 GIF_WIDTH_PX = 640
+QUALITY = 10
+"""Of H.264, where 0 is exact and 51 is worst."""
 
 
 @dataclass(frozen=True)
@@ -119,12 +126,13 @@ class Board:
         figure.text(
             1.0 - 2 * MARGIN_PX / WIDTH_PX,
             1.0 - 8 / HEIGHT_PX,
-            title,
+            figure_label(title, 80),
             fontsize=11,
             ha="right",
             va="top",
         )
-        canvas.draw()
+        with boxes_for_missing_glyphs():
+            canvas.draw()
         self._background = np.asarray(canvas.buffer_rgba())[..., :3].copy()
         box = plot.get_window_extent()
         self._plot_rows = (round(HEIGHT_PX - box.y1), round(HEIGHT_PX - box.y0))
@@ -223,42 +231,80 @@ def write_video(
 
     Returns:
         The number of frames.
+
+    Raises:
+        OSError: ffmpeg could not; the message ends with what it said last.
     """
     count = 0
-    with whole_file(path) as temporary:
-        writer = imageio_ffmpeg.write_frames(
-            str(temporary), (WIDTH_PX, HEIGHT_PX), fps=fps, codec="libx264", quality=8
-        )
-        writer.send(None)
-        try:
-            for moment in paced(moments, fps=fps, speed=speed):
-                writer.send(np.ascontiguousarray(board.frame(moment)))
-                count += 1
-        finally:
-            writer.close()
+    with whole_file(path) as temporary, _ffmpeg(_encoding(temporary, fps), path) as stream:
+        for moment in paced(moments, fps=fps, speed=speed):
+            stream.write(np.ascontiguousarray(board.frame(moment)).data)
+            count += 1
     return count
+
+
+def _encoding(path: Path, fps: float) -> list[str]:
+    """Return ffmpeg's arguments: frames come from its standard input."""
+    return [
+        *("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{WIDTH_PX}x{HEIGHT_PX}"),
+        *("-r", f"{fps:.6f}", "-i", "-", "-an"),
+        # Chroma of half the size is what most players take.
+        *("-c:v", "libx264", "-crf", str(QUALITY), "-pix_fmt", "yuv420p", str(path)),
+    ]
+
+
+@contextmanager
+def _ffmpeg(arguments: list[str], path: str | Path) -> Iterator[IO[bytes]]:
+    """Run ffmpeg and yield its standard input.
+
+    Raises:
+        OSError: it failed; the text ends with what it said last.
+    """
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-y", *arguments]
+    with tempfile.TemporaryFile() as said:
+        # In a session of its own: a Ctrl-C at the terminal is ours to handle.
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=said,
+            start_new_session=True,
+        )
+        assert process.stdin is not None
+        takes_all = False
+        try:
+            # An ffmpeg that has ended takes no more frames; what it said tells why.
+            with suppress(BrokenPipeError):
+                yield process.stdin
+                process.stdin.close()
+                takes_all = True
+            status = process.wait()
+        except BaseException:
+            process.kill()
+            process.wait()
+            raise
+        if status != 0 or not takes_all:
+            said.seek(0)
+            lines = said.read().decode(errors="replace").split("\n")
+            last = [line for line in lines if line.strip()][-1:] or [_ending(status)]
+            raise OSError(f"{path} could not be written: ffmpeg: {last[0].strip()}")
+
+
+def _ending(status: int) -> str:
+    return f"ended by {signal.Signals(-status).name}" if status < 0 else f"exit status {status}"
 
 
 def write_gif(path: str | Path, video: str | Path, *, fps: float, width_px: int) -> None:
     """Write an animated GIF of a video, with a palette of its own, whole or not at all.
 
     Raises:
-        OSError: ffmpeg could not; the message holds what it said.
+        OSError: ffmpeg could not; the message ends with what it said last.
     """
     graph = (
         f"fps={fps:g},scale={width_px}:-1:flags=lanczos,split[a][b];"
         "[a]palettegen=stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4"
     )
     with whole_file(path) as temporary:
-        done = subprocess.run(
-            [
-                imageio_ffmpeg.get_ffmpeg_exe(),
-                *("-v", "error", "-y", "-i", str(video), "-filter_complex", graph),
-                str(temporary),
-            ],
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        if done.returncode != 0:
-            raise OSError(f"ffmpeg could not write {path}: {done.stderr.strip()}")
+        arguments = ["-i", str(video), "-filter_complex", graph, str(temporary)]
+        with _ffmpeg(arguments, path):
+            pass

@@ -6,6 +6,7 @@ Newton's method with a line search (Nocedal and Wright, "Numerical Optimization"
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -52,6 +53,8 @@ a released marker would otherwise decay for hundreds of steps, count as contact 
 end as subnormal numbers, with which a product takes ten times as long."""
 LARGEST_SUBSTEP_M = 0.6e-3
 """The indenter moves no farther in a substep, so that no marker passes through it."""
+NEAR_M = 5.0e-3
+"""An indenter that is farther from the ball around the gel is on a way that touches nothing."""
 PATCH_MARGIN_M = 2.2e-3
 """Markers closer to the indenter than this are in a new patch..."""
 PATCH_KEPT_M = 1.0e-3
@@ -226,6 +229,7 @@ class ImplicitGel:
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and forget the state."""
+        inner_point_m = _inner_point_m(indenter)
         self.contact = Contact(
             indenter,
             self.skin.rest_area_m2,
@@ -233,7 +237,7 @@ class ImplicitGel:
             self.contact_specification,
             device=self.device,
         )
-        self._inner_point_m = _inner_point_m(indenter)
+        self._inner_point_m = inner_point_m
         self.reset()
 
     def reset(self) -> None:
@@ -317,12 +321,35 @@ class ImplicitGel:
             reach = float(np.ptp(self.skin.rest_position_m, axis=0).max())
             start = Pose(pose.position_m + reach * away, pose.quaternion_xyzw)
         count = max(1, int(np.ceil(self._way_m(world, start, pose) / LARGEST_SUBSTEP_M)))
-        path = [interpolate(start, pose, k / count) for k in range(1, count)] + [pose]
+        first, last = self._shares_near(start, pose)
+        near = range(max(1, int(first * count)), min(count, int(last * count) + 2))
+        path = [interpolate(start, pose, k / count) for k in near] + [pose]
         for waypoint in path:
             self.check_depth(waypoint)
         while len(path) > 1 and world.response is None and not self._touches_rest(path[0]):
             path.pop(0)
         return list(path)
+
+    def _shares_near(self, start: Pose, end: Pose) -> tuple[float, float]:
+        """Return between which shares of the straight way the indenter can meet the gel at all; an
+        empty interval where it never can."""
+        lower, upper = self._shape.bounds_m()
+        middle, corner = 0.5 * (lower + upper), 0.5 * (upper - lower)
+        # What can move with it, seen from the indenter's origin.
+        arm_m = float(np.linalg.norm(np.abs(self.contact.indenter.bounds_m()).max(axis=0)))
+        reach_m = float(np.linalg.norm(corner)) + arm_m + NEAR_M
+        way, offset = end.position_m - start.position_m, start.position_m - middle
+        length_m = float(np.linalg.norm(way))
+        if length_m < NEAR_M:
+            return 0.0, 1.0
+        # Where the line enters and leaves the ball around the gel.
+        closest_m = -float(offset @ way) / length_m
+        beside_m = float(np.linalg.norm(offset + closest_m / length_m * way))
+        if beside_m >= reach_m:
+            return 1.0, 0.0
+        half_m = math.sqrt(reach_m**2 - beside_m**2)
+        first, last = (closest_m - half_m) / length_m, (closest_m + half_m) / length_m
+        return min(1.0, max(0.0, first)), max(0.0, min(1.0, last))
 
     def _way_m(self, world: World, start: Pose, end: Pose) -> float:
         """Return how far the indenter moves at most where it is close to the skin."""

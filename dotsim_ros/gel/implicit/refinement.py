@@ -18,7 +18,8 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import content_key, load_arrays, store_arrays, tell_broken
+from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization, discretize, images_of_cells
@@ -274,15 +275,36 @@ def _compute(
     )
 
 
+_FORMS = {
+    "indptr": ArrayForm((None,), "whole number"),
+    "index": ArrayForm((None,), "whole number"),
+    "block": ArrayForm((None, 3, 3)),
+    "node_position_m": ArrayForm((None, 3)),
+    "weight": ArrayForm((None,)),
+    "weight_index": ArrayForm((None,), "whole number"),
+    "weight_indptr": ArrayForm((None,), "whole number"),
+}
+
+
 def _load(path: Path) -> _Table | None:
-    stored = load_arrays(path)
+    stored = load_arrays(path, _FORMS)
     if stored is None:
         return None
     position = stored["node_position_m"]
-    weight = sparse.csr_matrix(
-        (stored["weight"], stored["weight_index"], stored["weight_indptr"]),
-        shape=(len(stored["weight_indptr"]) - 1, len(position)),
-    )
+    try:
+        weight = sparse.csr_matrix(
+            (stored["weight"], stored["weight_index"], stored["weight_indptr"]),
+            shape=(len(stored["weight_indptr"]) - 1, len(position)),
+        )
+        weight.check_format()
+        # The same rules hold for the rows of dG.
+        sparse.csr_matrix(
+            (np.arange(len(stored["index"])), stored["index"], stored["indptr"]),
+            shape=(len(position), len(position)),
+        ).check_format()
+    except ValueError as error:
+        tell_broken(path, error)
+        return None
     return _Table(weight, stored["indptr"], stored["index"], stored["block"], position)
 
 

@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.network.carded_weights import CardKind, read_weights
 
 FORMAT = 1
 """Raised whenever a network's input or output changes its meaning."""
 
+SMALLEST_PX, LARGEST_PX = 16, 4096
 BASES = {"ours": "warped", "paper": "idle", "paper_direct": "none", "unet": "idle"}
 """What each kind of network's output is added to."""
 FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1}
@@ -40,6 +42,9 @@ class NetworkCard:
         data: what it was trained on.
         commit, date, command: that it was trained by.
         metrics: figures by name.
+
+    Raises:
+        ValueError: the kind is unknown, or a length is out of range.
     """
 
     version: int
@@ -55,6 +60,17 @@ class NetworkCard:
     date: str = ""
     command: str = ""
     metrics: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.kind not in BASES:
+            raise ValueError(f"kind is {value_text(self.kind)}, expected one of {', '.join(BASES)}")
+        fineness = FINENESS[self.kind]
+        for name, length in (("width", self.width), ("height", self.height)):
+            if not SMALLEST_PX <= length <= LARGEST_PX or length % fineness:
+                raise ValueError(
+                    f"{name} is {length}, expected {SMALLEST_PX} to {LARGEST_PX} pixels, a "
+                    f"multiple of {fineness}"
+                )
 
     def text(self) -> str:
         """Return the card as JSON."""
@@ -98,12 +114,13 @@ def check_card(card: NetworkCard, *, sensor: str, camera: FisheyeCamera, source:
     """
     if card.sensor != sensor:
         raise ValueError(
-            f"{source} was trained for the sensor {card.sensor!r}, not for {sensor!r}; train one "
-            "for this sensor with dotsim_ros train-optics, or leave camera.residual empty"
+            f"{source} was trained for the sensor {value_text(card.sensor)}, not for {sensor!r}; "
+            "train one for this sensor with dotsim_ros train-optics, or leave camera.residual empty"
         )
     if card.camera != camera_hash(camera):
         raise ValueError(
-            f"{source} was trained for another camera of {sensor!r} (hash {card.camera}, this "
-            f"camera's is {camera_hash(camera)}): its direction, lens or place has changed since; "
-            "train the network anew with dotsim_ros train-optics, or leave camera.residual empty"
+            f"{source} was trained for another camera of {sensor!r} (hash "
+            f"{value_text(card.camera)}, this camera's is {camera_hash(camera)}): its direction, "
+            "lens or place has changed since; train the network anew with dotsim_ros train-optics, "
+            "or leave camera.residual empty"
         )

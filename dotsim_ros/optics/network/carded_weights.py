@@ -8,23 +8,25 @@
 from __future__ import annotations
 
 import hashlib
-import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, ClassVar, Generic, Protocol, TypeVar
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from dotsim_ros.documents import parse_json, shortened, value_text
 from dotsim_ros.files import whole_file
 
 WEIGHTS = "weights.safetensors"
 GRAPH = "network.onnx"
 CARD = "card.json"
 CARD_KEY = "card"
+LARGEST_FILE_BYTES = 2_000_000_000
 
 
 class Card(Protocol):
@@ -83,25 +85,56 @@ def card_from(text: str, path: Path, kind: CardKind[AnyCard]) -> AnyCard:
         kind: which card is expected.
 
     Raises:
-        ValueError: it is no card, or one of another version.
+        ValueError: it is no card, or one of another version; an entry is missing, unknown, of the
+            wrong type or out of range.
     """
     try:
-        record = json.loads(text)
-        version = record["version"]
-    except (json.JSONDecodeError, TypeError, KeyError) as error:
-        raise ValueError(f"{path} has no card that can be read ({error})") from error
+        record = parse_json(text, "the card")
+        if not isinstance(record, dict) or "version" not in record:
+            raise ValueError(f"the card is {value_text(record)}, without a version")
+    except ValueError as error:
+        raise ValueError(
+            f"{path} has no card that can be read ({shortened(error)}); copy it again or train the "
+            f"{kind.noun} anew"
+        ) from error
+    version = record["version"]
     if version != kind.version:
         raise ValueError(
-            f"{path} is of version {version}, expected {kind.version}; train the {kind.noun} anew "
-            f"with this version of the package: {kind.command} --help"
+            f"{path} is of version {value_text(version)}, expected {kind.version}; train the "
+            f"{kind.noun} anew with this version of the package: {kind.command} --help"
         )
     known = {entry.name for entry in fields(kind.card)}
     if set(record) != known:
         raise ValueError(
-            f"{path}: its card has the entries {sorted(record)}, expected {sorted(known)}; train "
-            f"the {kind.noun} anew"
+            f"{path}: its card has the entries {value_text(sorted(record))}, expected "
+            f"{sorted(known)}; train the {kind.noun} anew"
         )
-    return kind.card(**record)
+    for name, hint in get_type_hints(kind.card).items():
+        expected = _misfit(record[name], hint)
+        if expected:
+            raise ValueError(
+                f"{path}: {name} of its card is {value_text(record[name])}, expected {expected}; "
+                f"train the {kind.noun} anew"
+            )
+    try:
+        return kind.card(**record)
+    except ValueError as error:
+        raise ValueError(f"{path}: its card: {error}; train the {kind.noun} anew") from error
+
+
+def _misfit(value: Any, hint: Any) -> str:
+    """Return what a value of JSON should be by a type hint; empty where it is that."""
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if hint is int:
+        return "" if is_number and isinstance(value, int) else "a whole number"
+    if hint is float:
+        return "" if is_number and math.isfinite(value) else "a finite number"
+    if hint is str:
+        return "" if isinstance(value, str) else "text"
+    if get_origin(hint) is tuple:
+        are_texts = isinstance(value, list) and all(isinstance(each, str) for each in value)
+        return "" if are_texts else "a list of texts"
+    return "" if isinstance(value, dict) else "names and their values"
 
 
 def read_weights(folder: Path, kind: CardKind[AnyCard]) -> tuple[AnyCard, dict[str, NDArray[Any]]]:
@@ -109,7 +142,8 @@ def read_weights(folder: Path, kind: CardKind[AnyCard]) -> tuple[AnyCard, dict[s
 
     Raises:
         FileNotFoundError: no such folder, or one without weights or graph.
-        ValueError: a file is corrupt, does not belong to the other, or is of another version.
+        ValueError: a file is corrupt, too large, does not belong to the other, or is of another
+            version; a weight is not finite.
     """
     path, graph = folder / WEIGHTS, folder / GRAPH
     for needed in (path, graph):
@@ -118,13 +152,21 @@ def read_weights(folder: Path, kind: CardKind[AnyCard]) -> tuple[AnyCard, dict[s
                 f"{folder} holds no {kind.noun}: there is no {needed.name}; make one with "
                 f"{kind.command}"
             )
+        size = needed.stat().st_size
+        if size > LARGEST_FILE_BYTES:
+            raise ValueError(
+                f"{needed} has {size} bytes, expected at most {LARGEST_FILE_BYTES}; it is no "
+                f"{kind.noun} that {kind.command} wrote"
+            )
     again = f"again or train the {kind.noun} anew"
     try:
         with safe_open(path, framework="numpy") as content:
-            card = card_from((content.metadata() or {}).get(CARD_KEY, "null"), path, kind)
+            text = (content.metadata() or {}).get(CARD_KEY, "null")
             weights = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
-    except SafetensorError as error:
-        raise ValueError(f"{path} is corrupt ({error}); copy it {again}") from error
+    # Types that numpy has not, too.
+    except (SafetensorError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError(f"{path} is corrupt ({shortened(error)}); copy it {again}") from error
+    card = card_from(text, path, kind)
     if weights_hash(weights) != card.weights_sha256:
         raise ValueError(
             f"{path} is corrupt: its weights are not those that its card was written for; copy it "
@@ -135,6 +177,9 @@ def read_weights(folder: Path, kind: CardKind[AnyCard]) -> tuple[AnyCard, dict[s
             f"{graph} is corrupt or belongs to other weights than {path.name} beside it; copy both "
             f"{again}"
         )
+    for name, array in weights.items():
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise ValueError(f"{path} holds weights that are not finite ({name}); copy it {again}")
     return card, weights
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnxruntime
 
 from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
-from dotsim_ros.optics.network.card import BASES, FINENESS, check_card, read_network
+from dotsim_ros.optics.network.card import BASES, FINENESS, NETWORK, check_card, read_network
 from dotsim_ros.optics.network.carded_weights import GRAPH
-from dotsim_ros.optics.network.input import CompletionInput, resized
+from dotsim_ros.optics.network.input import FADE, FRAME, CompletionInput, resized
+from dotsim_ros.optics.network.session import Network
 from dotsim_ros.optics.renderer import View
 
 THREADS = 1
@@ -32,7 +32,8 @@ class CompletionNetwork:
 
     Raises:
         FileNotFoundError: no network there.
-        ValueError: a file is corrupt, of another version, or for another sensor or camera.
+        ValueError: a file is corrupt, of another version, or for another sensor or camera; the
+            graph cannot be run, or takes or gives something else.
     """
 
     def __init__(
@@ -46,16 +47,20 @@ class CompletionNetwork:
         self.card = read_network(directory)
         check_card(self.card, sensor=sensor, camera=camera, source=directory)
         self._camera = camera
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = thread_count
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        # A thread that waits for the next frame must not take a core from the gel.
-        options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-        self._session = onnxruntime.InferenceSession(
-            directory / GRAPH, options, providers=["CPUExecutionProvider"]
+        width, height = self.card.width, self.card.height
+        fineness = FINENESS[self.card.kind]
+        geometry = (height // fineness, width // fineness)
+        self._network = Network(
+            directory / GRAPH,
+            inputs={
+                "frame": (1, FRAME.stop, *geometry),
+                "rest": (1, FADE.stop, *geometry),
+                "image": (1, 3, height, width),
+            },
+            output=(1, 3, height, width),
+            thread_count=thread_count,
+            noun=NETWORK.noun,
         )
-        self._inputs = {entry.name for entry in self._session.get_inputs()}
 
     def at_rest(self, view: View, idle: ImageArray) -> LearnedCompletion:
         """Return the completion for one idle frame.
@@ -81,8 +86,7 @@ class CompletionNetwork:
     def added(self, frame: Float32Array, rest: Float32Array, image: Float32Array) -> Float32Array:
         """Return what the network adds (3, f h, f w), over 255; see `network_input`."""
         arrays = {"frame": frame[None], "rest": rest[None], "image": image[None]}
-        fed = {name: array for name, array in arrays.items() if name in self._inputs}
-        return np.asarray(self._session.run(None, fed)[0][0])
+        return np.asarray(self._network(arrays)[0])
 
 
 class LearnedCompletion:
