@@ -88,7 +88,7 @@ def unit(sensor: SensorSpecification, run: Path, tmp_path_factory: pytest.TempPa
     model = TwinCamera(sensor, width=WIDTH, height=HEIGHT)
     dark = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
     assert cv2.imwrite(str(data / "idle_0.png"), cv2.cvtColor(model.idle, cv2.COLOR_RGB2BGR))
-    blank = _with_images(data, lambda name, count: np.repeat(dark[None], count, axis=0))
+    blank = _with_images(data, lambda name, count: np.stack([dark + n for n in range(count)]))
     recordings = [one.recording for one in blank.trajectories]
     with open_solver(sensor, skin_of(sensor.gel), run / "solves", workers=1) as solver:
         answers = solver.run([request_of(r, values_of(sensor)) for r in recordings])

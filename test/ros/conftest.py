@@ -9,9 +9,12 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros,test]'")
 
+from dotsim_ros.nodes.common.transport import stay_local
+
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
+stay_local()
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="dotsim_ros_log_"))
 # For `harness`, which is no test.
 sys.path.insert(0, str(Path(__file__).parent))

@@ -248,7 +248,7 @@ class Rig(Observer):
         image_frame, pose_frame: frames of the messages.
         encoding: of the images that are not compressed, rgb8 or bgr8.
         force_n: the force.
-        images: their publisher.
+        images, poses, wrenches: their publishers.
         last_image_s: stamp of the newest that was sent.
     """
 
@@ -271,8 +271,8 @@ class Rig(Observer):
             (CompressedImage, "image_raw/compressed") if compressed else (Image, "image_raw")
         )
         self.images = self.node.create_publisher(kind, topic, 5)
-        self._poses = self.node.create_publisher(PoseStamped, "ee_pose", 5)
-        self._wrenches = self.node.create_publisher(WrenchStamped, "wrench", 5)
+        self.poses = self.node.create_publisher(PoseStamped, "ee_pose", 5)
+        self.wrenches = self.node.create_publisher(WrenchStamped, "wrench", 5)
         beats = [(IMAGE_PERIOD_S, self._send_image), (POSE_PERIOD_S, self._send_pose)]
         for beat in beats:
             self._threads.append(Thread(target=self._beat, args=beat, daemon=True))
@@ -336,13 +336,13 @@ class Rig(Observer):
             along=self._axes,
         )
         stamp_ns = time.time_ns()
-        self._wrenches.publish(
+        self.wrenches.publish(
             msg_adapters.encode_wrench_stamped(
                 (0.0, 0.0, self.force_n), (0.0, 0.0, 0.0), stamp_ns=stamp_ns, frame_id="tool"
             )
         )
         if self.has_poses:
-            self._poses.publish(
+            self.poses.publish(
                 msg_adapters.encode_pose_stamped(
                     self.tool.position_m,
                     self.tool.quaternion_xyzw,

@@ -21,6 +21,7 @@ def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):
     )
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == [
+        ".made.json",
         "presses",
         "presses.mp4",
         "presses.png",

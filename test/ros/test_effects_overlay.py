@@ -140,7 +140,10 @@ def test_an_effect_of_ones_own_is_found_in_its_folder(tmp_path: Path) -> None:
         "        r, force_n=r.force_n + [0.0, 0.0, values['force_n']]),\n"
         ")\n"
     )
+    run = tmp_path / "run"
+    (folder / "other.py").write_text(f"open({str(run)!r}, 'w').close()\n")
     path = overlay_at(tmp_path / "effects_overlay.yaml", {"pull": {"force_n": 7.0}})
     with sensor(effects=path, effects_folder=folder, **PARAMETERS) as (_, client):
         frame = LockstepPress(client).frame_at((0.0, 0.0, APEX_M + 0.01))
     assert frame.force_n().tolist() == [0.0, 0.0, 7.0]
+    assert not run.exists(), "a file that the overlay does not name was run"

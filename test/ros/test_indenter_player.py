@@ -9,6 +9,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from harness import PATIENCE_S, Executable, running, spin_in_background
 from rclpy.qos import HistoryPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
 
 import msg_adapters
 from dotsim_ros.files import parameter_path
@@ -56,6 +57,9 @@ class Listener:
         while len(self.poses) < count:
             assert time.monotonic() < end_s, f"{len(self.poses)} of {count} poses"
             time.sleep(0.01)
+
+    def publisher(self, kind, topic):
+        return self._node.create_publisher(kind, topic, KEEP_ALL)
 
     def stamps_ns(self):
         return np.array([msg_adapters.message_stamp_ns(message) for message in self.poses])
@@ -222,6 +226,29 @@ def test_time_that_never_comes_is_told():
     with running(MODULE, ready="ready:", parameters={"use_sim_time": "true"}) as player:
         player.wait_for_line("no /clock comes")
         assert player.interrupt() == 0, player.log
+
+
+def test_a_clock_that_stands_still_does_not_hold_the_end_up():
+    """Simulated time that is stopped: a pause, or a simulation that has died."""
+    with listening() as listener:
+        clock = listener.publisher(Clock, "/clock")
+        with running(MODULE, ready="ready:", parameters={"use_sim_time": "true"}) as player:
+            times_ns = iter(range(10**9, 10**11, 10**7))
+
+            def run_the_clock() -> bool:
+                clock.publish(Clock(clock=msg_adapters.encode_stamp(next(times_ns))))
+                time.sleep(0.005)
+                return len(listener.stamps_ns()) >= 3
+
+            while not run_the_clock():
+                pass
+            count = len(listener.stamps_ns())
+            time.sleep(0.3)
+            assert len(listener.stamps_ns()) <= count + 1, "it plays on while the clock stands"
+            assert player.interrupt() == 0, player.log
+    stamps_ns = listener.stamps_ns()
+    assert (np.diff(stamps_ns) > 0).all()
+    assert stamps_ns[-1] < 10**11
 
 
 @pytest.mark.parametrize(

@@ -184,7 +184,7 @@ def test_disabled_makes_no_frames_and_says_so(session: Session) -> None:
         ({"clock": "lockstep"}, "read-only"),
         ({"indenter": "no_such_thing"}, "no parameter file"),
         ({"indenter": "{kind: sphere, radius_m: -1.0}"}, "radius_m"),
-        ({"indenter": "{kind: sphere"}, "no definition in braces"),
+        ({"indenter": "{kind: sphere"}, "indenter is no valid YAML"),
     ],
 )
 def test_a_bad_parameter_is_refused_with_the_reason(

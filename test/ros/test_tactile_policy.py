@@ -16,8 +16,9 @@ import pytest
 pytest.importorskip("torch", reason="writes a network: pip install '.[learning]'")
 pytest.importorskip("onnxscript", reason="writes a network: pip install '.[learning]'")
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, WrenchStamped
 from harness import Executable
+from hostile import lines_of
 from policy_rig import (
     FOLLOWED,
     MODULE,
@@ -167,6 +168,33 @@ def test_a_force_above_the_limit_retreats_along_the_tool(rig: Rig) -> None:
     np.testing.assert_allclose(rig.newest().twist, [0, 0, -0.01, 0, 0, 0], atol=1e-9)
     rig.force_n = 0.5
     rig.wait(lambda: rig.newest().twist[2] > 0.0, "the motion to go on")
+
+
+@pytest.mark.fault("messages", "a pose at 10 m and 100 N, both with stamp zero, as the arm moves")
+def test_messages_that_are_refused_neither_stop_nor_move_the_arm(
+    rig: Rig, shared: tuple[Executable, Rig], answered: Callable[..., None]
+) -> None:
+    rig.start()
+    stops = rig.state().values["stops"]
+    far = PoseStamped()
+    far.header.frame_id, far.pose.position.x, far.pose.orientation.w = "link_base", 10.0, 1.0
+    strong = WrenchStamped()
+    strong.header.frame_id, strong.wrench.force.z = "tool", 100.0
+    for _ in range(20):
+        rig.poses.publish(far)
+        rig.wrenches.publish(strong)
+        time.sleep(0.02)
+    rig.wait(lambda: int(rig.state("input").values["refused"]) >= 40, "the refusals")
+    values = rig.state().values
+    # A busy machine may stop the arm for a moment, but not for these.
+    assert values["state"] != "latched"
+    assert values["stops"].count("force_limit") == stops.count("force_limit")
+    shared[0].wait_for_line("its stamp is 0")
+    answered(lines_of(shared[0], "its stamp is 0")[0].partition(": ")[2])
+    # The same force with a stamp that is right retreats at once.
+    rig.force_n = 100.0
+    rig.wait_for_reason("retreating", "force_limit")
+    rig.force_n = 0.0
 
 
 def test_no_limit_was_exceeded_in_any_of_this(rig: Rig) -> None:

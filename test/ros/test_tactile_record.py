@@ -1,17 +1,22 @@
 """`tactile_record` as a process, fed over DDS, its bag read back."""
 
+import re
+import resource
+import signal
 import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from harness import PATIENCE_S, Executable, running, spin_in_background
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import msg_adapters
+from dotsim_ros.cli.main import main
 from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
 
@@ -39,6 +44,13 @@ class Source:
             topic: self._node.create_publisher(kind, topic, KEEP_ALL)
             for topic, kind in TOPICS.items()
         }
+        self.statuses = []
+        self._node.create_subscription(
+            DiagnosticArray,
+            "/diagnostics",
+            lambda message: self.statuses.extend(msg_adapters.decode_diagnostics(message)),
+            10,
+        )
         self._thread = spin_in_background(self._node)
 
     def meet(self, *topics):
@@ -49,6 +61,12 @@ class Source:
 
     def send(self, topic, message):
         self._publishers[topic].publish(message)
+
+    def send_forces(self, numbers):
+        """Send wrenches no faster than a reader with a depth of 50 takes them."""
+        for number in numbers:
+            self.send("wrench", wrench(number))
+            time.sleep(0.002)
 
     def deliver(self):
         for publisher in self._publishers.values():
@@ -200,6 +218,9 @@ def test_existing_bag_is_not_overwritten(tmp_path):
         ("['sound']", "give its type"),
         ("['text=std_msgs/msg/String']", "only stamped messages"),
         ("['a=nowhere_msgs/msg/Nothing']", "nowhere_msgs"),
+        ("['a=std_srvs/srv/Trigger']", "expected NAME=PACKAGE/msg/TYPE"),
+        ("['wrench', '/wrench=geometry_msgs/msg/PoseStamped']", "names /wrench twice"),
+        ("[]", "topics is given without a value"),
     ],
 )
 def test_topics_that_cannot_be_recorded_are_refused(tmp_path, topics, reason):
@@ -208,3 +229,109 @@ def test_topics_that_cannot_be_recorded_are_refused(tmp_path, topics, reason):
     assert reason in recorder.log
     assert "Traceback" not in recorder.log
     assert list(tmp_path.iterdir()) == []
+
+
+def forces_of(path):
+    with BagReader(path) as bag:
+        return [item.message().wrench.force.x for item in bag.messages("/wrench")]
+
+
+def wrench(number, stamp_s=0):
+    message = msg_adapters.encode_wrench_stamped(
+        (float(number), 0.0, 0.0), (0.0, 0.0, 0.0), stamp_ns=10**9 + number, frame_id="base"
+    )
+    if stamp_s:
+        message.header.stamp.sec = stamp_s
+    return message
+
+
+def last_words(recorder):
+    """What the node logged last, without its time."""
+    return recorder.log.strip().splitlines()[-1].partition("]: ")[2]
+
+
+@pytest.mark.fault("recording", "one message with a negative stamp among a hundred good ones")
+def test_a_stamp_that_is_no_time_costs_no_message(tmp_path, answered):
+    path = tmp_path / "bag"
+    with sending() as source, recording(output=path, topics="['wrench']") as recorder:
+        source.meet("wrench")
+        source.send_forces(range(100))
+        source.send("wrench", wrench(100, stamp_s=-5))
+        source.send("wrench", wrench(101))
+        source.deliver()
+        recorder.wait_for_line(" 102 messages so far")
+        assert recorder.interrupt() == 0, recorder.log
+    assert "wrote 102 messages" in recorder.log
+    assert "Traceback" not in recorder.log
+    assert forces_of(path) == [float(number) for number in range(102)]
+    (line,) = [line for line in recorder.log.splitlines() if "no time" in line]
+    assert "1 messages have a stamp that is no time (/wrench 1)" in line
+    answered(line.partition("]: ")[2])
+
+
+def test_closed_terminal_ends_a_recording_well(tmp_path):
+    path = tmp_path / "bag"
+    with sending() as source, recording(output=path, topics="['wrench']") as recorder:
+        source.meet("wrench")
+        source.send_forces(range(3))
+        source.deliver()
+        recorder.wait_for_line(" 3 messages so far")
+        recorder.process.send_signal(signal.SIGHUP)
+        assert recorder.exit_status() == 0, recorder.log
+    assert forces_of(path) == [0.0, 1.0, 2.0]
+
+
+@pytest.mark.fault("recording", "the recorder is killed (SIGKILL) after a second")
+def test_a_killed_recorder_leaves_what_it_wrote(tmp_path, capsys, answered):
+    path = tmp_path / "bag"
+    with sending() as source, recording(output=path, topics="['wrench']") as recorder:
+        source.meet("wrench")
+        source.send_forces(range(100))
+        source.deliver()
+        recorder.wait_for_line(" 100 messages so far")
+        time.sleep(1.0)
+        recorder.process.send_signal(signal.SIGKILL)
+        recorder.exit_status()
+    assert not path.exists()
+    with pytest.raises(FileNotFoundError, match="partial is a recording that was not finished"):
+        BagReader(path)
+    again = Executable(MODULE, {"output": path})
+    assert again.exit_status() == 2
+    assert "not finished" in again.log
+    capsys.readouterr()
+    assert main(["record", "--repair", f"{path}.partial"]) == 0
+    said = capsys.readouterr()
+    assert f"{path}: 100 messages (/wrench 100)" in said.out
+    assert forces_of(path) == [float(number) for number in range(100)]
+    answered(f"{last_words(again)} (then: {said.err.strip()}: {said.out.strip()})")
+
+
+@pytest.mark.fault("recording", "the disk is full")
+def test_a_full_disk_keeps_what_is_written(tmp_path, answered):
+    path = tmp_path / "bag"
+    image = np.random.default_rng(0).integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    with sending() as source, recording(output=path, topics="['image_raw']") as recorder:
+        source.meet("image_raw")
+        resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (3 * 2**20, 3 * 2**20))
+        for number in range(40):
+            message = msg_adapters.encode_image(
+                image, encoding="rgb8", stamp_ns=10**9 + number, frame_id="camera"
+            )
+            source.send("image_raw", message)
+            time.sleep(0.02)
+        assert recorder.exit_status() == 1, recorder.log
+        errors = [each for each in source.statuses if each.level == msg_adapters.Level.ERROR]
+    assert "Traceback" not in recorder.log
+    with BagReader(path) as bag:
+        stamps = [item.log_time_ns for item in bag.messages("/image_raw")]
+    assert stamps == [10**9 + number for number in range(len(stamps))]
+    # Chunks of five; two fit below the limit.
+    assert len(stamps) in (10, 5)
+    words = last_words(recorder)
+    assert "the recording broke off: [Errno 27] File too large" in words
+    assert f"{len(stamps)} are in {path}" in words
+    lost = int(re.search(r"; (\d+) messages are missing", words).group(1))
+    assert lost >= 5
+    assert {each.name for each in errors} == {"tactile_record: recording"}
+    assert "File too large" in errors[0].message
+    answered(re.sub(r"\d+ messages", "N messages", words.replace(f" {len(stamps)} are", " M are")))

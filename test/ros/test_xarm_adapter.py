@@ -18,12 +18,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import hostile
 import numpy as np
 import pytest
 import rclpy
 import xarm_messages
 from arm_rig import ArmClient, arm_client
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from harness import Executable, running, spin_in_background
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
@@ -217,7 +218,13 @@ def test_without_the_package_it_does_not_start_and_says_what_to_do(
 
 
 @pytest.mark.parametrize(
-    ("parameters", "reason"), [({"duration_s": 0.0}, "duration_s"), ({"stale_s": 9.0}, "stale_s")]
+    ("parameters", "reason"),
+    [
+        ({"duration_s": 0.0}, "duration_s"),
+        ({"stale_s": 9.0}, "stale_s"),
+        ({"service": "'bad name'"}, "cannot start: Invalid service name"),
+        ({"robot_states": "'bad name'"}, "the topic 'bad name' has no valid name"),
+    ],
 )
 def test_dangerous_parameters_are_refused_at_the_start(
     xarm_package: Path, parameters: dict[str, float], reason: str
@@ -248,6 +255,25 @@ def test_velocities_arrive_in_millimetres_with_a_watchdog(rig: Rig) -> None:
     rig.client.wait(lambda: not any(rig.driver.calls[-1].speeds), "the arm to be stopped")
     _, calls = lead(rig, 0.3, frame_id="link_tcp")
     assert all(call.is_tool_coord for call in calls if any(call.speeds))
+
+
+def test_no_parameter_and_no_message_ends_it(rig: Rig) -> None:
+    attacker = hostile.Attacker("/", "xarm_adapter", rig.adapter.process.pid)
+    try:
+        hostile.try_every_parameter(attacker)
+        begin_s = time.monotonic()
+        attacker.send(TwistStamped, "cmd_vel", hostile.twists("link_base"))
+        kind = importlib.import_module("xarm_msgs.msg").RobotMsg
+        states = [kind(header=each, mode=5, state=2) for each in hostile.headers("")]
+        for number in hostile.EXTREMES:
+            states.append(kind(mode=5, state=2, pose=np.full(6, number, dtype=np.float32)))
+            states.append(kind(mode=5, state=2, angle=[number] * 7))
+        attacker.send(kind, "/xarm/robot_states", states)
+        assert rig.adapter.process.poll() is None
+        assert "Traceback" not in rig.adapter.log
+        assert not any(any(call.speeds) for call in rig.driver.since(begin_s))
+    finally:
+        attacker.close()
 
 
 def test_speeds_are_limited(rig: Rig) -> None:

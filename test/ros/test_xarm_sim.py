@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from arm_rig import ArmClient, arm_client
 from harness import Executable, running
@@ -59,6 +60,12 @@ def settled(client: ArmClient) -> Any:
 
     client.wait(stands, "the arm to stand")
     return client.position_m()
+
+
+def test_no_socket_is_open_to_other_machines(session: Session) -> None:
+    number = session[0].process.pid
+    found = {each.laddr.ip for each in psutil.net_connections("inet") if each.pid == number}
+    assert found == {"127.0.0.1"}
 
 
 def test_sigint_ends_it_with_status_0() -> None:

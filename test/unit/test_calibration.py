@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from calibration_result import calibration
 from numpy.typing import NDArray
 
+from dotsim_ros.calibration.advice import shown_modulus_pa, why_not_identified
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, LossNoise, nearest_partners
 from dotsim_ros.calibration.loss import residuals as missed
@@ -18,7 +22,10 @@ from dotsim_ros.calibration.parameters import (
     shown_value,
     with_coordinates,
 )
+from dotsim_ros.calibration.report import figures, summary_lines
+from dotsim_ros.calibration.run import check_modulus
 from dotsim_ros.calibration.statistics import (
+    Combination,
     identifiability,
     joint_estimate,
     joint_step,
@@ -26,9 +33,12 @@ from dotsim_ros.calibration.statistics import (
     offset_step,
 )
 from dotsim_ros.gel.values import specification_with, values_of
+from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import Observation
+from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.specification import SensorSpecification, load_sensor, write_sensor
 from dotsim_ros.twin.follow import SimulatedPress
 from dotsim_ros.twin.simulator import offset_pose
@@ -224,6 +234,144 @@ def test_intervals_of_linear_presses_cover_the_truth_as_often_as_they_say() -> N
     # 0.95 within four deviations of a share of 200.
     assert np.all(share > 0.88)
     assert np.all(share[0] < 1.0)
+
+
+def test_the_interval_of_one_press_is_that_of_its_information() -> None:
+    problem = problem_of("E", "nu")
+    random = np.random.default_rng(6)
+    jacobian = random.normal(size=(40, 2)) * [4.0, 2.0]
+    one = linear_press({FORCE: jacobian}, {FORCE: random.normal(size=40)}, problem.centre())
+    covariance = np.linalg.inv(jacobian.T @ jacobian + np.diag(problem.precision()))
+    half = 1.96 * np.sqrt(np.diag(covariance))
+    fit = PressFit(one, [], 1, True)
+    for found in (joint_estimate(problem, [one]), median_estimate(problem, [fit])):
+        assert found.high - found.point == pytest.approx(half, rel=1e-3)
+        assert found.point - found.low == pytest.approx(half, rel=1e-3)
+    # Nor have presses that agree to the bit an interval of no width.
+    covariance = np.linalg.inv(3.0 * jacobian.T @ jacobian + np.diag(problem.precision()))
+    half = 1.96 * np.sqrt(np.diag(covariance))
+    for found in (joint_estimate(problem, [one] * 3), median_estimate(problem, [fit] * 3)):
+        assert found.high - found.low == pytest.approx(2.0 * half, rel=1e-3)
+
+
+def test_forces_show_the_modulus_that_scales_them() -> None:
+    problem = problem_of("E")
+    simulated = np.array([0.5, 1.0, 2.0])
+    measured = 3.0 * simulated
+    press = linear_press(
+        {FORCE: simulated[:, None]}, {FORCE: simulated - measured}, problem.centre()
+    )
+    start_pa = problem.start.youngs_modulus_pa
+    assert shown_modulus_pa(problem, [press, press]) == pytest.approx(3.0 * start_pa)
+    assert shown_modulus_pa(problem_of("nu"), [press]) is None
+    assert shown_modulus_pa(problem, [replace(press, loss={SKIN: 0.0})]) is None
+
+
+@pytest.mark.fault("calibrate", "a fit that ends at a Young's modulus that no gel has")
+@pytest.mark.parametrize("modulus_pa", [1717.0, 2.9e7])
+def test_a_modulus_that_no_gel_has_is_refused(
+    modulus_pa: float, answered: Callable[..., None]
+) -> None:
+    with pytest.raises(ValueError, match=r"expected 2e\+03 to 2e\+07 Pa, as gels have") as refused:
+        check_modulus(modulus_pa, "the fit ends at")
+    answered(refused.value, what=f"a fit that ends at {modulus_pa:.4g} Pa")
+    check_modulus(2.0e5, "the fit ends at")
+
+
+def test_a_value_at_the_end_of_what_is_searched_is_no_estimate() -> None:
+    (nu,) = chosen_parameters(["nu"])
+    assert nu.bound_of(0.4999) == 0.4999
+    assert nu.bound_of(0.47) is None
+    at_bound = calibration()
+    index = at_bound.asked.index("nu")
+    point = at_bound.joint.point.copy()
+    point[index] -= 100.0
+    low, high = point.copy(), point.copy()
+    at_bound = replace(at_bound, joint=Combination(point, low, high))
+    shown = figures(at_bound, seed=0)["parameters"]["nu"]["joint"]
+    assert shown["at_bound"]
+    assert shown["low"] == shown["high"]
+    text = "\n".join(summary_lines(at_bound))
+    assert "nu (joint): 0.4999, the end of what is searched and no estimate\n" in text
+
+
+DEEP, SHALLOW, SLIDING = 0.0130, 0.0152, 0.0130
+
+
+def observed_press(
+    height_m: float, *, slide_m: float = 0.0, force_n: float | None = 2.0, has_skin: bool = True
+) -> Observation:
+    poses = [
+        Pose(np.array([0.0, 0.0, 0.0160])),
+        Pose(np.array([0.0, 0.0, height_m])),
+        Pose(np.array([slide_m, 0.0, height_m])),
+    ]
+    load = None if force_n is None else np.array([[0.0, 0.0, 0.0], *[[0.0, 0.0, force_n]] * 2])
+    skin = np.repeat(SKIN_MESH.rest_position_m[None], 3, axis=0) if has_skin else None
+    return Observation(Press("a", "ball", poses, np.arange(3.0), skin, load), sphere(0.004))
+
+
+@pytest.mark.fault("calibrate", "data that do not identify what is asked for")
+def test_each_reason_why_data_identify_nothing_has_its_own_words(
+    answered: Callable[..., None],
+) -> None:
+    both = (POINTS, FORCE)
+    cases = {
+        "E without force": ("E", observed_press(DEEP, force_n=None), both, "--wrench-topic"),
+        "E with --loss points": (
+            "E",
+            observed_press(DEEP, force_n=None),
+            (POINTS,),
+            "--loss leaves out",
+        ),
+        "E with forces of noise": (
+            "E",
+            observed_press(SHALLOW, force_n=0.02),
+            both,
+            "hardly more than the noise",
+        ),
+        "E with a force of large error": ("E", observed_press(DEEP), both, "error of the force"),
+        "E with a start that is far away": (
+            "E",
+            observed_press(DEEP),
+            both,
+            r"some 4e\+03 Pa, and the fit begins at 3e\+05",
+        ),
+        "nu with shallow presses": (
+            "nu",
+            observed_press(SHALLOW),
+            both,
+            r"deepest press goes 0\.\d+ mm into the gel",
+        ),
+        "friction without a slide": (
+            "friction",
+            observed_press(DEEP),
+            both,
+            r"no press slides more than 0\.00 mm",
+        ),
+        "c20 without a skin": ("c20", observed_press(DEEP, has_skin=False), both, "in the skin"),
+        "friction with too few slides": (
+            "friction",
+            observed_press(SLIDING, slide_m=2e-3),
+            both,
+            "1 presses with the stated",
+        ),
+    }
+    said = set()
+    for what, (name, observation, losses, words) in cases.items():
+        found = why_not_identified(
+            problem_of(name),
+            [name],
+            [observation],
+            SKIN_MESH,
+            losses=losses,
+            topics=Topics(),
+            shown_pa=4.0e3 if "far" in what else 2.0e5,
+        )[name]
+        assert re.search(words, found), what
+        said.add(found)
+        answered(f"{name}: {found}", what=what)
+    assert len(said) == len(cases)
 
 
 def test_quadratics_about_different_points_combine_as_about_one() -> None:

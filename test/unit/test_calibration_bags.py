@@ -161,18 +161,18 @@ def data_set(tmp_path_factory: pytest.TempPathFactory) -> DataSet:
 def test_a_bad_bag_is_refused_with_bag_message_and_mend(data_set: DataSet, name: str) -> None:
     entry = next(entry for entry in data_set.entries if entry.name == name)
     with pytest.raises(BadBagError, match=f"(?s)^{name}.*{BAD[name][1]}"):
-        read_observation(data_set, entry, vertex_count=SKIN.vertex_count)
+        read_observation(data_set, entry, skin=SKIN, has_vertices=True)
 
 
 def test_an_unknown_indenter_is_named_with_those_that_there_are(data_set: DataSet) -> None:
     entry = data_set.entries[-1]
     with pytest.raises(BadBagError, match=r"unknown_indenter: no mesh .*spere.*holds sphere.*cor"):
-        read_observation(data_set, entry, vertex_count=SKIN.vertex_count)
+        read_observation(data_set, entry, skin=SKIN, has_vertices=True)
 
 
 def test_the_good_ones_are_read_beside_the_bad(data_set: DataSet) -> None:
     names = [entry.name for entry in data_set.entries]
-    found, omitted = read_observations(data_set, names, vertex_count=SKIN.vertex_count)
+    found, omitted = read_observations(data_set, names, skin=SKIN, has_vertices=True)
     assert [observation.press.name for observation in found] == ["good"]
     assert {omission.name for omission in omitted} == {*BAD, "unknown_indenter"}
     assert found[0].press.frame_count == FRAMES
@@ -180,6 +180,6 @@ def test_the_good_ones_are_read_beside_the_bad(data_set: DataSet) -> None:
 
 def test_clouds_may_differ_where_there_is_no_mesh(data_set: DataSet) -> None:
     entry = next(entry for entry in data_set.entries if entry.name == "fewer_points")
-    press = read_observation(data_set, entry, vertex_count=None).press
+    press = read_observation(data_set, entry, skin=SKIN, has_vertices=False).press
     assert press.skin_position_m is not None
     assert press.skin_position_m.shape[1] == SKIN.vertex_count - 2

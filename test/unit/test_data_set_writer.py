@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.indenter import Indenter, box_edge, load_indenter, sphere
@@ -152,3 +154,32 @@ def test_another_shape_of_a_name_that_is_taken_is_refused(tmp_path: Path, is_new
     with pytest.raises(ValueError, match=r"box_edge\.stl holds another indenter of this name"):
         writer.add(recorded("four"), box_edge([0.008, 0.01, 0.01], 0.0003))
     assert "four" not in [entry.name for entry in read_data_set(tmp_path).entries]
+
+
+@pytest.mark.fault("bags and data sets", "a bag to write has the name of one that no index lists")
+def test_a_bag_that_the_index_does_not_list_is_kept(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    own = tmp_path / "bags" / "press"
+    own.mkdir(parents=True)
+    (own / "press.mcap").write_bytes(b"of the user")
+    index = tmp_path / "dataset.yaml"
+    index.write_text("operator: Ada\ntrajectories: []\n", encoding="utf-8")
+    DataSetWriter(tmp_path, SKIN).add(recorded("press"), BALL)
+    assert (tmp_path / "bags" / "press.kept" / "press.mcap").read_bytes() == b"of the user"
+    assert yaml.safe_load(index.read_text(encoding="utf-8"))["operator"] == "Ada"
+    assert [entry.name for entry in read_data_set(tmp_path).entries] == ["press"]
+    assert sorted(p.name for p in (tmp_path / "bags").iterdir()) == ["press", "press.kept"]
+    answered("the bag that was there is kept as press.kept")
+
+
+def test_a_trajectory_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -> None:
+    writer = DataSetWriter(tmp_path, SKIN)
+    writer.add(recorded("press"), BALL)
+    pose = recorded("press").pose
+    assert pose is not None
+    broken = replace(pose, position_m=np.full((3, 3), np.nan))
+    with pytest.raises(ValueError, match="finite"):
+        writer.add(recorded("press", pose=broken), BALL)
+    (entry,) = read_data_set(tmp_path).entries
+    assert entry.read().pose is not None

@@ -259,8 +259,13 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
     assert [len(rows) for rows in trials.rows.values()] == [2, 2, 2, 2]
     assert run(plan_of()).rows == trials.rows
     assert len(asked) == 9
+    # What is empty or broken is run anew.
+    for number, path in enumerate(sorted(tmp_path.glob("*.npz"))[:2]):
+        path.write_bytes(b"" if number else path.read_bytes()[:100])
+    assert run(plan_of()).rows == trials.rows
+    assert len(asked) == 11
     run(plan_of(policy="another"))
-    assert len(asked) == 17
+    assert len(asked) == 19
 
 
 def test_a_loop_that_does_not_start_is_tried_again_and_then_told(tmp_path: Path) -> None:

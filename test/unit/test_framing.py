@@ -62,3 +62,13 @@ def test_encodings_hold_the_same_colour():
     assert encoded_pixels(rgb, "mono8")[0, 0] == pytest.approx(
         0.299 * 200 + 0.587 * 100 + 0.114 * 50, abs=1.0
     )
+
+
+@pytest.mark.fault("node parameters", "`image_size_px` is `[16384, 16384]`")
+def test_an_image_that_takes_gigabytes_is_refused(answered):
+    square = FisheyeCamera(480, 480, 160.0, np.array([240.0, 240.0]))
+    with pytest.raises(ValueError, match="GB of memory") as caught:
+        Framing.of_camera(square, crop_px=(0, 0, 0, 0), image_size_px=(16384, 16384))
+    answered(caught.value)
+    largest = Framing.of_camera(square, crop_px=(0, 0, 0, 0), image_size_px=(2880, 2880))
+    assert largest.apply(np.zeros((480, 480, 3), np.uint8)).shape == (2880, 2880, 3)

@@ -18,12 +18,11 @@ from PIL import Image
 
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FILE_NAME, FoundEffect, Overlay, read_overlay
-from dotsim_ros.files import MANIFEST, replace_files
 from dotsim_ros.gap.findings import Findings, ResidualPlace, Verdict, as_record, findings_of
 from dotsim_ros.gap.report.figures import heatmap
 from dotsim_ros.gap.report.places import by_phase, by_trajectory
 from dotsim_ros.gap.report.sections import page_of
-from dotsim_ros.gap.report.write import write_findings, write_report
+from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.page import (
     Bullets,
     Page,
@@ -34,6 +33,7 @@ from dotsim_ros.page import (
     images_of,
     page_figure,
 )
+from dotsim_ros.replacement import MANIFEST, replace_files
 
 VOID = {"meta", "link", "img", "br"}
 
@@ -120,7 +120,7 @@ def test_a_report_leaves_nothing_of_the_report_before(tmp_path: Path) -> None:
         "sensor_a", "0123", (FoundEffect("coulomb_slip", named().candidates[0].estimates),)
     )
     again, fresh = tmp_path / "again", tmp_path / "fresh"
-    write_findings(again, named(), slip)
+    write_report(again, named(), effects=load_effects(), overlay=slip)
     old = set(files_below(again))
     assert {"phases_after.png", FILE_NAME} <= old
     assert read_overlay(again / FILE_NAME) == slip
@@ -133,8 +133,8 @@ def test_a_report_leaves_nothing_of_the_report_before(tmp_path: Path) -> None:
     for name, content in own.items():
         (again / name).parent.mkdir(parents=True, exist_ok=True)
         (again / name).write_bytes(content)
-    write_findings(again, no_gap(), None)
-    write_findings(fresh, no_gap(), None)
+    write_report(again, no_gap(), effects=load_effects())
+    write_report(fresh, no_gap(), effects=load_effects())
     left = files_below(again)
     assert set(left) == set(files_below(fresh)) | set(own)
     assert {name: left[name] for name in own} == own

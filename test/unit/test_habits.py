@@ -134,7 +134,7 @@ def test_hooks_are_the_commands_of_make_lint() -> None:
 
 def test_ci_runs_the_commands_of_make_lint() -> None:
     script = text_of(".ci/run")
-    run = re.findall(r'^check "[^"]+" "\$venv/bin/([\w-]+)"(.*)$', script, re.MULTILINE)
+    run = re.findall(r'^ *check "[^"]+" "\$venv/bin/([\w-]+)"(.*)$', script, re.MULTILINE)
     assert set(lint_commands()) <= {program + arguments for program, arguments in run}
 
 

@@ -404,7 +404,7 @@ def test_definitions_of_every_form_load(tmp_path: Path) -> None:
         ("kind: sphere\nradius: 0.004\n", "radius"),
         ("kind: sphere\nradius_m: four\n", "radius_m"),
         ("- sphere\n", "expected a mapping"),
-        ("kind: [\n", "not a YAML file"),
+        ("kind: [\n", "is no valid YAML"),
     ],
 )
 def test_bad_definitions_are_refused(tmp_path: Path, definition: str, message: str) -> None:

@@ -21,6 +21,7 @@ from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
         ({"image_size_px": (640, 0)}, "both width and height"),
         ({"grid_spacing_m": 1e-4}, r"grid_spacing_m is 0\.0001, expected a number from 0\.0002"),
         ({"start_quaternion_xyzw": (0.0, 0.0, 0.0, 0.5)}, "length"),
+        ({"device": "gpu9"}, "device is 'gpu9', expected cpu"),
         ({"base_frame": "same", "optical_frame": "same"}, "must differ"),
         ({"input_timeout_s": 0.03}, "shorter than a frame"),
         (

@@ -163,6 +163,14 @@ def test_without_a_file_to_write_nothing_is_left(
         ({"alpha": 0.0}, ValueError, r"alpha is 0\.0, expected between 0 and 1"),
         ({"budget": 0}, ValueError, "budget is 0, expected 1 or more"),
         ({"workers": 0}, ValueError, "workers is 0, expected 1 or more"),
+        ({"seed": -1}, ValueError, "seed is -1, expected 0 or more"),
+        (
+            {"channels": ("force",), "candidates": ("gamma",)},
+            ValueError,
+            "none of gamma shows in force; name another effect or channel",
+        ),
+        ({"indenters": __file__}, ValueError, "expected a folder of meshes"),
+        ({"reference": "nowhere"}, FileNotFoundError, "nowhere is no data set"),
         ({"channels": ("skin", "sound")}, ValueError, "no channel sound; known are skin, force"),
         ({"candidates": ("gravity",)}, ValueError, "no effect gravity; known are adhesion"),
         ({"effects": ("nowhere",)}, FileNotFoundError, "no folder of effects at nowhere"),
@@ -176,6 +184,53 @@ def test_a_search_that_cannot_be_run_touches_nothing(
 ) -> None:
     with pytest.raises(error, match=reason):
         find_gap(data, out=tmp_path / "report", **given)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.fault("find-gap", "a wrong argument, in the folder of a finished report")
+@pytest.mark.parametrize(
+    ("line", "status", "said"),
+    [
+        ("--alpha 7", 1, "alpha is 7.0, expected between 0 and 1"),
+        ("--candidates nope", 1, "no effect nope; known are"),
+        ("--alpha nan --candidates gamma", 1, "alpha is nan, expected between 0 and 1"),
+        ("--channels force --candidates gamma", 1, "none of gamma shows in force"),
+        ("--seed -1", 1, "seed is -1, expected 0 or more"),
+        ("--effects nowhere", 1, "no folder of effects at nowhere"),
+        ("--sensor sensor_x", 1, "sensor_x"),
+        ("--measured nowhere", 1, "nowhere is no data set"),
+        ("--demo", 1, "name a data set with --measured, or ask for --demo"),
+    ],
+)
+def test_a_wrong_argument_leaves_a_finished_report_as_it_is(
+    tmp_path: Path,
+    data: Path,
+    line: str,
+    status: int,
+    said: str,
+    searched: Callable[[Exception | None], list[GapRequest]],
+    capsys: pytest.CaptureFixture[str],
+    answered: Callable[..., None],
+) -> None:
+    searched(None)
+    out = tmp_path / "report"
+    find_gap(data, out=out)
+    before = [path for path in files_below(tmp_path).items() if path[0].is_file()]
+    assert main(["find-gap", "--measured", str(data), "--out", str(out), *line.split()]) == status
+    answer = capsys.readouterr().err
+    assert answer.count("\n") == 1
+    assert said in answer
+    assert [path for path in files_below(tmp_path).items() if path[0].is_file()] == before
+    if line.startswith("--alpha 7"):
+        answered(f"{answer} The report is as it was.", what="a wrong argument (--alpha 7)")
+
+
+def test_the_demonstration_takes_no_argument_that_it_would_ignore(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line = f"find-gap --demo --out {tmp_path / 'demo'} --candidates gamma --alpha 0.1"
+    assert main(line.split()) == 1
+    assert "leave out --candidates, --alpha" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,6 @@ from dotsim_ros.effects.overlay import (
     Overlay,
     active_effects,
     described,
-    load_active,
     read_overlay,
     write_overlay,
 )
@@ -42,7 +42,8 @@ def record_of(path: Path) -> dict:
 def test_an_overlay_comes_back_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "report" / "effects_overlay.yaml"
     write_overlay(path, FOUND)
-    overlay, active = load_active(path, LIBRARY)
+    overlay = read_overlay(path)
+    active = active_effects(overlay, LIBRARY)
     assert overlay == FOUND
     assert overlay.written_by == __version__
     assert [a.effect.name for a in active] == ["viscoelastic_relaxation", "force_scale"]
@@ -122,7 +123,7 @@ def name_an_effect_twice(record: dict) -> None:
         (write_a_word, "force_scale.scale: value is 'big', expected a number"),
         (leave_the_interval, "1.15 is not within its interval, 1.08 to 1.12"),
         (name_an_unknown_effect, "unknown effect 'ghost'; known are adhesion, "),
-        (name_an_unknown_parameter, "'force_scale' has no parameter gain; it has scale"),
+        (name_an_unknown_parameter, "'force_scale' has no parameter 'gain'; it has scale"),
         (leave_a_parameter_out, "viscoelastic_relaxation lacks its parameter time_s"),
         (leave_the_range, "force_scale.scale is 1.5, expected 0.8 to 1.2"),
         (name_an_effect_twice, "'force_scale' stands there twice"),
@@ -134,14 +135,14 @@ def test_a_broken_overlay_says_what_is_wrong(tmp_path: Path, change, reason: str
     change(record)
     path.write_text(yaml.safe_dump(record))
     with pytest.raises(ValueError, match=reason) as caught:
-        load_active(path, LIBRARY)
+        active_effects(read_overlay(path), LIBRARY, place=str(path))
     assert str(path) in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("a: [", "is no YAML file"),
+        ("a: [", "is no valid YAML"),
         ("- force_scale", "is no overlay of effects"),
         ("", "is no overlay of effects"),
     ],
@@ -155,3 +156,18 @@ def test_what_is_no_overlay_is_refused(tmp_path: Path, text: str, reason: str) -
 
 def test_an_overlay_may_be_empty() -> None:
     assert active_effects(Overlay("sensor_b", "", ()), LIBRARY) == ()
+
+
+@pytest.mark.fault("effects and overlays", "an overlay with an effect of a name of 5,000 letters")
+def test_names_of_any_length_make_one_short_line(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    path = tmp_path / "effects_overlay.yaml"
+    effects = [{"name": 5000 * "x", "parameters": {"a\nb": {}}}]
+    record = {"version": 1, "dotsim_ros": "0", "sensor": "s", "data_hash": "0", "effects": effects}
+    path.write_text(yaml.safe_dump(record))
+    with pytest.raises(ValueError, match="expected unit, value, low, high") as refused:
+        read_overlay(path)
+    assert "\n" not in str(refused.value)
+    assert len(str(refused.value)) < 600
+    answered(refused.value)

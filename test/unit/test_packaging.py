@@ -63,6 +63,7 @@ NODE_PARAMETERS = {
 
 NAMES_ELSEWHERE = {
     "PIL": "pillow",
+    "backports": "backports.zstd",
     "cv2": "opencv-python-headless",
     "drjit": "mitsuba",
     "imageio_ffmpeg": "imageio-ffmpeg",
@@ -78,6 +79,7 @@ ROS_KEYS = {
     "POT": "pot",
     "PyYAML": "yaml",
     "opencv-python-headless": "opencv",
+    "backports.zstd": "backports-zstd",
     "pillow": "pil",
     "scikit-image": "skimage",
 }

@@ -17,10 +17,11 @@ from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.network.carded_weights import CARD, GRAPH, WEIGHTS, card_from
+from dotsim_ros.optics.network.session import open_session
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import FORMAT, POLICY, PolicyCard
 from dotsim_ros.tasks.policy.images import CHANNEL_COUNT, PolicyInput
-from dotsim_ros.tasks.policy.network import load_policy, open_session, save_policy
+from dotsim_ros.tasks.policy.network import load_policy, save_policy
 from dotsim_ros.tasks.policy.paths import PATHS as PATH_NAMES
 
 torch = pytest.importorskip("torch", reason="writing a policy needs the extra learning")
@@ -100,7 +101,7 @@ def test_weights_are_stored_once_in_half_precision(written):
     weight_count = sum(parameter.numel() for parameter in written[0].parameters())
     assert (folder / GRAPH).stat().st_size < 60_000
     assert 2.0 * weight_count < (folder / WEIGHTS).stat().st_size < 2.01 * weight_count + 60_000
-    inputs = open_session(folder / GRAPH, 1).get_inputs()
+    inputs = open_session(folder / GRAPH, 1, "policy").get_inputs()
     assert [(entry.name, entry.shape) for entry in inputs] == [
         ("picture", [1, CHANNEL_COUNT, 64, 64])
     ]

@@ -155,8 +155,9 @@ def weights_of(training):
     return {name: value.clone() for name, value in training.network.state_dict().items()}
 
 
+@pytest.mark.fault("networks and cards", "a broken state of an interrupted training")
 def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
-    demonstrations, tmp_path, monkeypatch
+    demonstrations, tmp_path, monkeypatch, caplog, answered
 ):
     from dotsim_ros.tasks.policy import training as policy_training
 
@@ -191,8 +192,14 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
     with pytest.raises(ValueError, match="other data"):
         training("parts", count=64)
     (tmp_path / "parts" / "state.pt").write_bytes(b"nothing")
-    with pytest.raises(ValueError, match="no checkpoint"):
-        training("parts")
+    caplog.clear()
+    assert training("parts").done == 0
+    assert (tmp_path / "parts" / "state.pt.kept").read_bytes() == b"nothing"
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert "kept as state.pt.kept, and training begins anew" in line
+    assert "weights_only" not in line
+    assert "pickle" not in line
+    answered(line)
 
 
 def test_training_learns_and_writes_a_policy(demonstrations, tmp_path):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dotsim_ros.effects.effect import FORCE, Active, Effect, EffectError, EffectParameter
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
@@ -161,6 +162,28 @@ def test_without_a_limit_every_motion_is_followed_to_its_end(sensor):
     session = SensorSession(sensor, first_dt_s=0.04)
     assert session.follow(motion(2.5, 1)).pose.position_m[2] == APEX_M - 2.5e-3
     assert session.behind == 0
+
+
+@pytest.mark.fault("effects and overlays", "an effect of one's own that fails at a press")
+@pytest.mark.parametrize(
+    ("hooks", "reason"),
+    [
+        ({"response": lambda values: lambda r: r.no_force}, "its hook response fails with Attrib"),
+        ({"motion": lambda values: lambda *_: None}, "its hook motion gives None, expected a Pose"),
+        (
+            {"image": lambda values: lambda image: image.pixels[:1]},
+            r"the effect own gives the image of shape \(1, .*expected finite numbers of shape",
+        ),
+    ],
+)
+def test_a_broken_effect_is_seen_before_the_first_frame(sensor, hooks, reason, answered):
+    size = EffectParameter("size", "", 0.0, 0.0, 1.0, (0.5,))
+    effect = Effect("own", "Own", (size,), (FORCE,), "any", lambda recording: True, **hooks)
+    session = SensorSession(sensor, first_dt_s=0.04, effects=[Active(effect, {"size": 0.5})])
+    with pytest.raises(EffectError, match=reason) as refused:
+        session.warm_up()
+    answered(refused.value, what=f"an effect whose hook {next(iter(hooks))} fails at a press")
+    sensor.reset()
 
 
 def test_a_moment_is_rendered_only_when_it_is_asked_for_and_once(sensor):

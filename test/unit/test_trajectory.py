@@ -226,7 +226,7 @@ def _data_set(tmp_path, trajectory):
     (tmp_path / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": [record]}))
     np.savez(
         tmp_path / "skin_mesh.npz",
-        rest_position_m=np.eye(3),
+        rest_position_m=1e-2 * np.eye(3),
         triangles=np.array([[0, 1, 2]]),
         on_base=np.array([True, False, False]),
     )
@@ -251,7 +251,7 @@ def test_data_set_is_read(tmp_path, trajectory):
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        ("trajectories: [", "no YAML"),
+        ("trajectories: [", "is no valid YAML"),
         ("[]", "expected a list"),
         ("trajectories: []", "expected a list"),
         ("trajectories: [press]", "expected a mapping"),

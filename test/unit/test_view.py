@@ -2,6 +2,9 @@
 
 import importlib.util
 import os
+import resource
+import shutil
+import struct
 import subprocess
 import sys
 
@@ -13,11 +16,11 @@ import pytest
 import msg_adapters
 from dotsim_ros.cli.main import main, verbs
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.bag import BAG_TYPES, BagFile
+from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagReader
 from dotsim_ros.view.sheet import strongest_stamps
 from dotsim_ros.view.skin_map import SkinMap
 from dotsim_ros.view.timeline import BagMoment, Forces, ViewTopics, find_topics, iterate_moments
-from dotsim_ros.view.video import paced
+from dotsim_ros.view.video import paced, write_gif
 
 PERIOD_NS = 40_000_000
 COUNT = 8
@@ -113,6 +116,256 @@ def test_wrong_command_line_is_told(arguments, capsys):
     assert "usage: dotsim_ros" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("--fps", "1e9", "from 0.1 to 240"),
+        ("--fps", "0", "from 0.1 to 240"),
+        ("--fps", "nan", "from 0.1 to 240"),
+        ("--fps", "fast", "from 0.1 to 240"),
+        ("--speed", "1e-9", "from 0.001 to 1000"),
+        ("--speed", "inf", "from 0.001 to 1000"),
+        ("--columns", "0", "from 1 to 24"),
+        ("--columns", "9" * 5000, "from 1 to 24"),
+        ("--columns", "6.5", "from 1 to 24"),
+    ],
+)
+@pytest.mark.fault("view", "")
+def test_numbers_out_of_range_are_refused(bag, option, value, expected, capsys, answered):
+    with pytest.raises(SystemExit) as stopped:
+        main(["view", str(bag), option, value])
+    assert stopped.value.code == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert expected in line
+    if len(value) < 10:
+        answered(line, what=f"{option} {value}")
+
+
+@pytest.mark.fault("view", "a video of more than 100,000 frames")
+def test_endless_video_is_refused_before_anything_is_drawn(tmp_path, capsys, answered):
+    path = tmp_path / "long"
+    with BagFile(path) as file:
+        for stamp_s in (1, 1_700_000_000):
+            header = {"stamp_ns": stamp_s * 10**9, "frame_id": "base", "types": BAG_TYPES}
+            pixels = np.zeros((48, 64, 3), np.uint8)
+            file.write(
+                "/image_raw", 1, msg_adapters.encode_image(pixels, encoding="rgb8", **header)
+            )
+    assert main(["view", str(path), "--out", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert "would have 1.7e+10 frames" in error
+    assert not (tmp_path / "out").exists()
+    answered(error)
+    arguments = ["view", str(path), "--out", str(tmp_path / "out"), "--format", "none"]
+    assert main(arguments) == 0
+
+
+def test_dots_are_part_of_a_name(noisy_bag, tmp_path):
+    for name in ("press_0.5mm", "press_0.7mm", "a$b"):
+        shutil.copytree(noisy_bag, tmp_path / name)
+        arguments = ["view", str(tmp_path / name), "--out", str(tmp_path / "out")]
+        assert main([*arguments, "--format", "none", "--columns", "1"]) == 0
+    # Its file alone has the name of the bag, too.
+    file = tmp_path / "press_0.5mm" / "press.mcap"
+    assert main(["view", str(file), "--out", str(tmp_path / "out"), "--format", "none"]) == 0
+    written = sorted(os.listdir(tmp_path / "out"))
+    assert written == ["a$b.png", "press.png", "press_0.5mm.png", "press_0.7mm.png"]
+
+
+@pytest.fixture(scope="module")
+def noisy_bag(tmp_path_factory):
+    """A bag whose video is larger than its contact sheet."""
+    path = tmp_path_factory.mktemp("bags") / "press"
+    with BagFile(path) as file:
+        for index in range(5):
+            stamp_ns = 10**9 + index * PERIOD_NS
+            pixels = np.random.default_rng(index).integers(0, 256, (60, 80, 3), dtype=np.uint8)
+            message = msg_adapters.encode_image(
+                pixels, encoding="rgb8", stamp_ns=stamp_ns, frame_id="camera", types=BAG_TYPES
+            )
+            file.write("/image_raw", stamp_ns, message)
+    return path
+
+
+def view_on_full_disk(arguments, length):
+    """Run `view` where no file may grow beyond a length, which shows only half-way."""
+
+    def limit():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (length, length))
+
+    code = (
+        "import sys, dotsim_ros.files; dotsim_ros.files.PROBE_BYTES = 1; "
+        "from dotsim_ros.cli.main import main; sys.exit(main())"
+    )
+    command = [sys.executable, "-c", code, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, preexec_fn=limit)
+
+
+@pytest.mark.parametrize("name", ["press.png", "press.mp4"])
+@pytest.mark.fault("view", "")
+def test_full_disk_leaves_the_files_before(noisy_bag, tmp_path, name, answered):
+    out = tmp_path / "out"
+    arguments = ["view", str(noisy_bag), "--out", str(out), "--columns", "1"]
+    assert main(arguments) == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    # The sheet fits, the video does not.
+    sizes = {"press.png": 4_000, "press.mp4": len(before["press.png"]) + 2_000}
+    assert len(before[name]) > sizes[name], {name: len(made) for name, made in before.items()}
+    done = view_on_full_disk(arguments, sizes[name])
+    assert done.returncode == 1, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert "File too large" in done.stderr or "ffmpeg: ended by SIGXFSZ" in done.stderr
+    assert {path.name for path in out.iterdir()} == set(before)
+    assert (out / name).read_bytes() == before[name]
+    assert str(out / name) in done.stderr
+    answered(done.stderr, what=f"the disk is full when {name} is written")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs the right to mount a small disk")
+def test_ffmpeg_says_why_it_failed(noisy_bag, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("dotsim_ros.files.PROBE_BYTES", 1)
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=240k", "tmpfs", str(disk)]
+    if subprocess.run(mount, capture_output=True).returncode != 0:
+        pytest.skip("no disk can be mounted here")
+    try:
+        (disk / "press.mp4").write_bytes(b"good video" * 1000)
+        assert main(["view", str(noisy_bag), "--out", str(disk), "--columns", "1"]) == 1
+        error = capsys.readouterr().err
+        assert (disk / "press.mp4").read_bytes() == b"good video" * 1000
+    finally:
+        subprocess.run(["umount", str(disk)], check=True)
+    assert f"{disk / 'press.mp4'} could not be written: ffmpeg: " in error
+    assert "No space left on device" in error
+    assert len(error.splitlines()) == 1
+
+
+def test_failed_gif_leaves_the_one_before(tmp_path):
+    (tmp_path / "press.gif").write_text("before")
+    (tmp_path / "press.mp4").write_text("no video")
+    with pytest.raises(OSError, match=r"press.gif could not be written: ffmpeg: .*Invalid data"):
+        write_gif(tmp_path / "press.gif", tmp_path / "press.mp4", fps=5.0, width_px=64)
+    assert (tmp_path / "press.gif").read_text() == "before"
+
+
+@pytest.mark.fault("view", "a recording that was cut short")
+def test_recording_that_was_cut_short_is_shown_up_to_its_end(bag, tmp_path, capsys, answered):
+    short = tmp_path / "short.partial"
+    shutil.copytree(bag, short)
+    (short / "metadata.yaml").unlink()
+    os.truncate(short / "press.mcap", (short / "press.mcap").stat().st_size - 100)
+    arguments = ["view", str(short), "--out", str(tmp_path / "out"), "--format", "none"]
+    assert main(arguments) == 0
+    said = capsys.readouterr()
+    assert "was not finished or is cut off" in said.err
+    assert "record --repair" in said.err
+    assert os.listdir(tmp_path / "out") == ["short.partial.png"]
+    answered(said.err)
+
+
+@pytest.mark.fault("view", "a bag with a flipped bit")
+def test_damaged_bag_is_refused(bag, tmp_path, capsys, answered):
+    spoilt = tmp_path / "spoilt"
+    shutil.copytree(bag, spoilt)
+    octets = bytearray((spoilt / "press.mcap").read_bytes())
+    octets[len(octets) // 2] ^= 4
+    (spoilt / "press.mcap").write_bytes(octets)
+    assert main(["view", str(spoilt), "--out", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert "its checksum does not match" in error
+    assert not (tmp_path / "out").exists()
+    answered(error)
+
+
+def bag_of(path, *messages):
+    with BagFile(path) as file:
+        for index, (topic, message) in enumerate(messages):
+            file.write(topic, 10**9 + index, message)
+    return path
+
+
+HEAD = {"stamp_ns": 10**9, "frame_id": "base", "types": BAG_TYPES}
+
+
+def pixels(height, width):
+    return msg_adapters.encode_image(
+        np.zeros((height, width, 3), np.uint8), encoding="rgb8", **HEAD
+    )
+
+
+def cloud(**fields):
+    message = msg_adapters.encode_cloud(np.random.default_rng(0).random((9, 3)), **HEAD)
+    for name, value in fields.items():
+        setattr(message, name, value)
+    return message
+
+
+def wide_field():
+    message = cloud()
+    message.fields[0].count = 4_000_000_000
+    return message
+
+
+def force(newtons):
+    message = msg_adapters.encode_wrench_stamped((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), **HEAD)
+    message.wrench.force.x = newtons
+    return message
+
+
+MALFORMED = {
+    "an image of 1 x 3000 pixels": (
+        [("/image_raw", pixels(3000, 1))],
+        "press: an image of 1 x 3000 pixels cannot be shown",
+    ),
+    "a cloud that claims 4e9 points": (
+        [("/points", cloud(width=4_000_000_000))],
+        "press, /points, message of 1.000 s: cloud row_step of 108 bytes is too short",
+    ),
+    "a cloud with a field of 4e9 numbers": (
+        [("/points", wide_field())],
+        "press, /points, message of 1.000 s: cloud field 'x' ends at byte 16000000000",
+    ),
+    "a skin of points that are not finite": (
+        [("/points", msg_adapters.encode_cloud(np.full((9, 3), np.nan), **HEAD))],
+        "press: the skin at rest holds a point that is not finite",
+    ),
+    "a force of 1e308 N": (
+        [("/image_raw", pixels(48, 64)), ("/wrench", force(1e308))],
+        "press, /wrench, message of 1.000 s: a force of 1e+308 N, expected at most 1e+06 N",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", MALFORMED)
+@pytest.mark.fault("view", "")
+def test_malformed_message_is_named(tmp_path, what, capsys, answered):
+    messages, reason = MALFORMED[what]
+    bag = bag_of(tmp_path / "press", *messages)
+    assert main(["view", str(bag), "--out", str(tmp_path / "out")]) == 1
+    error = capsys.readouterr().err
+    assert reason in error
+    assert len(error.splitlines()) == 1
+    answered(error, what=what)
+
+
+@pytest.mark.fault("view", "messages whose stamp is no time")
+def test_messages_without_a_time_are_left_out_and_counted(bag, tmp_path, capsys, answered):
+    path = tmp_path / "press"
+    with BagReader(bag) as reader, BagFile(path) as file:
+        for number, item in enumerate(reader.messages(*reader.topics())):
+            file.add_topic(item.topic, item.message_type)
+            serialized = item.serialized
+            if number % 10 == 9:
+                serialized = serialized[:4] + struct.pack("<iI", -1, 0) + serialized[12:]
+            file.write_serialized(item.topic, item.log_time_ns, serialized)
+    arguments = ["view", str(path), "--out", str(tmp_path / "out"), "--format", "none"]
+    assert main(arguments) == 0
+    error = capsys.readouterr().err
+    assert "3 messages are not shown: their stamp is no time" in error
+    answered(error)
+
+
 @pytest.mark.parametrize("verb", verbs())
 def test_every_verb_has_help_with_an_example(verb, capsys):
     with pytest.raises(SystemExit) as stopped:
@@ -195,3 +448,13 @@ def test_plotting_needs_no_display():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False", "False"]
+
+
+@pytest.mark.fault("view", "a number of columns that is two lines of text")
+def test_a_wrong_command_line_ends_in_one_line(capsys, answered):
+    with pytest.raises(SystemExit) as ended:
+        main(["view", "bag", "--columns=a\nb"])
+    assert ended.value.code == 2
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert last.startswith("dotsim_ros view: error: argument --columns: ")
+    answered(last)

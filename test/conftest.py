@@ -1,0 +1,96 @@
+"""Answers to bad input and faults, gathered into a table while the tests run.
+
+A test marked `@pytest.mark.fault(area, what)` shows what becomes of one fault; it hands the words
+that a user sees to the fixture `answered`, once it has checked them. With `--faults FILE` the
+answers of all such tests that passed are added to a JSON file, of which `.ci/faults_table.py` makes
+`docs/faults.md`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+PROPERTY = "fault"
+AREAS = (
+    "sensor and YAML files",
+    "meshes",
+    "bags and data sets",
+    "calibrate",
+    "find-gap",
+    "effects and overlays",
+    "networks and cards",
+    "view",
+    "recording",
+    "node parameters",
+    "messages",
+)
+"""The chapters of the table, in their order."""
+
+_found: list[dict[str, str]] = []
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add `--faults FILE`."""
+    parser.addoption(
+        "--faults", type=Path, help="JSON file that the answers to faults are added to"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Declare the marker."""
+    config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")
+
+
+@pytest.fixture
+def answered(
+    request: pytest.FixtureRequest,
+    record_property: Callable[[str, object], None],
+    tmp_path: Path,
+) -> Callable[..., None]:
+    """Take the answer to the fault that the test is marked with.
+
+    `answered(text)` keeps the text that a user sees; `answered(text, what=...)` names the fault
+    anew, for a test of several.
+    """
+    marker = request.node.get_closest_marker("fault")
+    assert marker is not None, "a test that uses `answered` needs @pytest.mark.fault(area, what)"
+    area, named = marker.args
+    assert area in AREAS, f"unknown area {area!r}, expected one of {', '.join(AREAS)}"
+
+    def keep(text: object, *, what: str = named) -> None:
+        words = " ".join(str(text).split())
+        assert words, "an answer of no words"
+        for folder in (str(tmp_path.resolve()), str(tmp_path)):
+            words = words.replace(folder + "/", "").replace(folder, ".")
+        # What differs from run to run would make a table that differs, too.
+        words = re.sub(r"\[\d{9,}\.\d+\] ", "", words)
+        record_property(PROPERTY, json.dumps({"area": area, "fault": what, "answer": words}))
+
+    return keep
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Collect the answers of tests that passed, those of parallel workers too."""
+    if report.when == "call" and report.passed:
+        _found.extend(
+            {**json.loads(str(value)), "test": report.nodeid}
+            for name, value in report.user_properties
+            if name == PROPERTY
+        )
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Add what was found to the file, in the process that the workers report to."""
+    path: Path | None = session.config.getoption("--faults")
+    if path is None or hasattr(session.config, "workerinput"):
+        return
+    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
+    tests = {answer["test"] for answer in _found}
+    kept = [answer for answer in before if answer["test"] not in tests]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps([*kept, *_found], indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,158 @@
+"""No parameter and no message ends a node, blocks it, or makes it grow: all the real ones at once.
+
+`test_xarm_adapter.py` does the same to the adapter, whose messages have to be built first.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import hostile
+import pytest
+from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
+from harness import Executable
+from rcl_interfaces.msg import ParameterType, ParameterValue
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Image
+
+import msg_adapters
+
+POLICY = "densetact2_sphere"
+PARAMETERS: dict[str, dict[str, Any]] = {
+    "tactile_sim": {"grid_spacing_m": 0.0048},
+    "xarm_sim": {},
+    "tactile_policy": {"policy": POLICY, "force_limit_n": 2.0},
+    "indenter_player": {
+        "loop": "true",
+        "wait_for_answer": "true",
+        "answer_timeout_s": 0.05,
+        "wait_for_subscriber_s": 0.0,
+    },
+    "tactile_record": {"topics": "['wrench']"},
+}
+READY = {"tactile_record": "recording"}
+
+
+@dataclass
+class Attacked:
+    """A node and who attacks it."""
+
+    name: str
+    executable: Executable
+    attacker: hostile.Attacker
+
+    def check(self) -> None:
+        """Assert that the node is there, and that nothing went wrong in it unforeseen."""
+        assert self.attacker.is_well()
+        assert self.executable.process.poll() is None, self.executable.log[-3000:]
+        assert "Traceback" not in self.executable.log, self.executable.log[-3000:]
+        found = re.findall("^.*unexpected [A-Z].*$", self.executable.log, re.MULTILINE)
+        assert not found, found[0][:300]
+
+
+Nodes = dict[str, Attacked]
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
+    bag = tmp_path_factory.mktemp("hostile") / "bag"
+    with ExitStack() as stack:
+        started = {}
+        for name, parameters in PARAMETERS.items():
+            given = {**parameters, "output": bag} if name == "tactile_record" else parameters
+            executable = Executable(
+                f"dotsim_ros.nodes.{name}.node", given, ("-r", f"__ns:=/{name}_of")
+            )
+            stack.callback(executable.end)
+            started[name] = executable
+        found = {}
+        for name, executable in started.items():
+            executable.wait_for_line(READY.get(name, "ready:"))
+            attacker = hostile.Attacker(f"/{name}_of", name, executable.process.pid)
+            stack.callback(attacker.close)
+            found[name] = Attacked(name, executable, attacker)
+        yield found
+
+
+@pytest.mark.fault("node parameters", "every parameter of a node is set to what makes no sense")
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_no_parameter_ends_a_node(nodes: Nodes, name: str, answered: Any) -> None:
+    reasons = hostile.try_every_parameter(nodes[name].attacker)
+    nodes[name].check()
+    if name == "tactile_sim":
+        answers = dict(zip(hostile.TEXTS, reasons["indenter"], strict=False))
+        for text, what in (
+            ("{kind: [1]}", "`indenter` is `{kind: [1]}`"),
+            ("{" + "[" * 3000, "`indenter` is 3,000 nested brackets"),
+            (hostile.BOMB, "`indenter` is YAML of nested anchors"),
+            ("/dev/zero.yaml", "`indenter` is `/dev/zero.yaml`"),
+        ):
+            answered(answers[text], what=what)
+
+
+def now() -> Any:
+    stamp = hostile.header("link_base")
+    stamp.stamp = msg_adapters.encode_stamp(time.time_ns())
+    return stamp
+
+
+def in_base() -> Any:
+    return hostile.header("densetact_base", sec=1 + time.time_ns() // 10**9)
+
+
+def test_no_message_ends_tactile_sim(nodes: Nodes) -> None:
+    attacker = nodes["tactile_sim"].attacker
+    before = attacker.memory_bytes()
+    attacker.send(PoseStamped, "indenter/pose", hostile.poses("densetact_base", stamp=in_base))
+    attacker.send(TwistStamped, "indenter/twist", hostile.twists("densetact_base"))
+    assert attacker.memory_bytes() - before < hostile.GROWTH_BYTES
+    nodes["tactile_sim"].check()
+
+
+def test_no_message_ends_xarm_sim(nodes: Nodes) -> None:
+    nodes["xarm_sim"].attacker.send(TwistStamped, "cmd_vel", hostile.twists("link_base"))
+    nodes["xarm_sim"].check()
+
+
+def test_no_message_ends_tactile_policy(nodes: Nodes) -> None:
+    attacker = nodes["tactile_policy"].attacker
+    attacker.send(PoseStamped, "ee_pose", hostile.poses("link_base", stamp=now))
+    attacker.send(WrenchStamped, "wrench", hostile.wrenches("tool"))
+    attacker.send(Image, "image_raw", hostile.images(stamp=now))
+    nodes["tactile_policy"].check()
+
+
+@pytest.mark.fault("messages", "`indenter_player` gets a wrench with a negative stamp")
+def test_no_message_ends_indenter_player(nodes: Nodes, answered: Any) -> None:
+    player = nodes["indenter_player"]
+    player.attacker.send(WrenchStamped, "wrench", hostile.wrenches("densetact_base"))
+    player.check()
+    player.executable.wait_for_line("is no valid time")
+    answered(hostile.lines_of(player.executable, "is no valid time")[0])
+
+
+@pytest.mark.fault("messages", "`/clock` is negative")
+@pytest.mark.parametrize("name", ["xarm_sim", "tactile_sim", "tactile_policy", "indenter_player"])
+def test_no_clock_ends_a_node(nodes: Nodes, name: str, answered: Any) -> None:
+    simulated = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+    steady = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
+    clocks = [Clock(clock=each.stamp) for each in hostile.headers("")]
+    attacker = nodes[name].attacker
+    assert attacker.set("use_sim_time", [simulated])[0].successful
+    attacker.send(Clock, "/clock", clocks)
+    time.sleep(0.1)
+    assert attacker.set("use_sim_time", [steady])[0].successful
+    nodes[name].check()
+    if name == "xarm_sim":
+        nodes[name].executable.wait_for_line("/clock is left out")
+        answered(hostile.lines_of(nodes[name].executable, "/clock is left out")[0])
+
+
+def test_they_all_stop_as_ever(nodes: Nodes) -> None:
+    for name, node in nodes.items():
+        assert node.executable.interrupt() == 0, f"{name}: {node.executable.log[-3000:]}"

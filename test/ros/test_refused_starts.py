@@ -1,0 +1,151 @@
+"""What a node answers to a command line or an environment that it cannot start from: one line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hostile import BOMB
+
+from dotsim_ros.nodes.common.arguments import check_start
+from dotsim_ros.nodes.tactile_record.node import RecordParameters
+from msg_adapters import message_class
+
+PARAMETER_FILES = {
+    "nothing": b"",
+    "no text": b"\xff\xfe\x00garbage",
+    "no mapping": b"- 1\n",
+    "half a list": b"a: [1\n  b",
+    "nested anchors": BOMB.encode(),
+}
+ARGUMENTS: dict[str, list[str]] = {
+    "`--sensor pad` without `--ros-args`": ["--sensor", "pad"],
+    "an unknown ROS argument": ["--ros-args", "--sensor"],
+    "a parameter without a value": ["--ros-args", "-p", "seed:="],
+    "a parameter of another type": ["--ros-args", "-p", "seed:=many"],
+    "a parameter that is not a number": ["--ros-args", "-p", "rate_hz:=.nan"],
+    "a parameter that is no text in UTF-8": ["--ros-args", "-p", "base_frame:=\udcff"],
+    "half a list as a parameter": ["--ros-args", "-p", "start_pose:=[1.0, 2"],
+    "an unknown QoS policy": [
+        "--ros-args",
+        "-p",
+        "qos_overrides./cmd_vel.subscription.reliability:=maybe",
+    ],
+    "a QoS depth below zero": ["--ros-args", "-p", "qos_overrides./ee_pose.publisher.depth:=-5"],
+    "a QoS depth of 10^17": [
+        "--ros-args",
+        "-p",
+        "qos_overrides./ee_pose.publisher.depth:=100000000000000000",
+    ],
+    "a topic renamed to `bad name!`": ["--ros-args", "-r", "cmd_vel:=bad name!"],
+    "a namespace with a space": ["--ros-args", "-r", "__ns:=/bad ns"],
+    "a file of parameters that is not there": ["--ros-args", "--params-file", "nowhere.yaml"],
+}
+
+
+STARTS = """
+import json, sys
+from dotsim_ros.nodes.common.spin import run_node
+from dotsim_ros.nodes.xarm_sim.node import XarmSim
+
+for arguments in json.load(sys.stdin):
+    status = run_node(XarmSim, arguments=arguments)
+    print(f"status {status}", file=sys.stderr, flush=True)
+"""
+"""One process starts them all: what takes time is to import ROS."""
+
+
+@pytest.fixture(scope="module")
+def refusals() -> dict[str, str]:
+    """Return the log of each start that must be refused."""
+    done = subprocess.run(
+        [sys.executable, "-c", STARTS],
+        input=json.dumps(list(ARGUMENTS.values())),
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    logs = done.stderr.split("status ")
+    assert [log.split()[0] for log in logs[1:]] == ["2"] * len(ARGUMENTS), done.stderr
+    return dict(zip(ARGUMENTS, logs, strict=False))
+
+
+@pytest.mark.fault("node parameters", "a command line that makes no sense")
+@pytest.mark.parametrize("what", ARGUMENTS)
+def test_a_command_line_that_makes_no_sense_is_answered_in_one_line(
+    refusals: dict[str, str], what: str, answered: Any
+) -> None:
+    log = refusals[what]
+    assert "Traceback" not in log
+    (line,) = [line for line in log.splitlines() if "cannot start: " in line]
+    answered(line.partition("]: ")[2], what=f"a node is started with {what}")
+
+
+@pytest.mark.fault("node parameters", "a node is started with `ROS_DOMAIN_ID` 9999")
+def test_a_domain_that_does_not_exist_is_refused(
+    monkeypatch: pytest.MonkeyPatch, answered: Any
+) -> None:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "9999")
+    with pytest.raises(ValueError, match="ROS_DOMAIN_ID") as caught:
+        check_start([])
+    answered(caught.value)
+
+
+def test_an_executable_takes_no_arguments_but_those_of_ros() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "dotsim_ros.nodes.xarm_sim.node", "--help"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "--ros-args -p NAME:=VALUE" in done.stderr
+
+
+@pytest.mark.fault("node parameters", "a profile of Fast DDS that is not there")
+def test_a_profile_that_is_not_there_is_refused(
+    monkeypatch: pytest.MonkeyPatch, answered: Any
+) -> None:
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", "/no/such/profile.xml")
+    with pytest.raises(ValueError, match="is no file") as caught:
+        check_start([])
+    answered(caught.value)
+
+
+@pytest.mark.fault("node parameters", "a file of parameters that holds none")
+@pytest.mark.parametrize("what", PARAMETER_FILES)
+def test_a_file_without_parameters_is_refused(tmp_path: Path, what: str, answered: Any) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_bytes(PARAMETER_FILES[what])
+    with pytest.raises(ValueError, match=r"node\.yaml") as caught:
+        check_start(["--ros-args", "--params-file", str(path)])
+    answered(caught.value, what=f"a node's file of parameters holds {what}")
+
+
+TOPICS = {
+    "a topic with a space": ["bad name=sensor_msgs/msg/Image"],
+    "a topic of a type that is a path": ["wrench=../../etc"],
+    "a topic of a type that is another module's": ["wrench=os/path/join"],
+    "a topic of a service's type": ["wrench=std_srvs/srv/Trigger"],
+    "one topic twice": ["wrench", "wrench=sensor_msgs/msg/Image"],
+}
+
+
+def classes_of(topics: list[str]) -> list[Any]:
+    types = RecordParameters(topics=tuple(topics)).message_types()
+    return [message_class(kind) for kind in types.values()]
+
+
+@pytest.mark.fault("node parameters", "topics of `tactile_record`")
+@pytest.mark.parametrize("what", TOPICS)
+def test_topics_that_cannot_be_recorded_are_refused(what: str, answered: Any) -> None:
+    with pytest.raises(ValueError, match=r"topics|message type") as caught:
+        classes_of(TOPICS[what])
+    answered(caught.value, what=f"`tactile_record` is asked for {what}")

@@ -1,0 +1,207 @@
+"""A report takes the place of another whole, whatever ends the writer, and nobody's files go."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from gap_findings import named, no_gap, unusable
+
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.overlay import FILE_NAME, FoundEffect, Overlay
+from dotsim_ros.gap.report.write import REPORT_BEFORE, write_report
+from dotsim_ros.replacement import (
+    MANIFEST,
+    SET_ASIDE,
+    STAGED,
+    finish_replacement,
+    made_folder,
+    note_made,
+    remove_made,
+    replace_files,
+)
+
+OLD = {"report.html": b"slip is missing", "findings.json": b"{slip}", FILE_NAME: b"slip"}
+NEW: dict[str, bytes | None] = {
+    "report.html": b"no gap",
+    "findings.json": b"{no gap}",
+    "tiles.png": b"new",
+    FILE_NAME: None,
+}
+HIDDEN = (MANIFEST, STAGED, SET_ASIDE)
+
+
+def shown(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir() if p.name not in HIDDEN}
+
+
+KILLED = """
+import json, os, sys
+from pathlib import Path
+from dotsim_ros import replacement
+OLD = {"report.html": b"slip is missing", "findings.json": b"{slip}",
+       "effects_overlay.yaml": b"slip"}
+NEW = {"report.html": b"no gap", "findings.json": b"{no gap}", "tiles.png": b"new",
+       "effects_overlay.yaml": None}
+statuses = []
+while not statuses or statuses[-1]:
+    folder = Path(sys.argv[1]) / str(len(statuses))
+    replacement.replace_files(folder, OLD)
+    child = os.fork()
+    if child == 0:
+        left = len(statuses)
+        def dying(call):
+            def one(*given, **named):
+                global left
+                left -= 1
+                if left < 0:
+                    os.kill(os.getpid(), 9)
+                return call(*given, **named)
+            return one
+        os.replace, os.fsync = dying(os.replace), dying(os.fsync)
+        os.rmdir, os.unlink = dying(os.rmdir), dying(os.unlink)
+        replacement.replace_files(folder, NEW)
+        os._exit(0)
+    statuses.append(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+print(json.dumps(statuses))
+"""
+
+
+@pytest.mark.fault("find-gap", "SIGKILL while a report takes the place of another, at every step")
+def test_a_killed_writer_leaves_no_mix_of_two_reports(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    whole = {name: content for name, content in NEW.items() if content is not None}
+    done = subprocess.run(
+        [sys.executable, "-c", KILLED, str(tmp_path)], capture_output=True, text=True, check=True
+    )
+    outcomes = []
+    for step, status in enumerate(json.loads(done.stdout)):
+        folder = tmp_path / str(step)
+        found = shown(folder)
+        assert found.items() <= OLD.items() or found.items() <= whole.items(), step
+        finish_replacement(folder)
+        after = shown(folder)
+        assert after in (OLD, whole), step
+        outcomes.append((status, after == whole))
+    # Killed before the new one was whole, killed after, and not killed.
+    assert (-9, False) in outcomes
+    assert (-9, True) in outcomes
+    assert outcomes[-1] == (0, True)
+    answered(
+        "the report before, the new one, or a part of either, never files of both; the next run "
+        "completes it"
+    )
+
+
+FULL = """
+import resource, sys
+from dotsim_ros.replacement import replace_files
+resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+try:
+    replace_files(sys.argv[1], {"report.html": b"new", "tiles.png": bytes(300_000)})
+except OSError as error:
+    print(error)
+"""
+
+
+@pytest.mark.fault("find-gap", "the disk is full while the report is written")
+def test_a_full_disk_leaves_the_report_before(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    replace_files(tmp_path / "report", OLD)
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, str(tmp_path / "report")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith(f"{tmp_path / 'report'} could not be written (File too large)")
+    assert shown(tmp_path / "report") == OLD
+    assert not (tmp_path / "report" / STAGED).exists()
+    # A limit of the process stands for the disk; only the system's words differ.
+    answered(done.stdout.replace("File too large", "No space left on device"))
+
+
+def test_what_the_user_wrote_or_changed_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "report.html").write_bytes(b"of the user")
+    (tmp_path / "notes.md").write_bytes(b"notes")
+    replace_files(tmp_path, OLD)
+    assert shown(tmp_path) == {
+        **OLD,
+        "report.html.kept": b"of the user",
+        "notes.md": b"notes",
+    }
+    (tmp_path / FILE_NAME).write_bytes(b"slip, corrected by hand")
+    replace_files(tmp_path, NEW)
+    found = shown(tmp_path)
+    # It must not stand beside another verdict under the name that the sensor loads.
+    assert FILE_NAME not in found
+    assert found[f"{FILE_NAME}.kept"] == b"slip, corrected by hand"
+
+
+def overlay() -> Overlay:
+    found = FoundEffect("coulomb_slip", named().candidates[0].estimates)
+    return Overlay("sensor_a", "0123", (found,))
+
+
+@pytest.mark.fault("find-gap", "unusable data, in the folder of a good report")
+def test_unusable_data_keep_the_good_report_beside_theirs(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    library = load_effects()
+    write_report(tmp_path, named(), effects=library, overlay=overlay())
+    good = shown(tmp_path)
+    for _ in range(2):
+        write_report(tmp_path, unusable(), effects=library)
+        assert FILE_NAME not in shown_files(tmp_path)
+        assert shown(tmp_path / REPORT_BEFORE) == good
+    assert sorted(p.name for p in tmp_path.iterdir() if p.is_dir()) == [REPORT_BEFORE]
+    write_report(tmp_path, no_gap(), effects=library)
+    write_report(tmp_path, unusable(), effects=library)
+    assert (tmp_path / f"{REPORT_BEFORE}2" / "findings.json").is_file()
+    assert shown(tmp_path / REPORT_BEFORE) == good
+    answered(
+        "the report says that the data cannot be used and why, status 20; the good report is kept "
+        "whole in report_before/"
+    )
+
+
+def shown_files(folder: Path) -> set[str]:
+    return {p.name for p in folder.iterdir() if p.is_file()}
+
+
+@pytest.mark.fault("find-gap", "--demo --out DIR, where DIR/measured is somebody's data")
+def test_only_what_was_made_so_is_removed(tmp_path: Path, answered: Callable[..., None]) -> None:
+    own = tmp_path / "measured"
+    own.mkdir()
+    (own / "dataset.yaml").write_text("of the user")
+    with (
+        pytest.raises(FileExistsError, match="did not make it") as refused,
+        made_folder(tmp_path, "measured"),
+    ):
+        raise AssertionError("nothing may begin")
+    answered(refused.value)
+    assert (own / "dataset.yaml").read_text() == "of the user"
+    (own / "dataset.yaml").unlink()
+    own.rmdir()
+
+    for content in ("first", "second"):
+        with made_folder(tmp_path, "measured") as part:
+            part.mkdir()
+            (part / "dataset.yaml").write_text(content)
+        assert (own / "dataset.yaml").read_text() == content
+    (own / "notes.txt").write_text("of the user")
+    with pytest.raises(FileExistsError, match=r"measured holds notes\.txt"):
+        remove_made(tmp_path, "measured")
+    (own / "notes.txt").unlink()
+    (own / "dataset.yaml").write_text("changed by the user")
+    with pytest.raises(FileExistsError, match=r"measured holds dataset\.yaml"):
+        remove_made(tmp_path, "measured")
+    note_made(tmp_path, "measured")
+    remove_made(tmp_path, "measured")
+    assert not own.exists()

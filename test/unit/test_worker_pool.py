@@ -1,0 +1,112 @@
+"""Worker processes end with who started them, whatever ends it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+PROGRAM = """
+import os, sys, time
+from concurrent.futures import wait
+from dotsim_ros.cli import calibrate, main
+from dotsim_ros.worker_pool import open_worker_pool
+
+def begin(_given):
+    pass
+
+def work(_number):
+    os.write(1, b"worker %d\\n" % os.getpid())
+    time.sleep(600.0)
+
+def end(_number):
+    os.kill(os.getpid(), 9)
+
+def run(_arguments):
+    with open_worker_pool(2, begin, None) as pool:
+        task = end if sys.argv[1] == "end" else work
+        for future in [pool.submit(task, number) for number in range(2)]:
+            future.result()
+
+if __name__ == "__main__":
+    calibrate.run = run
+    sys.exit(main.main(["calibrate", "--data", "d", "--out", "o.yaml"]))
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    path = tmp_path / "program.py"
+    path.write_text(PROGRAM, encoding="utf-8")
+    return path
+
+
+def started(program: Path, what: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, str(program), what],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def is_there(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except FileNotFoundError:
+        return False
+    return state != "Z"
+
+
+def wait_until_gone(pids: list[int]) -> None:
+    end_s = time.monotonic() + 10.0
+    while any(is_there(pid) for pid in pids):
+        assert time.monotonic() < end_s, f"{pids} are left"
+        time.sleep(0.02)
+
+
+@pytest.mark.fault("calibrate", "SIGKILL, SIGTERM or Ctrl-C while worker processes solve")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_no_worker_is_left(
+    program: Path, number: signal.Signals, answered: Callable[..., None]
+) -> None:
+    process = started(program, "work")
+    assert process.stdout is not None
+    workers = [int(process.stdout.readline().split()[1]) for _ in range(2)]
+    assert all(is_there(pid) for pid in workers)
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does: the workers get it, too
+    else:
+        process.send_signal(number)
+    _, errors = process.communicate(timeout=20.0)
+    wait_until_gone(workers)
+    if number == signal.SIGINT:
+        assert process.returncode == 130
+        assert errors == "dotsim_ros calibrate: interrupted\n"
+        answered(errors, what="Ctrl-C while worker processes solve")
+    elif number == signal.SIGTERM:
+        assert process.returncode == 143
+        assert errors == "dotsim_ros calibrate: terminated\n"
+        answered(errors, what="SIGTERM while worker processes solve")
+    else:
+        answered(
+            "the worker processes end within a second; the same command goes on from what is solved"
+        )
+
+
+@pytest.mark.fault("calibrate", "a worker process is killed, as where memory runs out")
+def test_a_worker_that_is_killed_is_one_line(program: Path, answered: Callable[..., None]) -> None:
+    process = started(program, "end")
+    _, errors = process.communicate(timeout=20.0)
+    assert process.returncode == 1
+    assert errors.count("\n") == 1
+    assert "ended from outside" in errors
+    assert "fewer with --workers" in errors
+    answered(errors)
