@@ -19,13 +19,19 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-.PHONY: help setup demo demo-loop test bench soak lint docs results-status clean
+# What the tests saw of bad input and faults, for docs/faults.md.
+FAULTS ?= $(OUT)/faults.json
+SECONDS ?= 60
+
+.PHONY: help setup demo demo-loop test faults fuzz bench soak lint docs results-status clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
 	@echo "make demo    the node, real presses replayed into it, a bag and a video in $(OUT)/demo"
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
+	@echo "make fuzz    hostile input for every reader, for SECONDS (60)"
+	@echo "make faults  docs/faults.md, the answers to bad input and faults, from the tests"
 	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
@@ -47,8 +53,18 @@ demo-loop: setup
 	$(RUN) dotsim_ros demo-loop --out $(OUT)/demo-loop
 
 test: setup
-	$(RUN) python -m pytest -n 2 --dist loadfile $(PYTEST_OPTIONS) test/unit test/physics
-	$(RUN) python -m pytest $(PYTEST_OPTIONS) test/ros
+	@rm -f $(FAULTS)
+	$(RUN) python -m pytest -n 2 --dist loadfile --faults $(FAULTS) $(PYTEST_OPTIONS) test/unit test/physics
+	$(RUN) python -m pytest --faults $(FAULTS) $(PYTEST_OPTIONS) test/ros
+
+faults: setup
+	@rm -f $(FAULTS)
+	$(RUN) python -m pytest -m fault --faults $(FAULTS) $(PYTEST_OPTIONS) test
+	$(RUN) python .ci/faults_table.py $(FAULTS)
+
+# Another SEED gives other cases.
+fuzz: setup
+	$(RUN) python -m fuzz --seconds $(SECONDS) --seed $(or $(SEED),0)
 
 bench: setup
 	$(RUN) python benchmarks/realtime.py --seconds 60 --json $(OUT)/realtime.json

@@ -23,6 +23,8 @@ TEST = [
     "cyclonedds>=0.10.5",
     "hypothesis",
     "imageio>=2.22",
+    # an independent reader of the bags that are written
+    "mcap>=1.2",
     "psutil",
     # pytest 9 breaks the launch_testing plugin of ROS 2 Jazzy
     "pytest<9",
@@ -94,6 +96,7 @@ setup(
         "POT>=0.9",
         "embreex>=2.17.7.post5",
         "imageio-ffmpeg>=0.4.9",
+        "lz4>=4.0",
         "matplotlib>=3.6",
         "numpy>=1.26",
         "onnxruntime>=1.20",
@@ -101,6 +104,8 @@ setup(
         "pillow>=9.4",
         "pin>=3.0",
         "PyYAML>=6.0",
+        # chunks of mcap files
+        "backports.zstd>=1.0",
         "rosbags>=0.10.7",
         "safetensors>=0.4",
         "scikit-image>=0.20",

@@ -19,9 +19,10 @@ import numpy as np
 
 from dotsim_ros.files import write_json
 from dotsim_ros.optics.network.carded_weights import GRAPH
+from dotsim_ros.optics.network.session import open_session
 from dotsim_ros.provenance import provenance
 from dotsim_ros.tasks.policy.images import CHANNEL_COUNT
-from dotsim_ros.tasks.policy.network import load_policy, open_session
+from dotsim_ros.tasks.policy.network import load_policy
 
 THREADS = (1, 2)
 
@@ -88,7 +89,7 @@ def measure(folder: Path, count: int) -> dict[str, Any]:
         lambda: policy.image_distance(image, idle), count
     )
     for threads in THREADS:
-        session = open_session(folder / GRAPH, threads)
+        session = open_session(folder / GRAPH, threads, "policy")
 
         def run(session: Any = session) -> None:
             session.run(None, {"picture": given})
