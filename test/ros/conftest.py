@@ -9,11 +9,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros,test]'")
 
-from dotsim_ros.nodes.common.transport import stay_local
+from dotsim_ros.nodes.common.transport import USER_SETTINGS, stay_local
 
 os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
+# Whatever the shell configured: `stay_local` leaves that as it is, and its sockets may be open.
+for name in USER_SETTINGS:
+    os.environ.pop(name, None)
 stay_local()
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="dotsim_ros_log_"))
 # For `harness`, which is no test.
