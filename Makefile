@@ -54,12 +54,12 @@ demo-loop: setup
 
 test: setup
 	@rm -f $(FAULTS)
-	$(RUN) python -m pytest -n 2 --dist loadfile --faults $(FAULTS) $(PYTEST_OPTIONS) test/unit test/physics
-	$(RUN) python -m pytest --faults $(FAULTS) $(PYTEST_OPTIONS) test/ros
+	$(RUN) python -m pytest -n 2 --dist loadfile --faults=$(FAULTS) $(PYTEST_OPTIONS) test/unit test/physics
+	$(RUN) python -m pytest --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
 
 faults: setup
 	@rm -f $(FAULTS)
-	$(RUN) python -m pytest -m fault --faults $(FAULTS) $(PYTEST_OPTIONS) test
+	$(RUN) python -m pytest -m fault --faults=$(FAULTS) $(PYTEST_OPTIONS) test
 	$(RUN) python .ci/faults_table.py $(FAULTS)
 
 # Another SEED gives other cases.

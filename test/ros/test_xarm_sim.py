@@ -167,7 +167,7 @@ def test_no_limit_is_exceeded_on_the_recorded_motion(client: ArmClient) -> None:
     assert np.linalg.norm(velocity, axis=1).max() > 0.15
     middle_s = 0.5 * (steps[1:] + steps[:-1])
     acceleration = np.linalg.norm(np.diff(velocity, axis=0), axis=1) / middle_s
-    # Over a gap the machine was busy: the difference of two clocks, and with it a stamp, may be off.
+    # Over a gap the machine was busy, and the difference of two clocks, so a stamp, may be off.
     is_regular = np.maximum(steps[1:], steps[:-1]) < 2.0 * PERIOD_S
     assert np.count_nonzero(is_regular) > 100
     assert acceleration[is_regular].max() <= 4.0 * 1.02

@@ -6,6 +6,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from copy import copy
+from functools import partial
 from inspect import signature
 from threading import Lock
 from typing import Any
@@ -16,17 +17,23 @@ from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from dotsim_ros.nodes.common.health import FAULT_MEMORY_S
 from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.simulated_time.participant import (
+    CountingPublisher,
+    StepParticipant,
+    stamp_of,
+)
 from msg_adapters import Level, Status
 from msg_adapters.stamps import MAXIMUM_SECONDS, NANOSECONDS_PER_SECOND
 
 LOG_EVERY_S = 5.0
 """Between two lines about the same topic or service."""
 LARGEST_DEPTH = 10_000
+UNSTEPPED = ("/clock", "/diagnostics", "/parameter_events", "/rosout")
 LATEST_NS = (MAXIMUM_SECONDS - 1_000_000) * NANOSECONDS_PER_SECOND
 """Eleven days before the end of what a stamp holds: what is planned from a time must have one,
 too."""
@@ -41,10 +48,15 @@ class GuardedNode(Node):
     Args:
         name: of the node.
         options: of `rclpy.node.Node`.
+
+    Attributes:
+        participant: the node's part in the steps of simulated time; set before the publishers and
+            subscriptions that belong to it are made.
     """
 
     def __init__(self, name: str, **options: Any) -> None:
         # Before the node: it makes services of its own.
+        self.participant: StepParticipant | None = None
         self._failure_lock = Lock()
         self._failure_count = 0
         self._failure_reason = ""
@@ -114,10 +126,18 @@ class GuardedNode(Node):
         """
         # A copy, since what the user overrides for this topic is written into it.
         quality = copy(qos_profile)
+        participant = self.participant if _is_stepped(topic, quality) else None
+        if participant is not None:
+            quality = _keeps_all(quality)
+            options["publisher_class"] = CountingPublisher
         try:
-            return super().create_publisher(msg_type, topic, quality, **_with_check(options))
+            publisher = super().create_publisher(msg_type, topic, quality, **_with_check(options))
         except Exception as error:
             raise self._refusal(topic, error) from error
+        if participant is not None:
+            assert isinstance(publisher, CountingPublisher)
+            participant.watch(publisher)
+        return publisher
 
     def create_subscription(
         self,
@@ -135,18 +155,26 @@ class GuardedNode(Node):
             except Exception as error:
                 self.note_failure(f"a message on {topic} is left out", error)
 
-        # ROS sees by the number of its arguments whether a callback wants to know more.
-        if len(signature(callback).parameters) == 1:
-            hear: Callable[..., None] = lambda message: take(message)  # noqa: E731
-        else:
-            hear = lambda message, information: take(message, information)  # noqa: E731
         quality = copy(qos_profile)
+        participant = self.participant if _is_stepped(topic, quality) else None
+        # ROS sees by the number of its arguments whether a callback wants to know more.
+        wants_more = len(signature(callback).parameters) != 1
+        if participant is not None:
+            quality = _keeps_all(quality)
+            hear: Callable[..., None] = self._held_back(participant, topic, take, wants_more)
+        elif wants_more:
+            hear = lambda message, information: take(message, information)  # noqa: E731
+        else:
+            hear = lambda message: take(message)  # noqa: E731
         try:
-            return super().create_subscription(
+            subscription = super().create_subscription(
                 msg_type, topic, hear, quality, **_with_check(options)
             )
         except Exception as error:
             raise self._refusal(topic, error) from error
+        if participant is not None:
+            participant.read(subscription)
+        return subscription
 
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
@@ -155,6 +183,7 @@ class GuardedNode(Node):
 
         def answer(request: Any, response: Any) -> Any:
             try:
+                self.before_request()
                 return callback(request, response)
             except Exception as error:
                 reason = self.note_failure(f"a call of {srv_name} fails", error)
@@ -172,6 +201,29 @@ class GuardedNode(Node):
             srv_type, srv_name, answer_each if is_each else answer, **options
         )
 
+    def before_request(self) -> None:
+        """Called before a service is answered."""
+
+    def _held_back(
+        self,
+        participant: StepParticipant,
+        topic: str,
+        take: Callable[..., None],
+        wants_more: bool,
+    ) -> Callable[..., None]:
+        """Return a callback that keeps messages until the next step."""
+        resolved = self.resolve_topic_name(topic)
+
+        def hear(message: Any, information: Any) -> None:
+            what = (message, information) if wants_more else (message,)
+            number = information["publication_sequence_number"]
+            try:
+                participant.hold(resolved, number, stamp_of(message), partial(take, *what))
+            except ValueError as error:
+                self.note_failure(f"a message on {topic} is left out", error)
+
+        return hear
+
     def _refusal(self, topic: str, error: Exception) -> Exception:
         if isinstance(error, ParameterException) or not self.context.ok():
             return error
@@ -183,6 +235,25 @@ class GuardedNode(Node):
             f"qos_overrides.{self.resolve_topic_name(topic)}; reliability is reliable or "
             f"best_effort, history keep_last or keep_all, depth from 1 to {LARGEST_DEPTH}"
         )
+
+
+def _is_stepped(topic: str, quality: QoSProfile | int) -> bool:
+    """Return whether the messages of a topic belong to the steps of simulated time.
+
+    What is kept for late readers, and what says how a node is, does not.
+    """
+    is_latched = (
+        isinstance(quality, QoSProfile) and quality.durability is DurabilityPolicy.TRANSIENT_LOCAL
+    )
+    return not is_latched and topic not in UNSTEPPED
+
+
+def _keeps_all(quality: QoSProfile | int) -> QoSProfile:
+    """Return reliable policies that lose nothing between two steps."""
+    if isinstance(quality, int):
+        quality = QoSProfile(depth=quality)
+    quality.history, quality.reliability = HistoryPolicy.KEEP_ALL, ReliabilityPolicy.RELIABLE
+    return quality
 
 
 def _refuse_nameless(changes: Sequence[Parameter]) -> SetParametersResult:

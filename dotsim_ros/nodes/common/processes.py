@@ -71,10 +71,14 @@ class NodeProcess:
             OSError: it ended before, or the time is over.
         """
         end_s = time.monotonic() + timeout_s
-        while not any(text in line for line in list(self._lines)):
+        while not self.has_logged(text):
             if not self._reader.is_alive() or time.monotonic() > end_s:
                 raise OSError(f"{self.executable} did not get as far as {text!r}")
             time.sleep(0.02)
+
+    def has_logged(self, text: str) -> bool:
+        """Return whether a line of the log holds `text`."""
+        return any(text in line for line in list(self._lines))
 
     def signal(self, number: int) -> None:
         """Send a signal to the node."""

@@ -8,13 +8,17 @@ import time
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from threading import Event, Thread
 from types import FrameType
+from typing import TypeVar
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
 from rclpy._rclpy_pybind11 import RCLError, UnknownROSArgsError
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpThreshold
+from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
@@ -25,12 +29,21 @@ from dotsim_ros.nodes.common.arguments import check_start
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.simulated_time.latency import Latency
+from dotsim_ros.nodes.simulated_time.participant import StepParticipant
+from dotsim_ros.nodes.simulated_time.schedule import PacedWork, PeriodicWork, SimulatedSchedule
 from msg_adapters import Status
+
+Result = TypeVar("Result")
 
 SILENT_CLOCK_WARNING_S = 5.0
 WAKE_PERIOD_S = 0.25
 REFUSED = 2
 """Exit status of a node that could not start from what its user gave it."""
+STEPPED = ParameterDescriptor(
+    description="with use_sim_time: go on only in the steps of a time_stepper, with others",
+    read_only=True,
+)
 BROKEN = 1
 """Exit status of a node that could not start, or go on, for a fault of its own."""
 
@@ -41,12 +54,18 @@ class WorkingNode(GuardedNode):
     Making a node may take minutes, so a SIGINT cuts it short wherever it is; what is opened then
     would stay open.
 
+    What it does at which time goes through `start_work`, `start_paced` and `compute`, and what it
+    calls now is `now_s`. With `use_sim_time` that is the time of /clock, and everything runs on the
+    executor's thread as the clock moves on; else it is the steady clock, and threads wait for it.
+    With `stepped` too the node is a participant of steps (see `StepParticipant`).
+
     Args:
         name: of the node.
 
     Attributes:
         exit_status: other than 0 where something went wrong in a thread or while closing.
         stopping: set when the threads are to return.
+        is_stepped: whether the node is a participant of steps.
     """
 
     exit_status = 0
@@ -54,6 +73,17 @@ class WorkingNode(GuardedNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.stopping = Event()
+        is_simulated = bool(self.get_parameter("use_sim_time").value)
+        self.is_stepped = bool(self.declare_parameter("stepped", False, STEPPED).value)
+        if self.is_stepped and not is_simulated:
+            raise ValueError("stepped is true, which needs simulated time: set use_sim_time too")
+        self._schedule = SimulatedSchedule() if is_simulated else None
+        self._origin_ns: int | None = None
+        if self.is_stepped:
+            self.participant = StepParticipant(self, self._go_to)
+        elif is_simulated:
+            self._follow_clock()
+        self.add_on_set_parameters_callback(partial(_refuse_other_clock, is_simulated))
         self._threads: list[Thread] = []
         # A signal between the executor's look at the context and its wait wakes nothing: of a node
         # without a timer, one SIGINT in 20 was lost.
@@ -67,9 +97,32 @@ class WorkingNode(GuardedNode):
         """
         raise NotImplementedError
 
+    @property
+    def is_simulated(self) -> bool:
+        """Return whether the node goes by simulated time."""
+        return self._schedule is not None
+
+    def now_s(self) -> float:
+        """Return the time by which the node acts, on a clock that is never set: in simulated time
+        what has passed since the first time of /clock, else the steady clock."""
+        return time.monotonic() if self._schedule is None else self._schedule.now_s
+
+    def time_ns(self) -> int:
+        """Return the time of messages; 0 where there is none: see `GuardedNode.time_ns`."""
+        if self._schedule is None:
+            return super().time_ns()
+        return 0 if self._origin_ns is None else self._origin_ns + round(1e9 * self._schedule.now_s)
+
+    def before_request(self) -> None:
+        """Let what is being computed for the simulated time end: it began before the request."""
+        if self._schedule is not None:
+            self._schedule.settle()
+
     def destroy_node(self) -> None:
         """Wait until the threads have returned, and take the node down."""
         self.stopping.set()
+        if self._schedule is not None:
+            self._schedule.close()
         for thread in self._threads:
             thread.join()
         super().destroy_node()
@@ -91,20 +144,54 @@ class WorkingNode(GuardedNode):
     def start_paced(
         self, name: str, pace: Callable[[], FramePace], tick: Callable[[], None], broken: str
     ) -> None:
-        """Start a thread that calls `tick` at each deadline until the node stops.
+        """Call `tick` at each deadline until the node stops.
 
         Args:
             name, broken: as of `start_thread`.
             pace: gives the deadlines; asked each time, since a parameter may change the rate.
             tick: the work of one period.
         """
+        self.start_work(name, PeriodicWork(pace, tick), broken)
+
+    def start_work(self, name: str, work: PacedWork, broken: str) -> None:
+        """Do work at each of its deadlines until the node stops.
+
+        Args:
+            name, broken: as of `start_thread`.
+            work: and its deadlines.
+        """
+        if self._schedule is not None:
+            self._schedule.pace(_Watched(self, work, broken))
+            return
 
         def run() -> None:
-            while not self.stopping.wait(max(0.0, pace().deadline_s() - time.monotonic())):
-                pace().begin(time.monotonic())
-                tick()
+            while not self.stopping.wait(max(0.0, work.deadline_s() - time.monotonic())):
+                work.run(time.monotonic())
 
         self.start_thread(name, run, broken)
+
+    def compute(
+        self,
+        latency: Latency,
+        work: Callable[[], Result],
+        take: Callable[[Result], None],
+        broken: str,
+    ) -> None:
+        """Compute something, and take what comes out when it is there: in simulated time after the
+        latency, else at once.
+
+        Args:
+            latency: of what stands where this does in reality.
+            work: changes nothing that other work of this node looks at.
+            take: uses what came out, on the thread of the node's work.
+            broken: as of `start_thread`.
+        """
+        if self._schedule is None:
+            take(work())
+        else:
+            self._schedule.compute(
+                latency.draw_s(), work, lambda result: self._watch(partial(take, result), broken)
+            )
 
     def report_health(
         self, period_s: float, statuses: Callable[[], Sequence[Status]], without_clock: str
@@ -113,7 +200,7 @@ class WorkingNode(GuardedNode):
 
         Args:
             period_s: between reports, by a steady clock: a node says what is wrong without /clock,
-                too.
+                too. In steps, of simulated time.
             statuses: returns the states of the node's parts.
             without_clock: what does not work while `use_sim_time` is set and /clock is silent, for
                 the log.
@@ -134,8 +221,42 @@ class WorkingNode(GuardedNode):
             found = [*statuses(), *self.failure_status()]
             publisher.publish(msg_adapters.encode_diagnostics(found, stamp_ns=stamp_ns))
 
-        self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        if self._schedule is not None and self.is_stepped:
+            # At times that are known: who steps the nodes decides by what they report.
+            self._schedule.every(period_s, report)
+        else:
+            self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return report
+
+    def _go_to(self, time_ns: int) -> None:
+        """Do what is due up to a time of the clock that the node goes by."""
+        schedule = self._schedule
+        assert schedule is not None
+        if self._origin_ns is None:
+            self._origin_ns = time_ns
+        elif time_ns < self.time_ns():
+            # A clock that was set back: what passes here does not, only the stamps do.
+            self._origin_ns += time_ns - self.time_ns()
+        schedule.advance(1e-9 * (time_ns - self._origin_ns))
+
+    def _follow_clock(self) -> None:
+        """Go on whenever /clock does."""
+
+        def go() -> None:
+            time_ns = GuardedNode.time_ns(self)
+            if time_ns:
+                self._go_to(time_ns)
+
+        # Not within the jump's own callback, which must return before the clock can be read.
+        moved = self.create_guard_condition(go)
+        self._jumps = self.get_clock().create_jump_callback(
+            JumpThreshold(
+                min_forward=Duration(nanoseconds=1),
+                min_backward=Duration(nanoseconds=-1),
+                on_clock_change=True,
+            ),
+            post_callback=lambda _: moved.trigger(),
+        )
 
     def _watch(self, run: Callable[[], None], broken: str) -> None:
         try:
@@ -146,6 +267,31 @@ class WorkingNode(GuardedNode):
                 self.exit_status = BROKEN
                 rclpy.try_shutdown()
                 raise
+
+
+class _Watched:
+    """Work that ends its node where it fails; see `WorkingNode.start_thread`."""
+
+    def __init__(self, node: WorkingNode, work: PacedWork, broken: str) -> None:
+        self._node, self._work, self._broken = node, work, broken
+
+    def deadline_s(self) -> float:
+        """Return when it is due."""
+        return self._work.deadline_s()
+
+    def run(self, now_s: float) -> None:
+        """Do it."""
+        self._node._watch(partial(self._work.run, now_s), self._broken)
+
+
+def _refuse_other_clock(
+    is_simulated: bool, changes: Sequence[rclpy.parameter.Parameter]
+) -> SetParametersResult:
+    is_other = any(
+        change.name == "use_sim_time" and change.value != is_simulated for change in changes
+    )
+    reason = "use_sim_time is fixed once the node runs: start it anew" if is_other else ""
+    return SetParametersResult(successful=not is_other, reason=reason)
 
 
 def _wake() -> None:

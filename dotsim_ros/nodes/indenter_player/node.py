@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -24,13 +25,14 @@ from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, progra
 
 POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 POLL_S = 0.02
-SIMULATED_POLL_S = 0.001
+ANSWER_POLL_S = 0.001
+FOREVER_S = 1e6
 WARN_EVERY_S = 5.0
 FARTHEST_AHEAD_NS = 60_000_000_000
 
 
 class IndenterPlayer(WorkingNode):
-    """Plays a program from a thread of its own, at absolute deadlines."""
+    """Plays a program at absolute deadlines."""
 
     def __init__(self) -> None:
         super().__init__("indenter_player")
@@ -46,47 +48,70 @@ class IndenterPlayer(WorkingNode):
         self._answered_stamp_ns = self._sent_stamp_ns = -1
         if self._settings.wait_for_answer:
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
+        self._poses = self._program_poses()
+        self._next: tuple[float, Pose] | None = None
+        self._start_s: float | None = None
+        self._start_ns = 0
+        self._look_s = self.now_s()
+        self._count = 0
+        self._asked_s: float | None = None
+        self._patience_end_s = time.monotonic() + self._settings.wait_for_subscriber_s
+        if self.is_simulated:
+            self.create_timer(
+                WARN_EVERY_S, self._warn_of_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
 
     def begin(self) -> None:
         """Start to play."""
-        self.start_thread("player", self._play, "the player failed")
+        self._patience_end_s = time.monotonic() + self._settings.wait_for_subscriber_s
+        self.start_work("player", self, "the player failed")
         self.get_logger().info(
             f"ready: {self._settings.source}, {self._program.motion.duration_s:.2f} s of motion on "
             f"{self._publisher.topic_name}"
         )
 
-    def _on_answer(self, message: WrenchStamped) -> None:
-        stamp_ns = msg_adapters.message_stamp_ns(message)
-        with self._answered:
-            # One such stamp would answer all that is still to come.
-            if stamp_ns > self._sent_stamp_ns + FARTHEST_AHEAD_NS:
-                raise ValueError(
-                    "the wrench is stamped a minute and more after the newest pose, so it answers "
-                    "none: its sender must give it the pose's stamp (clock: lockstep)"
-                )
-            self._answered_stamp_ns = max(stamp_ns, self._answered_stamp_ns)
-            self._answered.notify_all()
+    def deadline_s(self) -> float:
+        """Return when to look, or to publish, next."""
+        return self._look_s
 
-    def _play(self) -> None:
-        if not (self._wait_for_clock() and self._wait_for_subscriber()):
-            return
-        count = 0
-        start_ns = self.time_ns()
-        start_s = time.monotonic()
-        for time_s, pose in self._poses():
-            stamp_ns = start_ns + round(time_s * 1e9)
-            if not self._wait_until(stamp_ns, start_s + time_s):
+    def run(self, now_s: float) -> None:
+        """Publish the pose that is due, once somebody hears it and has answered the one before."""
+        if self._start_s is None:
+            if self._must_wait_for_subscribers():
+                self._look_s = now_s + POLL_S
                 return
-            self._publish(stamp_ns, pose)
-            count += 1
-            if self._settings.wait_for_answer:
-                self._wait_for_answer(stamp_ns)
+            self._start_s, self._start_ns = now_s, self.time_ns()
+            self._next = next(self._poses)
+        if self._must_wait_for_answer(now_s):
+            self._look_s = now_s + ANSWER_POLL_S
+            return
+        self._asked_s = None
+        if self._next is None:
+            self._end()
+            return
+        time_s, pose = self._next
+        if self._start_s + time_s <= now_s:
+            self._publish(self._start_ns + round(time_s * 1e9), pose)
+            self._count += 1
+            self._asked_s = now_s if self._settings.wait_for_answer else None
+            self._next = next(self._poses, None)
+        if self._next is None:
+            self._look_s = now_s
+        else:
+            self._look_s = self._start_s + self._next[0]
+
+    def _end(self) -> None:
+        self._look_s = self.now_s() + FOREVER_S
+        if self._count == 0:
+            return
         self._publisher.wait_for_all_acked(Duration(seconds=2))
-        self.get_logger().info(f"played {count} poses, {time_s:.2f} s of motion")
+        duration_s = self._program.motion.duration_s
+        self.get_logger().info(f"played {self._count} poses, {duration_s:.2f} s of motion")
+        self._count = 0
         if self._settings.exit_at_end:
             try_shutdown()
 
-    def _poses(self) -> Iterator[tuple[float, Pose]]:
+    def _program_poses(self) -> Iterator[tuple[float, Pose]]:
         program = self._program
         offset_s = 0.0
         while True:
@@ -103,6 +128,18 @@ class IndenterPlayer(WorkingNode):
                 return
             offset_s += program.motion.duration_s
 
+    def _on_answer(self, message: WrenchStamped) -> None:
+        stamp_ns = msg_adapters.message_stamp_ns(message)
+        with self._answered:
+            # One such stamp would answer all that is still to come.
+            if stamp_ns > self._sent_stamp_ns + FARTHEST_AHEAD_NS:
+                raise ValueError(
+                    "the wrench is stamped a minute and more after the newest pose, so it answers "
+                    "none: its sender must give it the pose's stamp (clock: lockstep)"
+                )
+            self._answered_stamp_ns = max(stamp_ns, self._answered_stamp_ns)
+            self._answered.notify_all()
+
     def _publish(self, stamp_ns: int, pose: Pose) -> None:
         with self._answered:
             self._sent_stamp_ns = stamp_ns
@@ -115,60 +152,48 @@ class IndenterPlayer(WorkingNode):
             )
         )
 
-    def _wait_for_clock(self) -> bool:
-        warned = -WARN_EVERY_S
-        while self.time_ns() == 0:
-            if time.monotonic() - warned > WARN_EVERY_S:
-                self.get_logger().warning(
-                    "use_sim_time is set and no /clock comes, or one beyond what a stamp holds: "
-                    "waiting"
-                )
-                warned = time.monotonic()
-            if self.stopping.wait(POLL_S):
-                return False
-        return True
+    def _warn_of_silence(self) -> None:
+        if self.time_ns() == 0:
+            self.get_logger().warning(
+                "use_sim_time is set and no /clock comes, or one beyond what a stamp holds: waiting"
+            )
 
-    def _wait_for_subscriber(self) -> bool:
-        deadline = time.monotonic() + self._settings.wait_for_subscriber_s
-        while (count := self._publisher.get_subscription_count()) < self._settings.subscriber_count:
-            if time.monotonic() >= deadline:
-                self.get_logger().warning(
-                    f"{count} subscribers of {self._publisher.topic_name} instead of "
-                    f"{self._settings.subscriber_count}: playing anyway"
-                )
-                return True
-            if self.stopping.wait(POLL_S):
-                return False
-        return True
-
-    def _wait_until(self, stamp_ns: int, deadline_s: float) -> bool:
-        """Wait for a time; return False where the node is to stop.
-
-        Args:
-            stamp_ns: the time on the node's clock, which counts where simulated time is used.
-            deadline_s: the same on the monotonic clock, which no correction of the time moves.
-        """
-        if self.get_parameter("use_sim_time").value:
-            # Not Clock.sleep_until, which nothing ends while the clock stands still.
-            while self.time_ns() < stamp_ns:
-                if self.stopping.wait(SIMULATED_POLL_S):
-                    return False
+    def _must_wait_for_subscribers(self) -> bool:
+        # Steps begin when all participants are connected.
+        if self.is_stepped:
+            return False
+        count, wanted = self._publisher.get_subscription_count(), self._settings.subscriber_count
+        if count >= wanted:
+            return False
+        if time.monotonic() < self._patience_end_s:
             return True
-        return not self.stopping.wait(max(0.0, deadline_s - time.monotonic()))
+        self.get_logger().warning(
+            f"{count} subscribers of {self._publisher.topic_name} instead of {wanted}: playing "
+            "anyway"
+        )
+        return False
 
-    def _wait_for_answer(self, stamp_ns: int) -> None:
-        deadline = time.monotonic() + self._settings.answer_timeout_s
+    def _must_wait_for_answer(self, now_s: float) -> bool:
+        """Return whether the newest pose has no answer yet; wait a little for it where it may come
+        meanwhile."""
+        if self._asked_s is None:
+            return False
         with self._answered:
-            while self._answered_stamp_ns < stamp_ns and not self.stopping.is_set():
-                remaining_s = deadline - time.monotonic()
-                if remaining_s <= 0.0:
-                    self.get_logger().warning(
-                        f"no wrench answers the pose of {stamp_ns} ns within "
-                        f"{self._settings.answer_timeout_s:g} s: going on",
-                        throttle_duration_sec=WARN_EVERY_S,
-                    )
-                    return
-                self._answered.wait(min(remaining_s, POLL_S))
+            if not self.is_simulated:
+                self._answered.wait_for(self._is_answered, POLL_S)
+            if self._is_answered():
+                return False
+        if self.now_s() < self._asked_s + self._settings.answer_timeout_s:
+            return True
+        self.get_logger().warning(
+            f"no wrench answers the pose of {self._sent_stamp_ns} ns within "
+            f"{self._settings.answer_timeout_s:g} s: going on",
+            throttle_duration_sec=WARN_EVERY_S,
+        )
+        return False
+
+    def _is_answered(self) -> bool:
+        return self._answered_stamp_ns >= self._sent_stamp_ns
 
 
 def main() -> None:

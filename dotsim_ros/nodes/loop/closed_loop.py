@@ -23,7 +23,16 @@ from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.processes import NodeProcess
+from dotsim_ros.nodes.loop.loop_time import (
+    REALTIME,
+    SIMULATED,
+    LoopTime,
+    RealTime,
+    SteppedTime,
+)
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
+from dotsim_ros.nodes.simulated_time.participants import Participant
+from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
 from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
@@ -41,6 +50,7 @@ LIFTED_DEPTH_M = -0.5e-3
 APPROACH_POINTS = 4
 SETTLE_FRAMES = 4
 ENABLE_TIMEOUT_S = 15.0
+RECORDER_POLL_S = 0.02
 
 
 @dataclass(frozen=True)
@@ -52,6 +62,8 @@ class LoopSetup:
         sensor: name or file of the simulated sensor.
         policy_parameters, sensor_parameters, arm_parameters: of the nodes.
         policy_code: Python code to run in place of the policy's module.
+        others: nodes of the user's that take part in simulated time, by name.
+        stepping: how simulated time goes.
     """
 
     policy: str
@@ -60,6 +72,8 @@ class LoopSetup:
     sensor_parameters: Mapping[str, Any] = field(default_factory=dict)
     arm_parameters: Mapping[str, Any] = field(default_factory=dict)
     policy_code: str = ""
+    others: Mapping[str, Participant] = field(default_factory=dict)
+    stepping: StepperSettings = field(default_factory=StepperSettings)
 
     def limits(self) -> SafetyLimits:
         """Return what the policy's node lets the arm do."""
@@ -92,11 +106,13 @@ class ClosedLoop:
     Args:
         setup: parameters of the nodes.
         topics: what to keep of what they publish.
+        clock: SIMULATED, in steps that all nodes take together, or REALTIME.
 
     Attributes:
         setup: the present one.
         observer: receives messages and calls services.
         contact: of the ball on the dome.
+        time: how the loop's time passes.
     """
 
     def __init__(
@@ -105,13 +121,24 @@ class ClosedLoop:
         *,
         contact: DomeContact | None = None,
         topics: Mapping[str, type] = LOOP_TOPICS,
+        clock: str = REALTIME,
     ) -> None:
         self.setup = setup
         self.contact = contact or DomeContact()
         self.places = setup.places()
         self._processes: dict[str, NodeProcess] = {}
         self._indenter = self.places.indenter(FAR_M)
-        self.observer = LoopObserver(topics)
+        self.observer = LoopObserver(topics, is_stepped=clock == SIMULATED)
+        self.time: LoopTime = (
+            SteppedTime(
+                self.observer,
+                settings=setup.stepping,
+                diagnostics_period_s=DIAGNOSTICS_PERIOD_S,
+                others=setup.others,
+            )
+            if clock == SIMULATED
+            else RealTime(self.observer)
+        )
 
     def __enter__(self) -> ClosedLoop:
         return self
@@ -134,12 +161,14 @@ class ClosedLoop:
         """Start the sensor, or another one in place of the one that runs."""
         self._launch_sensor()
         self._await(SENSOR)
+        self._expect()
 
     def start_policy(self, path: str) -> None:
         """Start the policy for a path, in place of the one that runs, and show it the sensor at
         rest."""
         self._launch_policy(path)
         self._await(POLICY)
+        self._expect()
         self.rest()
         self.calibrate_idle()
 
@@ -150,6 +179,7 @@ class ClosedLoop:
         self._launch_policy(path)
         for executable in (ARM, SENSOR, POLICY):
             self._await(executable)
+        self._expect()
         self.rest()
         self.calibrate_idle()
 
@@ -178,10 +208,14 @@ class ClosedLoop:
         self.observer.diagnostics.clear()
         self._processes[executable] = NodeProcess(
             executable,
-            parameters,
+            {**parameters, **self.time.parameters},
             arguments=("--params-file", str(parameter_path("closed_loop.yaml")), *remap),
             code=code,
         )
+
+    def _expect(self) -> None:
+        """Let the nodes that run take part in the loop's time."""
+        self.time.expect(self._processes)
 
     def _await(self, executable: str, line: str = "ready:") -> None:
         """Wait until a node has said so."""
@@ -226,9 +260,7 @@ class ClosedLoop:
     def wait_frames(self, count: int) -> None:
         """Wait for frames of the sensor."""
         before = self.observer.count("wrench")
-        self.observer.wait(
-            lambda: self.observer.count("wrench") >= before + count, f"{count} frames"
-        )
+        self.time.wait(lambda: self.observer.count("wrench") >= before + count, f"{count} frames")
 
     def calibrate_idle(self) -> None:
         """Show the policy the sensor at rest."""
@@ -288,8 +320,10 @@ class ClosedLoop:
         self.touch(start_m)
         if bag is not None:
             self._launch(RECORDER, {"output": bag})
-            self._await(RECORDER, "receiving /cmd_vel")
-            self.observer.wait(lambda: self.state()[0], "diagnostics of the policy")
+            self._await(RECORDER, "recording /")
+            self._expect()
+            while not self._processes[RECORDER].has_logged("receiving /cmd_vel"):
+                self.time.go(RECORDER_POLL_S)
         self.wait_diagnostics()
         before = self.stops()
         self.observer.forget()
@@ -318,15 +352,16 @@ class ClosedLoop:
 
     def _watch(self, seconds: float) -> tuple[str, str, str]:
         """Return state, reason and its details after a time, or when the loop is latched."""
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s and self.state()[0] != "latched":
-            time.sleep(0.02)
+        self.time.watch(f"{POLICY}: control", seconds, lambda: self.state()[0] == "latched")
         state, reason = self.state()
         status = self.observer.diagnostics.get(f"{POLICY}: control")
         return state, reason, status.message if status is not None and state == "latched" else ""
 
     def _finish_bag(self) -> None:
+        # What the last step sent is heard in the next.
+        self.time.go(RECORDER_POLL_S)
         status = self._processes.pop(RECORDER).stop()
+        self._expect()
         if status:
             raise OSError(f"{RECORDER} ended with status {status}")
 
@@ -361,11 +396,7 @@ class ClosedLoop:
 
     def wait_diagnostics(self) -> None:
         """Wait for diagnostics that are newer than now."""
-        name = f"{POLICY}: control"
-        before = self.observer.diagnostics.get(name)
-        self.observer.wait(
-            lambda: self.observer.diagnostics.get(name) is not before, "diagnostics of the policy"
-        )
+        self.time.hear_anew(f"{POLICY}: control")
 
     def _trigger(self, name: str) -> None:
         answer = self.observer.call(Trigger, name)
@@ -378,7 +409,7 @@ class ClosedLoop:
         while not (answer := call()).success:
             if time.monotonic() > end_s:
                 raise RefusedError(str(answer.message))
-            time.sleep(0.1)
+            self.time.go(0.1)
 
 
 def policy_name(folder: Path | str) -> str:

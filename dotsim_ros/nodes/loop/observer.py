@@ -22,6 +22,7 @@ from rclpy.serialization import deserialize_message
 
 import msg_adapters
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.simulated_time.participant import StepParticipant
 
 LOOP_TOPICS: dict[str, type] = {
     "ee_pose": PoseStamped,
@@ -53,17 +54,26 @@ class LoopObserver:
 
     Args:
         topics: what to keep, by relative name.
+        is_stepped: take part in the steps of simulated time: nothing is heard between two.
 
     Attributes:
         node: the node, for publishers of one's own.
+        beside: a second node, which never takes part in steps.
         diagnostics: the newest status of each part of each node, by name.
+        diagnostics_ns: the stamp of each.
     """
 
-    def __init__(self, topics: Mapping[str, type] = LOOP_TOPICS) -> None:
+    def __init__(
+        self, topics: Mapping[str, type] = LOOP_TOPICS, *, is_stepped: bool = False
+    ) -> None:
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = GuardedNode("loop_observer", context=self._context)
+        if is_stepped:
+            self.node.participant = StepParticipant(self.node, lambda time_ns: None)
+        self.beside = GuardedNode("loop_stepper", context=self._context)
         self.diagnostics: dict[str, msg_adapters.Status] = {}
+        self.diagnostics_ns: dict[str, int] = {}
         self._types = dict(topics)
         self._lock = Lock()
         self._kept: dict[str, list[tuple[bytes, int, int]]] = {name: [] for name in topics}
@@ -73,6 +83,7 @@ class LoopObserver:
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 20)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
+        self._executor.add_node(self.beside)
         self._thread = Thread(target=self._spin, name="observer", daemon=True)
         self._thread.start()
 
@@ -81,6 +92,7 @@ class LoopObserver:
         rclpy.try_shutdown(context=self._context)
         self._thread.join(PATIENCE_S)
         self.node.destroy_node()
+        self.beside.destroy_node()
 
     def forget(self) -> None:
         """Discard the messages received so far."""
@@ -151,5 +163,7 @@ class LoopObserver:
         return keep
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        stamp_ns = msg_adapters.message_stamp_ns(message)
         for status in msg_adapters.decode_diagnostics(message):
             self.diagnostics[status.name] = status
+            self.diagnostics_ns[status.name] = stamp_ns

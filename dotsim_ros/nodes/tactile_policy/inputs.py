@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Condition, Lock
@@ -19,8 +18,8 @@ from sensor_msgs.msg import CompressedImage, Image
 import msg_adapters
 from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.tactile_policy.parameters import (
     BASE_FRAME,
     RAW,
@@ -42,7 +41,7 @@ class HeardImage:
     Attributes:
         message: Image or CompressedImage.
         stamp_ns: its time.
-        arrival_s: when it came, on the steady clock.
+        arrival_s: when it came, by the time that the node acts by.
     """
 
     message: Any
@@ -77,7 +76,7 @@ class PolicyInputs:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactilePolicyParameters,
         *,
         latch: Callable[[Reason, str], None],
@@ -127,18 +126,20 @@ class PolicyInputs:
         """Return the newest image."""
         return self._image
 
-    def image_after(self, last: HeardImage | None, *, until_s: float) -> HeardImage | None:
-        """Wait for an image that is not `last`; None where none comes in time."""
+    def image_after(self, last: HeardImage | None, until_s: float) -> HeardImage | None:
+        """Wait for an image that is not `last`; None where none comes in time.
+
+        In simulated time nothing comes while anybody waits.
+        """
+        left_s = 0.0 if self._node.is_simulated else max(0.0, until_s - self._node.now_s())
         with self._came:
-            self._came.wait_for(
-                lambda: self._image is not last, max(0.0, until_s - time.monotonic())
-            )
+            self._came.wait_for(lambda: self._image is not last, left_s)
             return None if self._image is last else self._image
 
     def refuse(self, what: str, error: ValueError) -> None:
         """Count and log a message that cannot be used."""
         self.refused += 1
-        now_s = time.monotonic()
+        now_s = self._node.now_s()
         if now_s - self._refusal_logged_s > 1.0:
             self._refusal_logged_s = now_s
             self._node.get_logger().warning(f"{what} refused: {reason_of(error)}")
@@ -185,7 +186,7 @@ class PolicyInputs:
                 keep()
 
     def _on_image(self, message: Any) -> None:
-        arrival_s = time.monotonic()
+        arrival_s = self._node.now_s()
         image = HeardImage(message, self._stamp_ns(message), arrival_s)
         # It costs nothing to look, and what cannot be read must not count as fresh.
         if isinstance(message, Image):
@@ -216,7 +217,7 @@ class PolicyInputs:
         def keep() -> None:
             self._tool = tool
 
-        self._take(self.pose, stamp_ns, time.monotonic(), keep)
+        self._take(self.pose, stamp_ns, self._node.now_s(), keep)
 
     def _on_wrench(self, message: WrenchStamped) -> None:
         stamp_ns = self._stamp_ns(message)
@@ -228,7 +229,7 @@ class PolicyInputs:
                 self._check_frame("forces", self._wrench_frame, frame)
             self._force_n, self._wrench_frame = force_n, frame
 
-        self._take(self.force, stamp_ns, time.monotonic(), keep)
+        self._take(self.force, stamp_ns, self._node.now_s(), keep)
 
     def _check_frame(self, what: str, before: str, frame: str) -> None:
         if frame != before:

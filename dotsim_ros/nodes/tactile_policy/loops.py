@@ -1,14 +1,14 @@
-"""The two threads of `tactile_policy` beside the one that receives: inference and control.
+"""What `tactile_policy` does beside receiving: inference and control.
 
-Needs no ROS: what they publish and log goes through functions that are handed in.
+Needs no ROS and no clock: what they ask, publish and log goes through functions that are handed in.
 """
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable
-from threading import Event
+from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -28,6 +28,23 @@ WAIT_SHARE = 0.6
 """Share of a period that a cycle waits for an image that is not there at its deadline."""
 
 
+@dataclass(frozen=True)
+class PolicyAnswer:
+    """What comes of asking the policy.
+
+    Attributes:
+        distance: of the image from those of the training; the last one where it is not known.
+        command: (6,) what the policy commands.
+        refused: why the image cannot be read.
+        fault: why the arm must stop for good.
+    """
+
+    distance: float
+    command: Twist | None = None
+    refused: ValueError | None = None
+    fault: tuple[Reason, str] | None = None
+
+
 class InferenceLoop:
     """Asks the policy once a cycle, with the newest image.
 
@@ -37,6 +54,10 @@ class InferenceLoop:
         inputs: the images.
         control: takes the commands.
         beat: the cycles.
+        now_s: the time that the node acts by.
+        wait: returns an image that is not the one given, or None: at a time, or at once where
+            waiting would not let it come.
+        compute: does work, and hands over what comes out when it is there.
         report: called with a missed deadline that is worth a line in the log.
 
     Attributes:
@@ -56,6 +77,9 @@ class InferenceLoop:
         inputs: PolicyInputs,
         control: ArmControl,
         beat: Beat,
+        now_s: Callable[[], float],
+        wait: Callable[[HeardImage | None, float], HeardImage | None],
+        compute: Callable[[Callable[[], PolicyAnswer], Callable[[PolicyAnswer], None]], None],
         report: Callable[[Miss], None],
     ) -> None:
         self._policy = policy
@@ -63,7 +87,12 @@ class InferenceLoop:
         self._inputs = inputs
         self._control = control
         self._beat = beat
+        self._now_s = now_s
+        self._wait = wait
+        self._compute = compute
         self._report = report
+        self._index = 0
+        self._look_s: float | None = None
         self._last: HeardImage | None = None
         self.idle: NDArray[np.uint8] | None = None
         self.origin: HeardImage | None = None
@@ -74,69 +103,89 @@ class InferenceLoop:
         self.spent_s = Spread()
         self.misses = MissCounter("inference")
 
-    def run(self, stop: Event) -> None:
-        """Run until stopped."""
-        beat = self._beat
-        index = beat.next_cycle(time.monotonic())
-        while not stop.wait(max(0.0, beat.cycle_s(index) - time.monotonic())):
-            deadline_s = beat.cycle_s(index)
-            if self._control.wants_commands():
-                self._cycle(deadline_s)
-            elif (image := self._inputs.newest_image()) is not None and image is not self._last:
-                # So that the first command needs no time to find its place.
-                self._last = image
-                self._beat.lean(deadline_s - image.arrival_s)
-            now_s = time.monotonic()
-            late_s = now_s - deadline_s - beat.period_s
-            if late_s > 0.0 and (miss := self.misses.note(late_s, now_s)) is not None:
-                self._report(miss)
-            # A cycle that begins late is better than none; those that have passed are left out.
-            index += 1 + max(0, int(late_s / beat.period_s))
+    def begin(self, now_s: float) -> None:
+        """Let the first cycle be the next one."""
+        self._index = self._beat.next_cycle(now_s)
 
-    def _cycle(self, deadline_s: float) -> None:
-        until_s = deadline_s + WAIT_SHARE * self._beat.period_s
-        image = self._inputs.image_after(self._last, until_s=until_s)
+    def deadline_s(self) -> float:
+        """Return when to look for an image next."""
+        if self._look_s is not None:
+            return self._look_s
+        return self._beat.cycle_s(self._index)
+
+    def run(self, now_s: float) -> None:
+        """Begin a cycle, or go on with one whose image was not there."""
+        beat = self._beat
+        deadline_s = beat.cycle_s(self._index)
+        if self._control.wants_commands():
+            until_s = deadline_s + WAIT_SHARE * beat.period_s
+            image = self._wait(self._last, until_s)
+            if image is None and (now_s := self._now_s()) < until_s:
+                self._look_s = min(now_s + beat.period_s / beat.ticks, until_s)
+                return
+            self._cycle(image, deadline_s)
+        elif (image := self._inputs.newest_image()) is not None and image is not self._last:
+            # So that the first command needs no time to find its place.
+            self._last = image
+            beat.lean(deadline_s - image.arrival_s)
+        self._look_s = None
+        now_s = self._now_s()
+        late_s = now_s - deadline_s - beat.period_s
+        if late_s > 0.0 and (miss := self.misses.note(late_s, now_s)) is not None:
+            self._report(miss)
+        # A cycle that begins late is better than none; those that have passed are left out.
+        self._index += 1 + max(0, int(late_s / beat.period_s))
+
+    def _cycle(self, image: HeardImage | None, deadline_s: float) -> None:
         if image is None:
             self.without_image += 1
             return
         self._last = image
         self._beat.lean(deadline_s - image.arrival_s)
-        begun_s = time.monotonic()
-        command = self._command(image)
-        now_s = time.monotonic()
-        self.spent_s.note(now_s - begun_s)
-        if command is None:
-            return
-        self.rate.note(now_s)
-        if self._control.put(command, now_s, image_s=image.arrival_s):
-            self.origin = image
-            self.taken += 1
+        begun_s = self._now_s()
+        self._compute(partial(self._command, image, self.idle), partial(self._take, image, begun_s))
 
-    def _command(self, image: HeardImage) -> Twist | None:
+    def _take(self, image: HeardImage, begun_s: float, answer: PolicyAnswer) -> None:
+        now_s = self._now_s()
+        self.spent_s.note(now_s - begun_s)
+        self.distance = answer.distance
+        if answer.refused is not None:
+            self._inputs.refuse("image", answer.refused)
+        elif answer.fault is not None:
+            self._control.latch(*answer.fault)
+        elif answer.command is not None:
+            self.rate.note(now_s)
+            if self._control.put(answer.command, now_s, image_s=image.arrival_s):
+                self.origin = image
+                self.taken += 1
+
+    def _command(self, image: HeardImage, idle: NDArray[np.uint8] | None) -> PolicyAnswer:
+        assert idle is not None
+        distance = self.distance
         try:
             pixels = image.pixels()
         except ValueError as error:
-            self._inputs.refuse("image", error)
-            return None
-        idle = self.idle
-        assert idle is not None
+            return PolicyAnswer(distance, refused=error)
         try:
-            self.distance = self._policy.image_distance(pixels, idle)
-            if not self.distance <= self.largest_distance:
-                self._control.latch(
-                    Reason.WRONG_SENSOR,
-                    f"the image is {self.distance:.1f} away from those of the training, at most "
-                    f"{self.largest_distance:.1f} is usual: another sensor, a damaged one, or an "
-                    "idle image that does not go with it",
+            distance = self._policy.image_distance(pixels, idle)
+            if not distance <= self.largest_distance:
+                return PolicyAnswer(
+                    distance,
+                    fault=(
+                        Reason.WRONG_SENSOR,
+                        f"the image is {distance:.1f} away from those of the training, at most "
+                        f"{self.largest_distance:.1f} is usual: another sensor, a damaged one, or "
+                        "an idle image that does not go with it",
+                    ),
                 )
-                return None
-            return self._policy(pixels, idle)
+            return PolicyAnswer(distance, command=self._policy(pixels, idle))
         except ValueError as error:
-            self._control.latch(Reason.WRONG_SENSOR, str(error))
+            return PolicyAnswer(distance, fault=(Reason.WRONG_SENSOR, str(error)))
         except Exception as error:
             # Whatever a network's runtime may raise: the arm must not go on with the last command.
-            self._control.latch(Reason.POLICY_FAILED, f"the policy failed: {error!r}")
-        return None
+            return PolicyAnswer(
+                distance, fault=(Reason.POLICY_FAILED, f"the policy failed: {error!r}")
+            )
 
 
 class ControlLoop:
@@ -148,6 +197,7 @@ class ControlLoop:
         inference: where the commands come from.
         beat: the ticks.
         every_tick: publish at the rate of the ticks.
+        now_s: the time that the node acts by.
         clock_ns: the time that stamps are of.
         publish: sends a command with its stamp.
         changed: called with each order of a new state or reason.
@@ -170,6 +220,7 @@ class ControlLoop:
         inference: InferenceLoop,
         beat: Beat,
         every_tick: bool,
+        now_s: Callable[[], float],
         clock_ns: Callable[[], int],
         publish: Callable[[Twist, int], None],
         changed: Callable[[Order], None],
@@ -180,10 +231,12 @@ class ControlLoop:
         self._inference = inference
         self._beat = beat
         self._every_tick = every_tick
+        self._now_s = now_s
         self._clock_ns = clock_ns
         self._publish = publish
         self._changed = changed
         self._report = report
+        self._index = 0
         self._cycle = -1
         self._taken = 0
         self.order: Order | None = None
@@ -194,25 +247,29 @@ class ControlLoop:
         self.stamp_age_s = Spread()
         self.misses = MissCounter("control")
 
-    def run(self, stop: Event) -> None:
-        """Run until stopped."""
-        beat = self._beat
-        tick_s = beat.period_s / beat.ticks
-        index = beat.ticks * beat.next_cycle(time.monotonic())
-        while not stop.wait(max(0.0, beat.tick_s(index) - time.monotonic())):
-            now_s = time.monotonic()
-            self.ticks.note(now_s)
-            late_s = now_s - beat.tick_s(index)
-            if late_s > tick_s and (miss := self.misses.note(late_s, now_s)) is not None:
-                self._report(miss)
-            # What is late is done at once; the deadlines that have passed as well are left out.
-            index += max(0, int(late_s / tick_s))
-            self._tick(index)
-            index += 1
+    def begin(self, now_s: float) -> None:
+        """Let the first tick be that of the next cycle."""
+        self._index = self._beat.ticks * self._beat.next_cycle(now_s)
+
+    def deadline_s(self) -> float:
+        """Return when the next tick is due."""
+        return self._beat.tick_s(self._index)
+
+    def run(self, now_s: float) -> None:
+        """Do a tick."""
+        tick_s = self._beat.period_s / self._beat.ticks
+        self.ticks.note(now_s)
+        late_s = now_s - self.deadline_s()
+        if late_s > tick_s and (miss := self.misses.note(late_s, now_s)) is not None:
+            self._report(miss)
+        # What is late is done at once; the deadlines that have passed as well are left out.
+        self._index += max(0, int(late_s / tick_s))
+        self._tick(self._index)
+        self._index += 1
 
     def _tick(self, tick: int) -> None:
         # The stamp is of the time that the limits of acceleration count from.
-        now_s, stamp_ns = time.monotonic(), self._clock_ns()
+        now_s, stamp_ns = self._now_s(), self._clock_ns()
         order = self._control.tick(self._inputs.readings(now_s))
         before, self.order = self.order, order
         if before is None or (before.state, before.reason) != (order.state, order.reason):
@@ -227,7 +284,7 @@ class ControlLoop:
             return
         self._publish(order.twist, stamp_ns)
         self._cycle = cycle
-        sent_s = time.monotonic()
+        sent_s = self._now_s()
         self.rate.note(sent_s)
         origin = self._inference.origin
         if taken != self._taken and origin is not None and order.state is State.RUNNING:

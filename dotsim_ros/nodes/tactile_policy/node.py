@@ -1,13 +1,13 @@
 """`tactile_policy`: leads an arm by touch.
 
-Tactile images and the arm's pose go in, velocity commands come out. Three threads: the executor's
-receives, one runs the policy 25 times a second, one controls the arm 100 times a second.
+Tactile images and the arm's pose go in, velocity commands come out. In real time there are three
+threads: the executor's receives, one runs the policy 25 times a second, one controls the arm 100
+times a second. In simulated time the executor's does all of it, in the order of the times.
 """
 
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -27,6 +27,7 @@ from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.priority import take_priority
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
 from dotsim_ros.nodes.tactile_policy.health import statuses
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
@@ -51,6 +52,8 @@ IMAGE_MARGIN_S = 0.005
 TOUCHED_N = 0.1
 """A force above this means that the sensor is not at rest."""
 LOG_PERIOD_S = 1.0
+INFERENCE_BROKEN = "inference failed: the arm stops when no command comes"
+CONTROL_BROKEN = "control failed: the arm stops when no command comes"
 SWITCH_INTERVAL_S = 0.0005
 """How long Python lets a thread run before another one that waits: the control loop has little time
 to wait for the interpreter; the default is 5 ms."""
@@ -87,14 +90,18 @@ class TactilePolicy(WorkingNode):
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
         beat = Beat(
-            1.0 / POLICY_RATE_HZ, ticks=TICKS, start_s=time.monotonic(), margin_s=IMAGE_MARGIN_S
+            1.0 / POLICY_RATE_HZ, ticks=TICKS, start_s=self.now_s(), margin_s=IMAGE_MARGIN_S
         )
+        latency = Latency(self._settings.inference_latency_s, seed=self._settings.latency_seed)
         self._inference = InferenceLoop(
             self._policy,
             largest_distance=self._settings.maximum_image_distance or self._policy.largest_distance,
             inputs=self._inputs,
             control=self._control,
             beat=beat,
+            now_s=self.now_s,
+            wait=self._inputs.image_after,
+            compute=partial(self.compute, latency, broken=INFERENCE_BROKEN),
             report=self._report_miss,
         )
         self._loop = ControlLoop(
@@ -103,6 +110,7 @@ class TactilePolicy(WorkingNode):
             inference=self._inference,
             beat=beat,
             every_tick=self._settings.command_rate_hz == CONTROL_RATE_HZ,
+            now_s=self.now_s,
             clock_ns=self.time_ns,
             publish=self._publish,
             changed=self._report_change,
@@ -132,19 +140,18 @@ class TactilePolicy(WorkingNode):
         blank = np.zeros((*self._policy.image_shape, 3), dtype=np.uint8)
         self._policy.image_distance(blank, blank)
         self._policy(blank, blank)
-        self._publish(zero_twist(), self.time_ns())
+        if not self.is_simulated:
+            self._publish(zero_twist(), self.time_ns())
         # Before the loops: the first line of a log takes its time as well.
         self.get_logger().info(
             f"ready: {self._policy.name}, path {self._policy.path}, "
             f"{self._settings.command_rate_hz:g} commands a second on {self._commands.topic_name}; "
             "disabled until set_enabled is called"
         )
-        for name, loop in (("inference", self._inference), ("control", self._loop)):
-            self.start_thread(
-                name,
-                partial(loop.run, self.stopping),
-                f"{name} failed: the arm stops when no command comes",
-            )
+        self._inference.begin(self.now_s())
+        self._loop.begin(self.now_s())
+        self.start_work("inference", self._inference, INFERENCE_BROKEN)
+        self.start_work("control", self._loop, CONTROL_BROKEN)
 
     def _publish(self, twist: Twist, stamp_ns: int) -> None:
         self._commands.publish(
@@ -157,7 +164,7 @@ class TactilePolicy(WorkingNode):
         )
 
     def _report_change(self, order: Order) -> None:
-        now_s = time.monotonic()
+        now_s = self.now_s()
         key = (order.state, order.reason)
         is_throttled = order.state is not State.LATCHED
         if is_throttled and now_s - self._logged_s.get(key, -np.inf) < LOG_PERIOD_S:
@@ -185,7 +192,7 @@ class TactilePolicy(WorkingNode):
             inference=self._inference,
             control=self._loop,
             warnings=self._crowds(),
-            now_s=time.monotonic(),
+            now_s=self.now_s(),
         )
 
     def _crowds(self) -> dict[str, str]:
@@ -208,7 +215,7 @@ class TactilePolicy(WorkingNode):
             return response
         try:
             self._check_start()
-            self._control.enable(self._inputs.readings(time.monotonic()))
+            self._control.enable(self._inputs.readings(self.now_s()))
         except ValueError as error:
             response.success, response.message = False, f"not enabled: {error}"
         else:
@@ -235,7 +242,7 @@ class TactilePolicy(WorkingNode):
     def _image_at_rest(self) -> NDArray[np.uint8]:
         if self._control.wants_commands():
             raise ValueError("the arm may be moving: disable first")
-        readings, image = self._inputs.readings(time.monotonic()), self._inputs.newest_image()
+        readings, image = self._inputs.readings(self.now_s()), self._inputs.newest_image()
         if image is None or readings.image.age_s > 1.0:
             raise ValueError(
                 f"no image has come within the last second on {self._inputs.topics[0]}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
 from dotsim_ros.tasks.control.arm_control import ControlSettings
 from dotsim_ros.tasks.control.safety import SafetyLimits
 
@@ -184,6 +185,17 @@ class TactilePolicyParameters:
         maximum=4.0,
         read_only=True,
     )
+    inference_latency_s: tuple[float, ...] = option(
+        (0.0,),
+        "In simulated time: from an image to the policy's command: one delay, or evenly spaced "
+        "quantiles of it, the smallest first.",
+        minimum=0.0,
+        maximum=LONGEST_S,
+        read_only=True,
+    )
+    latency_seed: int = option(
+        0, "Seed of inference_latency_s.", minimum=0, maximum=2**31 - 1, read_only=True
+    )
     realtime_priority: int = option(
         0,
         "Real-time priority (SCHED_RR) of the node's threads, which the system must permit. 0: "
@@ -198,6 +210,7 @@ class TactilePolicyParameters:
 
     def __post_init__(self) -> None:
         check_options(self)
+        check_quantiles("inference_latency_s", self.inference_latency_s)
         if len(self.workspace_m) != 3:
             raise ValueError(f"workspace_m needs 3 numbers, got {len(self.workspace_m)}")
         if self.command_rate_hz not in (POLICY_RATE_HZ, CONTROL_RATE_HZ):

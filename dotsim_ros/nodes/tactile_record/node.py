@@ -31,8 +31,13 @@ from dotsim_ros.measured.bag_metadata import METADATA
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.health import Report, statuses_of
 from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
-from dotsim_ros.nodes.tactile_record.recording import BagRecording, RecordingSummary
+from dotsim_ros.nodes.tactile_record.recording import (
+    FLUSH_PERIOD_S,
+    BagRecording,
+    RecordingSummary,
+)
 from msg_adapters import Level, message_class
 
 SENSOR_TOPICS = {
@@ -158,14 +163,21 @@ class TactileRecord(WorkingNode):
         self._numbers: dict[str, int] = {}
         self._shared: set[str] = set()
         self._recording: BagRecording | None = None
-        self._is_ending = False
+        self._is_ending = self._is_over = False
 
     def begin(self) -> None:
         """Open the recording and listen."""
         recording = BagRecording(
-            self._path, self._types, queue_bytes=self._settings.queue_mb * 2**20
+            self._path,
+            self._types,
+            queue_bytes=self._settings.queue_mb * 2**20,
+            flush_period_s=None if self.is_stepped else FLUSH_PERIOD_S,
         )
         self._recording = recording
+        now_s = self.now_s()
+        flushes = FramePace(rate_hz=1.0 / FLUSH_PERIOD_S, start_s=now_s + FLUSH_PERIOD_S)
+        duration_s = max(self._settings.duration_s, 1e-3)
+        end = FramePace(rate_hz=1.0 / duration_s, start_s=now_s + duration_s)
         for topic, kind in self._types.items():
             self.create_subscription(
                 message_class(kind),
@@ -188,12 +200,18 @@ class TactileRecord(WorkingNode):
             partial(self._check, recording, report),
             clock=Clock(clock_type=ClockType.STEADY_TIME),
         )
+        if self.is_stepped:
+            self.start_paced("flush", lambda: flushes, recording.flush, "flushing the bag failed")
         if self._settings.duration_s > 0.0:
-            self.create_timer(self._settings.duration_s, try_shutdown)
+            self.start_paced("end", lambda: end, self._stop, "ending the recording failed")
         self.get_logger().info(
             f"recording {', '.join(self._types)} to {self._path} (until it is finished: "
             f"{unfinished_path(self._path).name})"
         )
+
+    def _stop(self) -> None:
+        self._is_over = True
+        try_shutdown()
 
     def destroy_node(self) -> None:
         """Finish the bag, log what is in it, and take the node down."""
@@ -255,6 +273,8 @@ class TactileRecord(WorkingNode):
     def _on_message(
         self, recording: BagRecording, topic: str, serialized: bytes, info: dict[str, int | None]
     ) -> None:
+        if self._is_over:
+            return
         self._received += 1
         self._look_for_gap(topic, info["publication_sequence_number"])
         if topic not in self._heard:

@@ -15,6 +15,8 @@ FLUSH_PERIOD_S = 0.5
 """No message waits longer than this in memory, unless the disk does not keep up."""
 
 _HEADER_BYTES = 12
+_FLUSH = ("", b"")
+"""In the queue: bring what came before to the disk."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +55,15 @@ class BagRecording:
     """Takes serialised messages without waiting for the disk.
 
     What is written can be read again whatever happens: until `close` it lies in the folder that
-    `unfinished_path` names, no more than `FLUSH_PERIOD_S` behind, without an index; where the disk
+    `unfinished_path` names, no more than the flush period behind, without an index; where the disk
     fails, the bag is finished with what it took.
 
     Args:
         path: folder of the bag, which must not exist; it appears when `close` is called.
         topics: message type of each topic.
         queue_bytes: memory for messages that wait for the disk; what finds it full is dropped.
+        flush_period_s: longest time that a message waits in memory; None: until `flush`, so that
+            the same messages make the same file.
 
     Raises:
         FileExistsError: there is something at `path` already, or an unfinished recording of it.
@@ -67,7 +71,14 @@ class BagRecording:
         ValueError: a message type is not known.
     """
 
-    def __init__(self, path: Path, topics: Mapping[str, str], *, queue_bytes: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        topics: Mapping[str, str],
+        *,
+        queue_bytes: int,
+        flush_period_s: float | None = FLUSH_PERIOD_S,
+    ) -> None:
         self._bag = BagFile(path, keep_unfinished=True)
         try:
             for topic, message_type in topics.items():
@@ -86,6 +97,7 @@ class BagRecording:
         self._stamp_is_no_time: Counter[str] = Counter()
         self._newest_ns: int | None = None
         self._error: str | None = None
+        self._flush_period_s = flush_period_s
         self._flush_s: float | None = None
         self._thread = threading.Thread(target=self._run, name="recording")
         self._thread.start()
@@ -102,6 +114,12 @@ class BagRecording:
             self._waiting_bytes += len(serialized)
             self._ready.notify()
         return True
+
+    def flush(self) -> None:
+        """Have what was queued so far brought to the disk."""
+        with self._ready:
+            self._queue.append(_FLUSH)
+            self._ready.notify()
 
     @property
     def error(self) -> str | None:
@@ -148,7 +166,10 @@ class BagRecording:
 
     def _write_all(self) -> None:
         while (item := self._next()) is not None:
-            self._write(*item)
+            if item is _FLUSH:
+                self._bag.flush(sync=True)
+            else:
+                self._write(*item)
 
     def _end(self) -> None:
         if any(self._bag.written.values()):
@@ -179,8 +200,8 @@ class BagRecording:
             self._stamp_is_no_time[topic] += 1
             log_time_ns = time.time_ns() if self._newest_ns is None else self._newest_ns
         self._bag.write_serialized(topic, log_time_ns, serialized)
-        if self._flush_s is None:
-            self._flush_s = time.monotonic() + FLUSH_PERIOD_S
+        if self._flush_s is None and self._flush_period_s is not None:
+            self._flush_s = time.monotonic() + self._flush_period_s
 
     def _next(self) -> tuple[str, bytes] | None:
         """Return the next message, None at the end; flush when it is time."""
@@ -193,8 +214,8 @@ class BagRecording:
                     left_s = None if self._flush_s is None else self._flush_s - time.monotonic()
                     self._ready.wait(left_s)
                 if self._queue:
-                    topic, serialized = self._queue.popleft()
-                    self._waiting_bytes -= len(serialized)
-                    return topic, serialized
+                    item = self._queue.popleft()
+                    self._waiting_bytes -= len(item[1])
+                    return item
                 if self._is_closing:
                     return None

@@ -13,9 +13,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
 from dotsim_ros.nodes.common.reasons import shortened
+from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
     MotionGate,
@@ -52,7 +52,7 @@ class MotionInput:
 
     def __init__(
         self,
-        node: GuardedNode,
+        node: WorkingNode,
         parameters: TactileSimParameters,
         *,
         faults: FaultLog,
@@ -81,7 +81,7 @@ class MotionInput:
 
     def silence_s(self) -> float | None:
         """Return for how long no input has come; None before the first."""
-        return self._arbiter.silence_s(time.monotonic())
+        return self._arbiter.silence_s(self._node.now_s())
 
     def forget(self) -> None:
         """Start anew: the next pose may be anywhere, a velocity begins at the start pose."""
@@ -112,7 +112,7 @@ class MotionInput:
         """Move by the velocity in force, for the real-time clock; nothing where there is none."""
         with self._lock:
             velocity = self._velocity
-            if velocity is None or self._arbiter.is_silent(time.monotonic()):
+            if velocity is None or self._arbiter.is_silent(self._node.now_s()):
                 return
             start = self._pose
         self.guard(lambda: self._move(velocity.moved(start, duration_s), stamp_ns))
@@ -132,17 +132,17 @@ class MotionInput:
         self, callback: Callable[[msg_adapters.Message], None], message: msg_adapters.Message
     ) -> None:
         self.guard(lambda: callback(message))
-        if self._is_realtime:
+        if self._is_realtime and not self._node.is_simulated:
             time.sleep(REALTIME_PAUSE_S)
 
     def _note(self, fault: Fault, reason: str) -> None:
         reason = shortened(reason)
-        if self._faults.note(fault, reason, time.monotonic()):
+        if self._faults.note(fault, reason, self._node.now_s()):
             self._node.get_logger().warning(f"input: {reason}")
 
     def _admit(self, name: str) -> None:
         """Let a message that was checked move the indenter; nothing of one that was not counts."""
-        if self._arbiter.admit(name, time.monotonic()):
+        if self._arbiter.admit(name, self._node.now_s()):
             with self._lock:
                 # The two inputs' stamps may come from different clocks.
                 self._gate.forget()

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from threading import RLock
 from typing import Any
@@ -31,6 +32,7 @@ from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.common.transport import carry_images
+from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
@@ -41,6 +43,7 @@ from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor
 from msg_adapters import Status
 
+FRAMES_BROKEN = "the loop of frames failed"
 REALTIME_ITERATIONS = 2
 """A frame that takes too long is late, has a longer way to go next time, and takes too long again:
 better one that misses the tolerance, which is reported."""
@@ -74,6 +77,11 @@ class TactileSim(WorkingNode):
         )
         self.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()
+        half_exposed_s = 0.5 * self._settings.exposure_s
+        self._latency = Latency(
+            [half_exposed_s + delay_s for delay_s in self._settings.image_latency_s],
+            seed=self._settings.latency_seed,
+        )
         self._counter = FrameCounter()
         self._faults = FaultLog()
         self._newest = NewestMotion()
@@ -105,9 +113,7 @@ class TactileSim(WorkingNode):
     def begin(self) -> None:
         """Start the frames."""
         if self._is_realtime:
-            self.start_paced(
-                "frames", lambda: self._pace, self._realtime_frame, "the loop of frames failed"
-            )
+            self.start_paced("frames", lambda: self._pace, self._realtime_frame, FRAMES_BROKEN)
         self.get_logger().info(
             f"ready: {self._settings.sensor}, {self._settings.indenter}, "
             f"{self._settings.clock}, warmed up in {self._warm_up_s:.1f} s"
@@ -167,7 +173,7 @@ class TactileSim(WorkingNode):
         )
 
     def _new_pace(self) -> FramePace:
-        return FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
+        return FramePace(rate_hz=self._settings.rate_hz, start_s=self.now_s())
 
     def _realtime_frame(self) -> None:
         stamp_ns = self.time_ns()
@@ -177,29 +183,43 @@ class TactileSim(WorkingNode):
             if not self._is_enabled:
                 return
             self._input.integrate(stamp_ns, 1.0 / self._settings.rate_hz)
-            motion = self._newest.take()
+            self.compute(
+                self._latency,
+                partial(self._simulated, self._newest.take()),
+                partial(self._publish, stamp_ns),
+                FRAMES_BROKEN,
+            )
+
+    def _simulated(self, motion: MotionOrder | None) -> SensorMoment:
+        """Return the next moment: of a motion, or of the gel that goes on."""
+        with self._lock:
             if motion is not None:
                 self._input.guard(lambda: self._session.follow(motion))
             else:
                 self._input.guard(self._session.catch_up)
-            self._publish(self._session.moment, stamp_ns)
+            return self._rendered(self._session.moment)
 
     def _lockstep_frame(self, motion: MotionOrder) -> None:
         with self._lock:
             if self._is_enabled:
-                self._publish(self._session.follow(motion), motion.stamp_ns)
+                self._publish(motion.stamp_ns, self._rendered(self._session.follow(motion)))
 
-    def _publish(self, moment: SensorMoment, stamp_ns: int) -> None:
+    def _rendered(self, moment: SensorMoment) -> SensorMoment:
         if self._outputs.shows_image():
             moment.render()
-        begun_s = time.monotonic()
-        self._outputs.publish(moment, stamp_ns)
-        now_s = time.monotonic()
-        self._counter.note(
-            now_s,
-            {**moment.timings_s, "publish": now_s - begun_s},
-            converged=moment.gel.converged,
-        )
+        return moment
+
+    def _publish(self, stamp_ns: int, moment: SensorMoment) -> None:
+        with self._lock:
+            if not self._is_enabled:
+                return
+            begun_s = time.perf_counter()
+            self._outputs.publish(moment, stamp_ns)
+            self._counter.note(
+                self.now_s(),
+                {**moment.timings_s, "publish": time.perf_counter() - begun_s},
+                converged=moment.gel.converged,
+            )
 
     def _health(self) -> list[Status]:
         # Not under the lock: poses would wait here until a frame ends, and the next frame would
@@ -219,7 +239,7 @@ class TactileSim(WorkingNode):
             faults=self._faults,
             gel=self._session.moment.gel,
             effects=self._effect_names,
-            now_s=time.monotonic(),
+            now_s=self.now_s(),
         )
 
     def _start_anew(self) -> None:

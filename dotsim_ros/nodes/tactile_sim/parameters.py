@@ -10,6 +10,7 @@ import numpy as np
 from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
 from dotsim_ros.quantity import check_value, quantities_of
 from dotsim_ros.specification import NoiseSpecification, SolverSpecification
 
@@ -148,6 +149,28 @@ class TactileSimParameters:
         "those that it names are run as programs. Empty: those shipped.",
         read_only=True,
     )
+    exposure_s: float = option(
+        0.0,
+        "In simulated time: how long the camera exposes; a frame's stamp is the middle of that, so "
+        "that half of it is over before anything is read out.",
+        minimum=0.0,
+        maximum=0.5,
+        read_only=True,
+    )
+    image_latency_s: tuple[float, ...] = option(
+        (0.0,),
+        "In simulated time: from the end of the exposure until a frame is published: one delay, or "
+        "evenly spaced quantiles of it, the smallest first.",
+        minimum=0.0,
+        maximum=LONGEST_S,
+        read_only=True,
+    )
+    latency_seed: int = option(
+        0, "Seed of image_latency_s.", minimum=0, maximum=2**31 - 1, read_only=True
+    )
+    fail_drop_images: bool = option(
+        False, "Publish no images, as after a cut cable, to test what reads them."
+    )
     compression: str = option("jpeg", "Format of image_raw/compressed.", choices=("jpeg", "png"))
     jpeg_quality: int = option(95, "Quality of JPEG.", minimum=1, maximum=100)
     diagnostics_period_s: float = option(
@@ -197,6 +220,7 @@ class TactileSimParameters:
                 f"effects_folder is {self.effects_folder!r}, but no overlay names an effect of it: "
                 "set the parameter effects, too"
             )
+        check_quantiles("image_latency_s", self.image_latency_s)
         if self.clock == REALTIME and self.input_timeout_s < 1.0 / self.rate_hz:
             raise ValueError(
                 f"input_timeout_s is {self.input_timeout_s}, shorter than a frame at "

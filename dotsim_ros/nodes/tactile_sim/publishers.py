@@ -85,13 +85,13 @@ class FramePublishers:
 
     def shows_image(self) -> bool:
         """Return whether a topic that needs the camera's image has a subscriber."""
-        return any(_is_read(each) for each in (self._image, self._compressed, self._depth))
+        return any(self._is_shown(each) for each in (self._image, self._compressed, self._depth))
 
     def publish(self, moment: SensorMoment, stamp_ns: int) -> None:
         """Publish a moment on every topic with a subscriber; render it only for an image."""
         optical: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.optical_frame}
         base: _Header = {"stamp_ns": stamp_ns, "frame_id": self._parameters.base_frame}
-        if _is_read(self._image):
+        if self._is_shown(self._image):
             self._image.publish(self._image_message(moment.render().image, stamp_ns))
         if _is_read(self._camera_info):
             self._camera_info.publish(
@@ -114,7 +114,7 @@ class FramePublishers:
             self._state.publish(
                 msg_adapters.encode_pose_stamped(pose.position_m, pose.quaternion_xyzw, **base)
             )
-        if _is_read(self._compressed):
+        if self._is_shown(self._compressed):
             self._compressed.publish(
                 msg_adapters.encode_compressed_image(
                     self._framing.apply(self._noisy(moment.render().image, stamp_ns)),
@@ -123,7 +123,7 @@ class FramePublishers:
                     **optical,
                 )
             )
-        if _is_read(self._depth):
+        if self._is_shown(self._depth):
             # Never averaged: between skin and nothing lies no skin.
             depth = self._framing.apply(moment.render().depth_m, interpolation=cv2.INTER_NEAREST)
             self._depth.publish(msg_adapters.encode_image(depth, encoding="32FC1", **optical))
@@ -137,6 +137,9 @@ class FramePublishers:
                     **base,
                 )
             )
+
+    def _is_shown(self, publisher: Publisher) -> bool:
+        return _is_read(publisher) and not self._parameters.fail_drop_images
 
     def publish_idle(self, frame: Frame, stamp_ns: int) -> None:
         """Publish the image without contact, kept for late readers."""

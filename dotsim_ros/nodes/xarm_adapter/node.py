@@ -5,7 +5,6 @@ Velocities become calls of `vc_set_cartesian_velocity`; the arm's state becomes 
 
 from __future__ import annotations
 
-import time
 from threading import RLock
 from typing import Any
 
@@ -40,13 +39,17 @@ class XarmAdapter(WorkingNode):
 
     def __init__(self) -> None:
         super().__init__("xarm_adapter")
+        if self.is_simulated:
+            raise ValueError(
+                "use_sim_time is set, and a real arm moves in real time: unset it, or use xarm_sim"
+            )
         self._settings = declare(self, XarmAdapterParameters)
         service, state = _driver_types()
         self._lock = RLock()
         self._faults = FaultLog()
         self._link = VelocityLink(self._settings.limits())
         self._future: Any = None
-        self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
+        self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=self.now_s())
         self._client = self.create_client(service, self._settings.service)
         self._poses = self.create_publisher(
             PoseStamped,
@@ -71,7 +74,7 @@ class XarmAdapter(WorkingNode):
 
     def begin(self) -> None:
         """Start to command the arm."""
-        self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=time.monotonic())
+        self._pace = FramePace(rate_hz=self._settings.rate_hz, start_s=self.now_s())
         self.start_paced("calls", lambda: self._pace, self._tick, "the loop of calls failed")
         self.get_logger().info(
             f"ready: {self._settings.service}, at most {self._settings.speed_limit_m_s:g} m/s, "
@@ -81,7 +84,7 @@ class XarmAdapter(WorkingNode):
     def _tick(self) -> None:
         has_service = self._client.service_is_ready()
         with self._lock:
-            call = self._link.next_call(time.monotonic(), has_service=has_service)
+            call = self._link.next_call(self.now_s(), has_service=has_service)
             if self._future is not None and not self._link.is_waiting():
                 # Nobody waits for that answer any more.
                 self._client.remove_pending_request(self._future)
@@ -89,7 +92,7 @@ class XarmAdapter(WorkingNode):
             if call is not None:
                 self._send(call)
             hindrance, detail = self._link.hindrance, self._link.detail
-            wants = self._link.is_commanded(time.monotonic())
+            wants = self._link.is_commanded(self.now_s())
         if wants and hindrance is not Hindrance.NONE:
             self.get_logger().warning(
                 f"not commanding: {detail}", throttle_duration_sec=WARN_EVERY_S
@@ -134,7 +137,7 @@ class XarmAdapter(WorkingNode):
             # A sender whose clock makes no sense is not followed either; zero means now.
             msg_adapters.message_stamp_ns(message)
             with self._lock:
-                self._link.command(twist, time.monotonic(), along_tool=frame == settings.tool_frame)
+                self._link.command(twist, self.now_s(), along_tool=frame == settings.tool_frame)
         except ValueError as error:
             with self._lock:
                 self._link.drop()
@@ -142,7 +145,7 @@ class XarmAdapter(WorkingNode):
 
     def _refuse(self, fault: Fault, reason: str) -> None:
         reason = shortened(reason)
-        if self._faults.note(fault, reason, time.monotonic()):
+        if self._faults.note(fault, reason, self.now_s()):
             self.get_logger().warning(f"cmd_vel: {reason}")
 
     def _on_state(self, message: Any) -> None:
@@ -150,7 +153,7 @@ class XarmAdapter(WorkingNode):
             robot = msg_adapters.decode_robot_state(message)
             stamp_ns = msg_adapters.message_stamp_ns(message) or self.time_ns()
             with self._lock:
-                self._link.hear(robot, time.monotonic())
+                self._link.hear(robot, self.now_s())
         except ValueError as error:
             self._refuse_state(str(error))
             return
@@ -169,7 +172,7 @@ class XarmAdapter(WorkingNode):
         )
 
     def _health(self) -> list[Status]:
-        now_s = time.monotonic()
+        now_s = self.now_s()
         with self._lock:
             return link_statuses(self.get_name(), self._link, self._faults, now_s=now_s)
 

@@ -6,7 +6,6 @@ fixed indenter as the sensor on the tool sees it.
 
 from __future__ import annotations
 
-import time
 from threading import RLock
 from typing import Any
 
@@ -50,7 +49,7 @@ class XarmSim(WorkingNode):
         self._heard_s = -np.inf
         self._published = 0
         self._ahead_ns: int | None = None
-        self._start_s = time.monotonic()
+        self._start_s = self.now_s()
         self._arm = self._make_arm(self._start_s)
         self._pace = self._new_pace()
         self._place_indenter()
@@ -94,7 +93,7 @@ class XarmSim(WorkingNode):
     def _new_pace(self) -> FramePace:
         """Return deadlines from now on that fall on the grid of the arm's states."""
         rate_hz = self._settings.rate_hz
-        passed = np.ceil((time.monotonic() - self._start_s) * rate_hz)
+        passed = np.ceil((self.now_s() - self._start_s) * rate_hz)
         return FramePace(rate_hz=rate_hz, start_s=self._start_s + passed / rate_hz)
 
     def _make_arm(self, start_s: float) -> SimulatedArm:
@@ -142,18 +141,21 @@ class XarmSim(WorkingNode):
             self._publish(heard, _stamp_of(heard, ahead_ns))
 
     def _clocks(self) -> tuple[float, int | None]:
-        """Return the steady clock (s), and how far the one that stamps is ahead of it (ns), None
+        """Return the node's time (s), and how far the one that stamps is ahead of it (ns), None
         where it stands at zero.
 
-        Another process may run between the two readings; then they are read again. A difference
-        that could come from that counts as none: a state that is published twice has the same
-        stamp, never one that runs back.
+        In simulated time both are one. Else another process may run between the two readings; then
+        they are read again. A difference that could come from that counts as none: a state that is
+        published twice has the same stamp, never one that runs back.
         """
+        if self.is_simulated:
+            now_s, stamp_ns = self.now_s(), self.time_ns()
+            return now_s, stamp_ns - round(1e9 * now_s) if stamp_ns else None
         readings = []
         for _ in range(CLOCK_TRIES):
-            before_s = time.monotonic()
+            before_s = self.now_s()
             stamp_ns = self.time_ns()
-            after_s = time.monotonic()
+            after_s = self.now_s()
             readings.append((after_s - before_s, 0.5 * (before_s + after_s), stamp_ns))
             if after_s - before_s < CLOCK_TOLERANCE_S:
                 break
@@ -196,7 +198,7 @@ class XarmSim(WorkingNode):
         )
 
     def _on_command(self, message: TwistStamped) -> None:
-        now_s, frame = time.monotonic(), message.header.frame_id
+        now_s, frame = self.now_s(), message.header.frame_id
         settings = self._settings
         if frame not in (settings.base_frame, settings.tool_frame):
             self._refuse(
@@ -222,11 +224,11 @@ class XarmSim(WorkingNode):
 
     def _refuse(self, fault: Fault, reason: str) -> None:
         reason = shortened(reason)
-        if self._faults.note(fault, reason, time.monotonic()):
+        if self._faults.note(fault, reason, self.now_s()):
             self.get_logger().warning(f"cmd_vel: {reason}")
 
     def _health(self) -> list[Status]:
-        now_s = time.monotonic()
+        now_s = self.now_s()
         with self._lock:
             condition = ArmCondition(
                 state=self._arm.state,
@@ -242,14 +244,14 @@ class XarmSim(WorkingNode):
 
     def _on_emergency_stop(self, _request: Any, response: Any) -> Any:
         with self._lock:
-            self._arm.emergency_stop(time.monotonic())
+            self._arm.emergency_stop(self.now_s())
         self.get_logger().warning("emergency stop: call reset to continue")
         response.success, response.message = True, "stopped: call reset to continue from the start"
         return response
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         with self._lock:
-            self._arm.reset(time.monotonic())
+            self._arm.reset(self.now_s())
         response.success, response.message = True, "the arm is at its start, at rest"
         return response
 
@@ -259,7 +261,7 @@ class XarmSim(WorkingNode):
             self._settings = changed
             self._place_indenter()
             if faults != self._arm.faults:
-                self._arm.fail(faults, time.monotonic())
+                self._arm.fail(faults, self.now_s())
                 self.get_logger().warning(f"failing on request: {faults}")
 
 

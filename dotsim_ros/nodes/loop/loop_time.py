@@ -1,0 +1,161 @@
+"""How the time of a closed loop passes: by itself, or in steps that the program takes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Protocol
+
+from dotsim_ros.nodes.loop.observer import PATIENCE_S, LoopObserver
+from dotsim_ros.nodes.simulated_time.participants import Participant
+from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
+from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings
+
+REALTIME, SIMULATED = "realtime", "simulated"
+CLOCKS = (SIMULATED, REALTIME)
+POLL_S = 0.02
+STEPPED_POLL_S = 0.04
+
+
+class LoopTime(Protocol):
+    """What a loop asks of its time.
+
+    Attributes:
+        parameters: that the loop's nodes need for it.
+        speed_factor: simulated seconds for each real one.
+    """
+
+    parameters: Mapping[str, Any]
+
+    @property
+    def speed_factor(self) -> float:
+        """Return the simulated seconds for each real one."""
+        ...
+
+    def expect(self, nodes: Iterable[str]) -> None:
+        """Let these nodes take part from now on."""
+
+    def go(self, seconds: float) -> None:
+        """Let time pass."""
+
+    def wait(self, is_reached: Callable[[], Any], what: str) -> None:
+        """Let time pass until something holds.
+
+        Raises:
+            OSError: it does not for too long.
+        """
+
+    def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
+        """Let time pass, less where the diagnostics of a part of a node say that it is over."""
+
+    def hear_anew(self, part: str) -> None:
+        """Wait for diagnostics of a part of a node that are newer than now."""
+
+
+class RealTime:
+    """Time passes by itself.
+
+    Args:
+        observer: of the loop.
+    """
+
+    parameters: Mapping[str, Any] = {}
+    speed_factor = 1.0
+
+    def __init__(self, observer: LoopObserver) -> None:
+        self._observer = observer
+
+    def expect(self, nodes: Iterable[str]) -> None:
+        """Nothing waits for nodes."""
+
+    def go(self, seconds: float) -> None:
+        """Wait."""
+        time.sleep(seconds)
+
+    def wait(self, is_reached: Callable[[], Any], what: str) -> None:
+        """See `LoopTime.wait`."""
+        self._observer.wait(is_reached, what)
+
+    def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
+        """See `LoopTime.watch`."""
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s and not is_over():
+            time.sleep(POLL_S)
+
+    def hear_anew(self, part: str) -> None:
+        """See `LoopTime.hear_anew`."""
+        before = self._observer.diagnostics.get(part)
+        self._observer.wait(
+            lambda: self._observer.diagnostics.get(part) is not before, f"diagnostics of {part}"
+        )
+
+
+class SteppedTime:
+    """Time passes in steps that all nodes take together, and stands between two calls.
+
+    Args:
+        observer: of the loop; takes part.
+        settings: of the steps.
+        diagnostics_period_s: of the nodes that are asked for theirs.
+        others: nodes of the user's that take part as well.
+
+    Attributes:
+        stepper: what moves the time on.
+    """
+
+    parameters: Mapping[str, Any] = {"use_sim_time": True, "stepped": True}
+
+    def __init__(
+        self,
+        observer: LoopObserver,
+        *,
+        settings: StepperSettings,
+        diagnostics_period_s: float,
+        others: Mapping[str, Participant],
+    ) -> None:
+        self._observer = observer
+        self._others = dict(others)
+        self._diagnostics_period_s = diagnostics_period_s
+        self.stepper = Stepper(observer.beside, {}, settings)
+
+    @property
+    def speed_factor(self) -> float:
+        """Return the simulated seconds for each real one, of the last stretch."""
+        return self.stepper.speed_factor
+
+    def expect(self, nodes: Iterable[str]) -> None:
+        """See `LoopTime.expect`."""
+        names = [*nodes, self._observer.node.get_name()]
+        self.stepper.expect({**dict.fromkeys(names, Participant()), **self._others})
+
+    def go(self, seconds: float) -> None:
+        """Take the nodes on."""
+        self.stepper.advance(seconds)
+
+    def wait(self, is_reached: Callable[[], Any], what: str) -> None:
+        """See `LoopTime.wait`; the longest wait is of simulated time."""
+        end_ns = self.stepper.time_ns + PATIENCE_S * NANOSECONDS_PER_SECOND
+        while not is_reached():
+            if self.stepper.time_ns > end_ns:
+                raise OSError(f"waited {PATIENCE_S:g} s of simulated time for {what}")
+            self.go(STEPPED_POLL_S)
+
+    def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
+        """See `LoopTime.watch`."""
+        end_ns = self.stepper.time_ns + round(seconds * NANOSECONDS_PER_SECOND)
+        while (left_ns := end_ns - self.stepper.time_ns) > 0 and not is_over():
+            since_ns = self.stepper.time_ns
+            self.go(min(self._diagnostics_period_s, left_ns / NANOSECONDS_PER_SECOND))
+            if self.stepper.time_ns < end_ns:
+                self._hear_after(part, since_ns)
+
+    def hear_anew(self, part: str) -> None:
+        """See `LoopTime.hear_anew`."""
+        since_ns = self.stepper.time_ns
+        self.go(self._diagnostics_period_s)
+        self._hear_after(part, since_ns)
+
+    def _hear_after(self, part: str, since_ns: int) -> None:
+        self._observer.wait(
+            lambda: self._observer.diagnostics_ns.get(part, 0) > since_ns, f"diagnostics of {part}"
+        )

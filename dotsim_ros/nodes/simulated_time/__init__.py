@@ -1,0 +1,1 @@
+"""Simulated time: what nodes do when, and the steps that they take together."""

@@ -1,0 +1,161 @@
+"""A node's part in the steps: it holds back what it hears, and goes on when it is told to.
+
+Between two steps nothing is done, so what a node does depends on what was sent up to the step
+before, in an order of its own, and not on when it came.
+"""
+
+from __future__ import annotations
+
+import uuid
+from collections.abc import Callable
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from dotsim_ros.measured.bag import serialized_stamp_ns
+from dotsim_ros.nodes.simulated_time.protocol import (
+    ANSWER_TOPIC,
+    PROTOCOL_QOS,
+    STEP_TOPIC,
+    Answer,
+    Kind,
+    Step,
+    decode_step,
+    encode_answer,
+)
+
+Hear = Callable[[], None]
+
+
+class CountingPublisher(Publisher):
+    """A publisher that knows how many messages it has sent."""
+
+    sent = 0
+
+    def publish(self, msg: Any) -> None:
+        """Send a message; see `rclpy.publisher.Publisher.publish`."""
+        super().publish(msg)
+        self.sent += 1
+
+
+class StepParticipant:
+    """Answers the stepper for a node.
+
+    Args:
+        node: whose subscriptions and publishers are given to `hold` and `watch`.
+        go: takes the node to a time (ns).
+    """
+
+    def __init__(self, node: Node, go: Callable[[int], None]) -> None:
+        self._node, self._go = node, go
+        self._life = uuid.uuid4().hex
+        self._name = node.get_fully_qualified_name()
+        self._publishers: dict[str, CountingPublisher] = {}
+        self._told: dict[str, int] = {}
+        self._subscriptions: dict[str, Any] = {}
+        self._newest: dict[str, int] = {}
+        self._known: dict[str, str] = {}
+        self._held: list[tuple[int, str, int, Hear]] = []
+        self._step: Step | None = None
+        # Not the node's own methods: what the stepper says is not held back.
+        self._answers = Node.create_publisher(node, DiagnosticArray, ANSWER_TOPIC, PROTOCOL_QOS)
+        Node.create_subscription(node, DiagnosticArray, STEP_TOPIC, self._on_step, PROTOCOL_QOS)
+
+    def watch(self, publisher: CountingPublisher) -> None:
+        """Tell the stepper of what this publisher sends."""
+        self._publishers[publisher.topic_name] = publisher
+
+    def read(self, subscription: Any) -> None:
+        """Wait, before each step, for what was sent on the topic of this subscription."""
+        self._subscriptions[subscription.topic_name] = subscription
+
+    def hold(self, topic: str, number: int | None, stamp_ns: int, hear: Hear) -> None:
+        """Keep a message until the next step.
+
+        Args:
+            topic: resolved.
+            number: of the message among those of its publisher, from 1.
+            stamp_ns: of its header, 0 where it has none.
+            hear: hands it to the node.
+
+        Raises:
+            ValueError: the middleware does not number messages.
+        """
+        if number is None:
+            raise ValueError(
+                "the middleware does not number its messages, which steps of simulated time need: "
+                "set RMW_IMPLEMENTATION=rmw_fastrtps_cpp"
+            )
+        self._newest[topic] = max(number, self._newest.get(topic, 0))
+        self._held.append((stamp_ns, topic, number, hear))
+        self._take_step()
+
+    def _on_step(self, message: Any) -> None:
+        step = decode_step(message)
+        if step.kind is Kind.CALL:
+            self._answer_call(step.time_ns)
+            return
+        self._step = step
+        for topic, sent in step.sent.items():
+            # What a publisher sent before both knew each other need not come, and the numbers of
+            # one that has started again begin anew.
+            if self._known.get(topic) != sent.publisher:
+                self._known[topic], self._newest[topic] = sent.publisher, sent.count
+        self._take_step()
+
+    def _take_step(self) -> None:
+        step = self._step
+        if step is None or any(
+            topic in self._subscriptions and self._newest.get(topic, 0) < sent.count
+            for topic, sent in step.sent.items()
+        ):
+            return
+        self._step = None
+        held, self._held = sorted(self._held, key=lambda each: each[:3]), []
+        for _, _, _, hear in held:
+            hear()
+        self._go(step.time_ns)
+        self._answers.publish(
+            encode_answer(Answer(step.time_ns, Kind.DONE, self._name, self._life, self._changed()))
+        )
+
+    def _changed(self) -> dict[str, int]:
+        now = {topic: publisher.sent for topic, publisher in self._publishers.items()}
+        changed = {topic: n for topic, n in now.items() if n != self._told.get(topic)}
+        self._told = now
+        return changed
+
+    def _answer_call(self, time_ns: int) -> None:
+        self._told = {topic: each.sent for topic, each in self._publishers.items()}
+        self._answers.publish(
+            encode_answer(
+                Answer(
+                    time_ns,
+                    Kind.PRESENT,
+                    self._name,
+                    self._life,
+                    sent=self._told,
+                    readers={
+                        topic: each.get_subscription_count()
+                        for topic, each in self._publishers.items()
+                    },
+                    read={
+                        topic: each.get_publisher_count()
+                        for topic, each in self._subscriptions.items()
+                    },
+                )
+            )
+        )
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp of a message's header (ns), packed or not; 0 where it has none."""
+    if isinstance(message, bytes):
+        try:
+            return serialized_stamp_ns(message)
+        except ValueError:
+            return 0
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    return 0 if stamp is None else int(stamp.sec) * 10**9 + int(stamp.nanosec)

@@ -1,0 +1,137 @@
+"""What a node does at which simulated time. Needs no ROS.
+
+Everything runs on the thread that moves the time on, in the order of the times, whatever the
+machine does meanwhile. What takes long is computed beside it and taken at a time known beforehand.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+ROUNDING_S = 1e-9
+"""Times that lie closer together are the same one, computed another way."""
+LONGEST_STEP_S = 1.0
+"""A clock that moves further at once has jumped: what was due on the way is done once, at its
+end."""
+
+Result = TypeVar("Result")
+
+
+class PacedWork(Protocol):
+    """Work that says when it wants to be done next."""
+
+    def deadline_s(self) -> float:
+        """Return when it is due."""
+        ...
+
+    def run(self, now_s: float) -> None:
+        """Do it, and know a later deadline afterwards."""
+        ...
+
+
+@dataclass(frozen=True)
+class PeriodicWork:
+    """Work at the deadlines of a pace that may be replaced meanwhile.
+
+    Attributes:
+        pace: gives the `FramePace`; asked each time.
+        act: the work of one period.
+    """
+
+    pace: Callable[[], Any]
+    act: Callable[[], None]
+
+    def deadline_s(self) -> float:
+        """Return when it is due."""
+        return float(self.pace().deadline_s())
+
+    def run(self, now_s: float) -> None:
+        """Do it."""
+        self.pace().begin(now_s)
+        self.act()
+
+
+class SimulatedSchedule:
+    """A node's work in simulated time, counted in seconds from the first time of its clock.
+
+    Attributes:
+        now_s: the time in force: while something runs, the time that it was due at.
+    """
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+        self._due: list[tuple[float, int, Callable[[], None]]] = []
+        self._number = 0
+        self._worker = ThreadPoolExecutor(1, thread_name_prefix="simulated")
+        self._computing: set[Future[Any]] = set()
+
+    def at(self, due_s: float, act: Callable[[], None]) -> None:
+        """Do something once, at a time or, where that has passed, as soon as time moves on."""
+        heapq.heappush(self._due, (due_s, self._number, act))
+        self._number += 1
+
+    def pace(self, work: PacedWork) -> None:
+        """Do work at each of its deadlines."""
+
+        def act() -> None:
+            work.run(self.now_s)
+            self.at(work.deadline_s(), act)
+
+        self.at(work.deadline_s(), act)
+
+    def every(self, period_s: float, act: Callable[[], None]) -> None:
+        """Do something again and again, first after one period."""
+        due_s = self.now_s
+
+        def again() -> None:
+            nonlocal due_s
+            act()
+            due_s = max(due_s, self.now_s - period_s) + period_s
+            self.at(due_s, again)
+
+        due_s += period_s
+        self.at(due_s, again)
+
+    def compute(
+        self, delay_s: float, work: Callable[[], Result], take: Callable[[Result], None]
+    ) -> None:
+        """Compute something from now on, and take what comes out after a delay.
+
+        Args:
+            delay_s: simulated; the machine may need any time.
+            work: runs in a thread of its own, one after the other; changes nothing that other work
+                looks at meanwhile.
+            take: runs on the thread that moves the time on; what `work` raised is raised there.
+        """
+        future = self._worker.submit(work)
+        self._computing.add(future)
+
+        def finish() -> None:
+            self._computing.discard(future)
+            take(future.result())
+
+        self.at(self.now_s + delay_s, finish)
+
+    def settle(self) -> None:
+        """Wait until nothing is being computed."""
+        for future in list(self._computing):
+            future.exception()
+
+    def advance(self, to_s: float) -> None:
+        """Move the time on, and do what is due on the way."""
+        if to_s - self.now_s > LONGEST_STEP_S:
+            self.now_s = to_s
+        while self._due and self._due[0][0] <= to_s + ROUNDING_S:
+            due_s, _, act = heapq.heappop(self._due)
+            self.now_s = max(self.now_s, due_s)
+            act()
+        self.now_s = max(self.now_s, to_s)
+
+    def close(self) -> None:
+        """Let what is being computed end; nothing more is done."""
+        self._due.clear()
+        self._worker.shutdown(wait=True, cancel_futures=True)
