@@ -21,6 +21,7 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     STEP_TOPIC,
     Answer,
     Kind,
+    Sent,
     Step,
     decode_step,
     encode_answer,
@@ -56,7 +57,7 @@ class StepParticipant:
         self._told: dict[str, int] = {}
         self._subscriptions: dict[str, Any] = {}
         self._newest: dict[str, int] = {}
-        self._known: dict[str, str] = {}
+        self._sent: dict[str, Sent] = {}
         self._held: list[tuple[int, str, int, Hear]] = []
         self._step: Step | None = None
         # Not the node's own methods: what the stepper says is not held back.
@@ -101,8 +102,10 @@ class StepParticipant:
         for topic, sent in step.sent.items():
             # What a publisher sent before both knew each other need not come, and the numbers of
             # one that has started again begin anew.
-            if self._known.get(topic) != sent.publisher:
-                self._known[topic], self._newest[topic] = sent.publisher, sent.count
+            before = self._sent.get(topic)
+            if before is None or before.publisher != sent.publisher:
+                self._newest[topic] = sent.count
+            self._sent[topic] = sent
         self._take_step()
 
     def _take_step(self) -> None:
@@ -113,13 +116,23 @@ class StepParticipant:
         ):
             return
         self._step = None
-        held, self._held = sorted(self._held, key=lambda each: each[:3]), []
-        for _, _, _, hear in held:
+        for hear in self._due():
             hear()
         self._go(step.time_ns)
         self._answers.publish(
             encode_answer(Answer(step.time_ns, Kind.DONE, self._name, self._life, self._changed()))
         )
+
+    def _due(self) -> list[Hear]:
+        """Return what was sent before this step, in order, and keep what others have sent in it."""
+        due: list[tuple[int, str, int, Hear]] = []
+        early: list[tuple[int, str, int, Hear]] = []
+        for each in self._held:
+            _, topic, number, _ = each
+            sent = self._sent.get(topic)
+            (due if sent is None or number <= sent.count else early).append(each)
+        self._held = early
+        return [each[3] for each in sorted(due, key=lambda each: each[:3])]
 
     def _changed(self) -> dict[str, int]:
         now = {topic: publisher.sent for topic, publisher in self._publishers.items()}
