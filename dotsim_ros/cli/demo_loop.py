@@ -1,22 +1,30 @@
 """Let a policy follow a path by touch, record it, and show what it did.
 
 Starts tactile_sim, tactile_policy, xarm_sim and tactile_record as processes of their own, which
-talk over DDS, and enables the policy for a while. Leaves the bag OUT/loop, the image of the path
-OUT/path.png, and the report OUT/report.html and OUT/report.md with the figures of the bag.
+talk over DDS, and enables the policy until it has made its laps. In simulated time, the default,
+the nodes go on in steps together: what comes out is the same on any machine. Leaves the bag
+OUT/loop, the image of the path OUT/path.png, the figures of the bag in OUT/report.json, and the
+report OUT/report.html and OUT/report.md.
 Needs ROS 2. DDS stays on this machine unless the environment names a Fast DDS profile.
 
 example:
   dotsim_ros demo-loop --out out/demo-loop
-  dotsim_ros demo-loop --policy out/policy --path line --seconds 30 --out out/line
+  dotsim_ros demo-loop --policy out/policy --path line --laps 4 --out out/line
+  dotsim_ros demo-loop --clock realtime --out out/realtime
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
+import time
 from pathlib import Path
 
 POLICY = "densetact2_sphere"
 MOTIONS = ("line", "arc", "figure_eight", "press")
+CLOCKS = ("simulated", "realtime")
+PATIENCE = 2.0
+"""Times that a lap takes the expert, after which the policy is not waited for any more."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,7 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("out/demo-loop"), help="folder (out/demo-loop)")
     add("--policy", default=POLICY, help=f"folder or name of the policy ({POLICY})")
     add("--path", choices=MOTIONS, default="figure_eight", help="path to follow (figure_eight)")
-    add("--seconds", type=float, default=20.0, help="how long the policy leads (20)")
+    add("--laps", type=float, default=2.0, help="how many laps to make (2)")
+    add("--clock", choices=CLOCKS, default=CLOCKS[0], help="how time passes (simulated)")
     add("--sensor", help="name or file of the sensor (the one that the policy was trained on)")
     add("--seed", type=int, default=0, help="seed of the start (0)")
     add("--json", type=Path, help="file to write the figures to")
@@ -33,18 +42,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
+    import numpy as np
+
     from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
     from dotsim_ros.evaluation.trajectory.page import path_image, trial_report
     from dotsim_ros.evaluation.trajectory.trials import judge, summary_of, trial_start
     from dotsim_ros.files import beside, write_json
+    from dotsim_ros.measured.bag_hash import bag_sha256
     from dotsim_ros.nodes.common.transport import stay_local
     from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
     from dotsim_ros.page import write_page
     from dotsim_ros.provenance import provenance
     from dotsim_ros.replacement import note_made, remove_made
+    from dotsim_ros.tasks.control.loop_recording import LoopRecording
     from dotsim_ros.tasks.policy.card import read_policy
     from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
+    from dotsim_ros.tasks.policy.rollout import APPROACH_S
 
     stay_local()
     folder = policy_folder(arguments.policy)
@@ -54,10 +68,19 @@ def run(arguments: argparse.Namespace) -> int:
     bag: Path = arguments.out / "loop"
     remove_made(arguments.out, "loop")  # that of the demonstration before
     setup = LoopSetup(policy_name(folder), sensor=arguments.sensor or card.sensor)
-    with ClosedLoop(setup, contact=contact) as loop:
+
+    def laps_are_made(recording: LoopRecording) -> bool:
+        done = judge(recording, path, setup.limits()).get("laps", 0.0)
+        _say(f"{done:.2f} of {arguments.laps:g} laps")
+        return bool(done >= arguments.laps)
+
+    with ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop:
         loop.start(path.name)
         start_m = trial_start(path, contact, seed=arguments.seed, number=0)
-        observed = loop.trial(start_m, arguments.seconds, bag=bag)
+        longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
+        begun_s = time.monotonic()
+        observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
+        spent_s = time.monotonic() - begun_s
         statuses = loop.close()
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
@@ -65,6 +88,13 @@ def run(arguments: argparse.Namespace) -> int:
     note_made(arguments.out, "loop")
     recording = read_loop_bag(bag, notes=observed.notes)
     row = judge(recording, path, setup.limits())
+    row |= {
+        "laps_asked": arguments.laps,
+        "clock": arguments.clock,
+        "frames_per_second": row.get("frame_rate_hz"),
+        "bag_sha256": bag_sha256(bag),
+        "speed_factor": round(float(np.ptp(recording.pose_s)) / spent_s, 3),
+    }
     image = path_image(path.name, [recording], name="path")
     page = trial_report(
         row,
@@ -76,9 +106,14 @@ def run(arguments: argparse.Namespace) -> int:
         origin=provenance(),
     )
     write_page(arguments.out, page)
-    if arguments.json is not None:
-        write_json(arguments.json, row | {"provenance": provenance()})
+    for file in filter(None, (arguments.out / "report.json", arguments.json)):
+        write_json(file, row | {"provenance": provenance()})
     print(summary_of(row))
-    for name in ("loop", "path.png", "report.html", "report.md"):
+    print(f"{row['speed_factor']:g} times real time, bag {row['bag_sha256']}")
+    for name in ("loop", "path.png", "report.html", "report.md", "report.json"):
         print(arguments.out / name)
     return 0
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -54,6 +54,7 @@ OPTIONAL_MODELS = ("unet",)
 LEVELS = ("easy", "medium", "hard")
 MOTIONS = ("line", "arc", "figure_eight", "press")
 SENSORS = ("simulated", "transferred", "shifted")
+CLOCKS = ("simulated", "realtime")
 BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 RUNTIME_PRESS_COUNT = 3
 
@@ -162,6 +163,12 @@ def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
     add("--settings", nargs="+", choices=SENSORS, default=list(SENSORS), help="which (all)")
     add("--seconds", type=float, default=12.0, help="duration of a trial with its approach (12)")
     add("--seed", type=int, default=0, help="seed of the starts (0)")
+    add(
+        "--clock",
+        choices=CLOCKS,
+        default=CLOCKS[0],
+        help="how time passes (simulated): realtime keeps what --out has of simulated time",
+    )
     add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the image")
     add("--json", type=Path, help="write the figures here as well")
@@ -458,6 +465,7 @@ def _runtime(arguments: argparse.Namespace) -> int:
 
 
 def _trajectory(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.documents import read_json
     from dotsim_ros.evaluation.trajectory.page import trajectory_page, write_grid
     from dotsim_ros.evaluation.trajectory.trials import (
         TrialPlan,
@@ -484,18 +492,27 @@ def _trajectory(arguments: argparse.Namespace) -> int:
         seconds=arguments.seconds,
         seed=arguments.seed,
         policy=card.weights_sha256,
+        clock=arguments.clock,
     )
-    with TrialLoop(folder) as loop:
+    with TrialLoop(folder, clock=arguments.clock) as loop:
         trials = run_trials(plan, loop, loop.limits, cache, progress=_say)
-    image = arguments.images / "closed_loop.png"
+    name = "closed_loop" if arguments.clock == CLOCKS[0] else "closed_loop_realtime"
+    image = arguments.images / f"{name}.png"
     write_grid(image, trials.recordings)
     figures = trajectory_figures(plan, trials) | {
         "plan": {"trials": plan.trial_count, "seconds": plan.seconds, "paths": list(plan.paths)},
         "limits": limits_shown(loop.limits),
         "provenance": provenance() | {"policy": card.name, "seed": str(arguments.seed)},
     }
+    # Each clock's figures stand beside the other's.
+    file = arguments.out / "trajectory.json"
+    kept = read_json(file) if file.is_file() else {}
+    if arguments.clock == CLOCKS[0]:
+        figures |= {key: kept[key] for key in ("realtime",) if key in kept}
+    else:
+        figures = {**kept, "realtime": figures}
     page = trajectory_page(figures, os.path.relpath(image, arguments.out))
-    for path in filter(None, (arguments.out / "trajectory.json", arguments.json)):
+    for path in filter(None, (file, arguments.json)):
         write_json(path, figures)
     write_text(arguments.out / "trajectory.md", page)
     print(page)

@@ -67,6 +67,14 @@ NOT_SO = (
     "stiffness; it shows in the force.",
     "The arm is simulated, and the indenter stands still in its base.",
 )
+SIMULATED_TIME = (
+    "All nodes go on in steps together, with delays of camera and policy as they were measured in "
+    "real time: the figures are the same on any machine."
+)
+REAL_TIME = (
+    "Everything shares the machine, and what comes late is late: the figures depend on the machine "
+    "and on what else it does."
+)
 PANEL_INCHES = (3.5, 2.5)
 GRID_PANEL_INCHES = (3.1, 2.3)
 DOTS_PER_INCH = 110
@@ -151,35 +159,25 @@ def trajectory_page(figures: Mapping[str, Any], image: str) -> str:
     """Return the page of the figures.
 
     Args:
-        figures: as `trajectory_figures` gives them, with `provenance` and `plan`.
+        figures: as `trajectory_figures` gives them, with `provenance`, `plan` and `limits`: those
+            in simulated time, and below `realtime` those in real time; either may be missing.
         image: of the paths, seen from the page.
     """
-    settings = [name for name in SETTINGS if name in figures]
-    rows = [
-        ((setting, path), _shown(found))
-        for setting in settings
-        for path, found in [("all", figures[setting]), *figures[setting]["paths"].items()]
-    ]
-    plan, limits = figures["plan"], figures["limits"]
+    clocks = [("In simulated time", figures, SIMULATED_TIME)] if "plan" in figures else []
+    if "realtime" in figures:
+        clocks.append(("In real time", figures["realtime"], REAL_TIME))
+    settings = [name for name in SETTINGS if any(name in found for _, found, _ in clocks)]
     parts = [
         "# Trajectories followed by touch alone",
-        "Over ROS topics, in real time: `tactile_sim`, `tactile_policy` and `xarm_sim` as "
-        f"processes. {plan['trials']} trials of each path and setting, {plan['seconds']:g} s each; "
-        "every trial starts somewhere on its path and a little beside it, drawn by the seed, at "
-        "the same places in every setting.",
+        "Over ROS topics: `tactile_sim`, `tactile_policy` and `xarm_sim` as processes. Every trial "
+        "starts somewhere on its path and a little beside it, drawn by the seed, at the same "
+        "places in every setting.",
         "\n".join(f"- **{setting}**: {SAYS[setting]}." for setting in settings),
-        markdown_table(("setting", "path"), rows, COLUMNS),
+        *(part for clock in clocks for part in _clock_parts(*clock)),
+        "## The paths",
         f"![executed paths on the reference]({image})",
         "Grey: the path; yellow: the approach of the first "
         f"{APPROACH_S:g} s, which is not judged; coloured: the trials.",
-        "## The motion against its limits",
-        "Largest values of all trials, of the motion that was recorded. The policy's node allows "
-        f"{limits['speed_mm_s']:g} mm/s, {limits['acceleration_m_s2']:g} m/s², "
-        f"{limits['turn_rate_rad_s']:g} rad/s, {limits['turn_rad']:g} rad, and an excursion of "
-        f"{', '.join(f'{v:g}' for v in limits['excursion_mm'])} mm.",
-        markdown_table(("setting", "path"), rows, LIMIT_COLUMNS),
-        "## Stops",
-        _stops(figures, settings),
         "## What the figures mean",
         entry_list(
             {
@@ -190,16 +188,39 @@ def trajectory_page(figures: Mapping[str, Any], image: str) -> str:
                 "still makes no error",
                 "judged": "trials that went on after the approach; one that was latched before has "
                 "no error and is counted here and under ended early",
-                "frames/s": "of the simulated sensor, which shares the machine with everything "
-                "else; 25 is all of them",
+                "frames/s": "of the simulated sensor; 25 is all of them",
             }
         ),
         "## What this does not show",
         "\n".join(f"- {line}" for line in NOT_SO),
-        "## Made by",
-        entry_list(figures["provenance"]),
     ]
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+
+
+def _clock_parts(title: str, figures: Mapping[str, Any], says: str) -> list[str]:
+    """Return what a page says of the trials by one clock."""
+    settings = [name for name in SETTINGS if name in figures]
+    rows = [
+        ((setting, path), _shown(found))
+        for setting in settings
+        for path, found in [("all", figures[setting]), *figures[setting]["paths"].items()]
+    ]
+    plan, limits = figures["plan"], figures["limits"]
+    return [
+        f"## {title}",
+        f"{says} {plan['trials']} trials of each path and setting, {plan['seconds']:g} s each.",
+        markdown_table(("setting", "path"), rows, COLUMNS),
+        "### The motion against its limits",
+        "Largest values of all trials, of the motion that was recorded. The policy's node allows "
+        f"{limits['speed_mm_s']:g} mm/s, {limits['acceleration_m_s2']:g} m/s², "
+        f"{limits['turn_rate_rad_s']:g} rad/s, {limits['turn_rad']:g} rad, and an excursion of "
+        f"{', '.join(f'{v:g}' for v in limits['excursion_mm'])} mm.",
+        markdown_table(("setting", "path"), rows, LIMIT_COLUMNS),
+        "### Stops",
+        _stops(figures, settings),
+        "### Made by",
+        entry_list(figures["provenance"]),
+    ]
 
 
 def trial_report(

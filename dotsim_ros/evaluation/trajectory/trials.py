@@ -79,6 +79,7 @@ class TrialPlan:
         seconds: that the policy leads, the approach of APPROACH_S included.
         seed: of the starts.
         policy: hash of the policy's weights.
+        clock: of the loop: simulated or realtime.
     """
 
     settings: tuple[Setting, ...]
@@ -87,6 +88,7 @@ class TrialPlan:
     seconds: float = 12.0
     seed: int = 0
     policy: str = ""
+    clock: str = "simulated"
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.paths) - set(PATHS))
@@ -102,7 +104,7 @@ class TrialPlan:
 
     def file_of(self, setting: Setting, path: str, number: int) -> str:
         """Return the name of the file that keeps a trial."""
-        what = (self.policy, setting.content, path, number, self.seed, self.seconds)
+        what = (self.policy, setting.content, path, number, self.seed, self.seconds, self.clock)
         key = content_key(DECIDED_BY, what, setting.noise_levels)
         return f"{setting.name}-{path}-{number}-{key}.npz"
 

@@ -51,6 +51,7 @@ APPROACH_POINTS = 4
 SETTLE_FRAMES = 4
 ENABLE_TIMEOUT_S = 15.0
 RECORDER_POLL_S = 0.02
+ASK_EVERY_POSES = 100
 
 
 @dataclass(frozen=True)
@@ -306,7 +307,12 @@ class ClosedLoop:
         return {reason: int(count) for reason, count in pairs}
 
     def trial(
-        self, start_m: FloatArray, seconds: float, *, bag: Path | None = None
+        self,
+        start_m: FloatArray,
+        seconds: float,
+        *,
+        bag: Path | None = None,
+        is_done: Callable[[LoopRecording], bool] | None = None,
     ) -> LoopRecording:
         """Return what the loop does from a place on, for a time or until it is latched; nothing
         where the policy refuses to lead, which the notes say.
@@ -315,6 +321,7 @@ class ClosedLoop:
             start_m: (3,) of the indenter in the sensor's frame.
             seconds: how long the policy leads.
             bag: folder for a bag of it by `tactile_record`; None for none.
+            is_done: asked about once a second whether what was done so far is enough.
         """
         self.rest()
         self.touch(start_m)
@@ -332,7 +339,7 @@ class ClosedLoop:
         except RefusedError as error:
             state, reason, detail = "refused", "refused", str(error)
         else:
-            state, reason, detail = self._watch(seconds)
+            state, reason, detail = self._watch(seconds, is_done)
         self.disable()
         self.wait_diagnostics()
         after = self.stops()
@@ -350,9 +357,23 @@ class ClosedLoop:
             }
         )
 
-    def _watch(self, seconds: float) -> tuple[str, str, str]:
-        """Return state, reason and its details after a time, or when the loop is latched."""
-        self.time.watch(f"{POLICY}: control", seconds, lambda: self.state()[0] == "latched")
+    def _watch(
+        self, seconds: float, is_done: Callable[[LoopRecording], bool] | None
+    ) -> tuple[str, str, str]:
+        """Return state, reason and its details after a time, or when the loop is latched or done."""
+        asked = 0
+
+        def is_over() -> bool:
+            nonlocal asked
+            if self.state()[0] == "latched":
+                return True
+            count = self.observer.count("ee_pose")
+            if is_done is None or count < asked + ASK_EVERY_POSES:
+                return False
+            asked = count
+            return is_done(self.recording({}))
+
+        self.time.watch(f"{POLICY}: control", seconds, is_over)
         state, reason = self.state()
         status = self.observer.diagnostics.get(f"{POLICY}: control")
         return state, reason, status.message if status is not None and state == "latched" else ""

@@ -16,13 +16,15 @@ class TrialLoop:
 
     Args:
         policy: folder of the policy.
+        clock: of the loop, see `ClosedLoop`.
 
     Attributes:
         limits: that the policy's node keeps.
     """
 
-    def __init__(self, policy: Path) -> None:
+    def __init__(self, policy: Path, *, clock: str) -> None:
         self._policy = policy_name(policy)
+        self._clock = clock
         self.limits = LoopSetup(self._policy).limits()
         self._loop: ClosedLoop | None = None
         self._setting: Setting | None = None
@@ -46,7 +48,8 @@ class TrialLoop:
                         self._policy,
                         sensor=setting.sensor,
                         sensor_parameters={"image_noise_levels": setting.noise_levels},
-                    )
+                    ),
+                    clock=self._clock,
                 )
                 self._loop.start(path)
                 self._setting, self._path = setting, path

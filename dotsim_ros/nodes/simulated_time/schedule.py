@@ -68,6 +68,7 @@ class SimulatedSchedule:
         self._number = 0
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="simulated")
         self._computing: set[Future[Any]] = set()
+        self._taken_s = 0.0
 
     def at(self, due_s: float, act: Callable[[], None]) -> None:
         """Do something once, at a time or, where that has passed, as soon as time moves on."""
@@ -101,6 +102,8 @@ class SimulatedSchedule:
     ) -> None:
         """Compute something from now on, and take what comes out after a delay.
 
+        What was asked for first is taken first, as from a camera or a network that has a queue.
+
         Args:
             delay_s: simulated; the machine may need any time.
             work: runs in a thread of its own, one after the other; changes nothing that other work
@@ -114,7 +117,8 @@ class SimulatedSchedule:
             self._computing.discard(future)
             take(future.result())
 
-        self.at(self.now_s + delay_s, finish)
+        self._taken_s = max(self._taken_s, self.now_s + delay_s)
+        self.at(self._taken_s, finish)
 
     def settle(self) -> None:
         """Wait until nothing is being computed."""
