@@ -360,7 +360,7 @@ class ClosedLoop:
     def _watch(
         self, seconds: float, is_done: Callable[[LoopRecording], bool] | None
     ) -> tuple[str, str, str]:
-        """Return state, reason and its details after a time, or when the loop is latched or done."""
+        """Return state, reason and details after a time, or when the loop is latched or done."""
         asked = 0
 
         def is_over() -> bool:
