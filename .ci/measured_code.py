@@ -17,6 +17,14 @@ VERB_MODULE = "dotsim_ros.cli.{verb}"
 """Where the command line finds a verb; the function `_SUBJECT` in it runs one of its subjects."""
 STARTED = {
     "benchmarks/closed_loop.py": ("tactile_sim", "tactile_policy", "xarm_sim"),
+    "benchmarks/interrupts.py": (
+        "indenter_player",
+        "tactile_policy",
+        "tactile_record",
+        "tactile_sim",
+        "xarm_adapter",
+        "xarm_sim",
+    ),
     "benchmarks/loop_faults.py": ("tactile_sim", "tactile_policy", "xarm_sim"),
     "benchmarks/realtime.py": ("tactile_sim",),
     "benchmarks/soak.py": ("tactile_sim",),

@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 from numpy.lib import format as npy_format
 
-from dotsim_ros.printable import one_line
+from dotsim_ros.printable import cut, one_line
 
 Arrays = dict[str, np.ndarray[Any, Any]]
 
@@ -280,7 +280,7 @@ def value_text(value: Any) -> str:
         shown = itertools.islice(value.items(), LONGEST_EXCERPT)
         words = f"{{{', '.join(f'{name}: {value_text(entry)}' for name, entry in shown)}}}"
     elif isinstance(value, str):
-        return repr(value if len(value) <= LONGEST_EXCERPT else f"{value[:LONGEST_EXCERPT]}...")
+        return repr(cut(value, LONGEST_EXCERPT))
     else:
         words = str(value) if isinstance(value, numbers.Real) else repr(value)
     return shortened(words)
@@ -357,5 +357,4 @@ def _mapping_of(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 def shortened(words: object) -> str:
     """Return what an error says as one line of limited length."""
-    text = one_line(words)
-    return text if len(text) <= 3 * LONGEST_EXCERPT else f"{text[: 3 * LONGEST_EXCERPT]}..."
+    return cut(one_line(words), 3 * LONGEST_EXCERPT)

@@ -31,6 +31,11 @@ def one_line(text: object) -> str:
     return printable(" ".join(str(text).split()))
 
 
+def cut(text: str, most: int) -> str:
+    """Return a text without what is beyond `most` characters, and "..." in its place."""
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
 def figure_label(text: object, most: int = MOST_OF_A_LABEL) -> str:
     """Return a text for a figure: on one line, not longer than `most`, its dollars no formulas."""
     shown = one_line(text)

@@ -10,12 +10,14 @@ The arm stays until the last line; docs/closed_loop.md says what to check before
 from pathlib import Path
 
 from ament_index_python.packages import get_package_share_directory
-from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument
+from launch import LaunchContext, LaunchDescription
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
+
+from dotsim_ros.nodes.common.parameter_file import check_params_file
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -61,6 +63,7 @@ def generate_launch_description() -> LaunchDescription:
                 choices=["true", "false"],
                 description="record a bag in the working directory",
             ),
+            OpaqueFunction(function=refuse_wrong_file),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
@@ -103,3 +106,8 @@ def generate_launch_description() -> LaunchDescription:
             ),
         ]
     )
+
+
+def refuse_wrong_file(context: LaunchContext) -> None:
+    """Raise a ValueError, which ends the launch before a node starts, for a wrong params_file."""
+    check_params_file(LaunchConfiguration("params_file").perform(context))

@@ -27,6 +27,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
 
+INTERRUPTS = Path(__file__).parents[2] / "benchmarks" / "interrupts.py"
 START_PATIENCE_S = 120.0
 PATIENCE_S = 30.0
 APEX_M = 0.01575
@@ -163,6 +164,22 @@ def running(
         yield executable
     finally:
         executable.end()
+
+
+def check_interrupts(*nodes: str, count: int) -> None:
+    """Assert that nodes end at their first SIGINT, started anew for each of `count`."""
+    numbers = ["--count", str(count), "--heavy", str(count)]
+    done = subprocess.run(
+        [sys.executable, str(INTERRUPTS), "--nodes", *nodes, *numbers],
+        capture_output=True,
+        text=True,
+        timeout=count * START_PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    for node in nodes:
+        assert f"{node}: {count} of {count} ended" in done.stdout, done.stdout
+    assert "Traceback" not in done.stderr
 
 
 @dataclass

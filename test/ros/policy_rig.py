@@ -243,7 +243,7 @@ class Rig(Observer):
 
     Attributes:
         crop: what the images show.
-        has_images, has_poses: cut a stream.
+        has_images, has_poses, has_forces: cut a stream.
         image_lag_s: how long before now images are stamped.
         image_frame, pose_frame: frames of the messages.
         encoding: of the images that are not compressed, rgb8 or bgr8.
@@ -253,12 +253,18 @@ class Rig(Observer):
     """
 
     def __init__(
-        self, namespace: str, *, compressed: bool = False, along_tool: bool = True
+        self,
+        namespace: str,
+        *,
+        compressed: bool = False,
+        along_tool: bool = True,
+        has_forces: bool = True,
     ) -> None:
         super().__init__(namespace)
         self.idle = idle_crop()
         self.crop = self.idle
         self.has_images = self.has_poses = True
+        self.has_forces = has_forces
         self.image_lag_s = 0.0
         self.image_frame = "densetact_optical_frame"
         self.pose_frame = "link_base"
@@ -282,7 +288,7 @@ class Rig(Observer):
         """Mend everything, enable, and wait until the arm moves."""
         self.enable(False)
         self.crop = self.idle
-        self.has_images = self.has_poses = True
+        self.has_images = self.has_poses = self.has_forces = True
         self.image_lag_s, self.force_n = 0.0, 0.0
         self.image_frame, self.pose_frame = "densetact_optical_frame", "link_base"
         # What was spoilt must have passed.
@@ -336,11 +342,12 @@ class Rig(Observer):
             along=self._axes,
         )
         stamp_ns = time.time_ns()
-        self.wrenches.publish(
-            msg_adapters.encode_wrench_stamped(
-                (0.0, 0.0, self.force_n), (0.0, 0.0, 0.0), stamp_ns=stamp_ns, frame_id="tool"
+        if self.has_forces:
+            self.wrenches.publish(
+                msg_adapters.encode_wrench_stamped(
+                    (0.0, 0.0, self.force_n), (0.0, 0.0, 0.0), stamp_ns=stamp_ns, frame_id="tool"
+                )
             )
-        )
         if self.has_poses:
             self.poses.publish(
                 msg_adapters.encode_pose_stamped(
@@ -355,7 +362,12 @@ class Rig(Observer):
 
 @contextmanager
 def policy_and_rig(
-    folder: Path, *, compressed: bool = False, code: str = "", **parameters: Any
+    folder: Path,
+    *,
+    compressed: bool = False,
+    has_forces: bool = True,
+    code: str = "",
+    **parameters: Any,
 ) -> Iterator[tuple[Executable, Rig]]:
     """Run a node with the small network, and the rig that it talks to, in a namespace of theirs."""
     namespace = f"bench_{next(_numbers)}"
@@ -374,7 +386,7 @@ def policy_and_rig(
         MODULE, parameters=given, code=code, arguments=("-r", f"__ns:=/{namespace}")
     ) as executable:
         along_tool = given.get("command_frame", "link_tcp") == "link_tcp"
-        rig = Rig(namespace, compressed=compressed, along_tool=along_tool)
+        rig = Rig(namespace, compressed=compressed, along_tool=along_tool, has_forces=has_forces)
         try:
             yield executable, rig
         finally:

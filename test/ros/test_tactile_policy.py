@@ -29,6 +29,8 @@ from policy_rig import (
 )
 from std_srvs.srv import Trigger
 
+from msg_adapters import Level
+
 STOP_S = 0.08
 SLACK_S = 0.15
 """What a busy machine that runs the tests may add."""
@@ -168,6 +170,32 @@ def test_a_force_above_the_limit_retreats_along_the_tool(rig: Rig) -> None:
     np.testing.assert_allclose(rig.newest().twist, [0, 0, -0.01, 0, 0, 0], atol=1e-9)
     rig.force_n = 0.5
     rig.wait(lambda: rig.newest().twist[2] > 0.0, "the motion to go on")
+
+
+@pytest.mark.fault("messages", "no force on the topic `wrench`, and `force_limit_n` as it is")
+def test_without_a_parameter_the_force_is_limited_and_must_come(
+    network: Path, answered: Callable[..., None]
+) -> None:
+    with policy_and_rig(network, has_forces=False, retreat_m=0.2) as (_, rig):
+        rig.calibrate()
+        answer = rig.enable()
+        assert not answer.success
+        answered(answer.message)
+        state = rig.state("input")
+        assert state.level == Level.WARN
+        assert "set force_limit_n to 0" in state.message
+        rig.start()
+        rig.force_n = 9.0
+        rig.wait_for_reason("retreating", "force_limit")
+
+
+def test_a_sensor_without_force_is_said_to_be_one(network: Path) -> None:
+    with policy_and_rig(network, has_forces=False, force_limit_n=0.0) as (executable, rig):
+        executable.wait_for_line("force_limit_n is 0: nothing limits the force; set it for")
+        rig.calibrate()
+        rig.wait(lambda: rig.enable().success, "the start")
+        rig.wait(lambda: rig.newest().moves(), "a motion")
+        assert "nothing limits the force" in rig.state("input").message
 
 
 @pytest.mark.fault("messages", "a pose at 10 m and 100 N, both with stamp zero, as the arm moves")

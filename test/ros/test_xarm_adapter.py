@@ -25,7 +25,7 @@ import rclpy
 import xarm_messages
 from arm_rig import ArmClient, arm_client
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from harness import Executable, running, spin_in_background
+from harness import Executable, check_interrupts, running, spin_in_background
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from scipy.spatial.transform import Rotation
@@ -241,6 +241,10 @@ def test_sigint_ends_it_with_status_0(xarm_package: Path) -> None:
     with running(MODULE) as node:
         assert node.interrupt(2) == 0, node.log
         assert "Traceback" not in node.log
+
+
+def test_it_ends_at_the_first_sigint_whenever_that_comes(xarm_package: Path) -> None:
+    check_interrupts("xarm_adapter", count=4)
 
 
 def test_velocities_arrive_in_millimetres_with_a_watchdog(rig: Rig) -> None:

@@ -30,8 +30,11 @@ each_launch_file = pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path
 PROCESS_KEYWORDS = {"output", "condition", "on_exit", "respawn", "respawn_delay"}
 LAUNCH_KEYWORDS = {
     ("ament_index_python.packages", "get_package_share_directory"): set(),
+    ("dotsim_ros.nodes.common.parameter_file", "check_params_file"): set(),
+    ("launch", "LaunchContext"): set(),
     ("launch", "LaunchDescription"): set(),
     ("launch.actions", "DeclareLaunchArgument"): {"default_value", "description", "choices"},
+    ("launch.actions", "OpaqueFunction"): {"function", "args", "kwargs"},
     ("launch.conditions", "IfCondition"): set(),
     ("launch.conditions", "UnlessCondition"): set(),
     ("launch.substitutions", "EqualsSubstitution"): set(),
@@ -301,6 +304,29 @@ def test_launch_arguments_are_declared_described_and_used(path: Path) -> None:
     assert used == set(launch_arguments(tree))
     for call in calls(tree, "DeclareLaunchArgument"):
         assert {"default_value", "description"} <= set(keywords(call)), ast.unparse(call)
+
+
+@each_launch_file
+def test_launch_file_refuses_a_wrong_parameter_file_before_any_node(path: Path) -> None:
+    tree = tree_of(path)
+    (description,) = calls(tree, "LaunchDescription")
+    entities = description.args[0]
+    assert isinstance(entities, ast.List)
+    kinds = [ast.unparse(entity.func) for entity in entities.elts if isinstance(entity, ast.Call)]
+    assert len(kinds) == len(entities.elts)
+    place = kinds.index("OpaqueFunction")
+    assert set(kinds[:place]) == {"DeclareLaunchArgument"}
+    assert "Node" in kinds[place:]
+    (called,) = [keywords(call)["function"] for call in calls(tree, "OpaqueFunction")]
+    (function,) = [
+        found
+        for found in tree.body
+        if isinstance(found, ast.FunctionDef) and found.name == ast.unparse(called)
+    ]
+    (context,) = function.args.args
+    assert ast.unparse(function.body[-1]) == (
+        f"check_params_file(LaunchConfiguration('params_file').perform({context.arg}))"
+    )
 
 
 @each_launch_file

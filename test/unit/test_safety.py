@@ -16,7 +16,7 @@ from dotsim_ros.tasks.control.freshness import HeardMessage, StreamWatch
 from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, State
 
 TICK_S = 0.01
-LIMITS = SafetyLimits()
+LIMITS = SafetyLimits(force_n=np.inf, release_n=np.inf)
 WITH_FORCE = SafetyLimits(force_n=2.0, release_n=1.5)
 SIDEWAYS = np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0])
 EPOCH_NS = 1_700_000_000 * 10**9

@@ -13,6 +13,9 @@ from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import MissCounter, RateMeter, Spread
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
+from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
+from dotsim_ros.tasks.control.safety import SafetyLimits
+from dotsim_ros.tasks.policy.network import load_policy
 
 
 @pytest.mark.parametrize(
@@ -33,6 +36,23 @@ def test_bad_values_and_contradictions_are_refused_with_the_reason(changes, reas
         dataclasses.replace(TactilePolicyParameters(), **changes)
 
 
+def test_the_defaults_are_those_of_the_limits():
+    ours, theirs = TactilePolicyParameters().limits(), SafetyLimits()
+    for field in dataclasses.fields(SafetyLimits):
+        np.testing.assert_allclose(getattr(ours, field.name), getattr(theirs, field.name))
+
+
+def test_no_guard_of_an_arm_is_off_by_default():
+    for limits in (TactilePolicyParameters().limits(), XarmAdapterParameters().limits()):
+        for field in dataclasses.fields(limits):
+            value = getattr(limits, field.name)
+            assert np.isfinite(value).all(), field.name
+            assert np.all(np.asarray(value) > 0.0), field.name
+    # The arm's own watchdog; an image's distance has its limit in the policy's card.
+    assert XarmAdapterParameters().duration_s > 0.0
+    assert load_policy(parameter_path("policies/densetact2_sphere"), "").largest_distance < 100.0
+
+
 def test_every_parameter_says_what_it_is_and_stays():
     for field in dataclasses.fields(TactilePolicyParameters):
         assert option_of(field).description.endswith("."), field.name
@@ -47,8 +67,10 @@ def test_the_shipped_file_holds_the_defaults():
     assert set(plain) == {field.name for field in dataclasses.fields(TactilePolicyParameters)}
 
 
-def test_no_force_limit_means_no_retreat():
-    assert np.isinf(TactilePolicyParameters().limits().force_n)
+def test_the_force_is_limited_unless_a_user_says_that_there_is_none():
+    assert np.isfinite(TactilePolicyParameters().limits().force_n)
+    without = dataclasses.replace(TactilePolicyParameters(), force_limit_n=0.0).limits()
+    assert np.isinf(without.force_n)
     limits = dataclasses.replace(TactilePolicyParameters(), force_limit_n=2.0).limits()
     assert (limits.force_n, limits.release_n) == (2.0, pytest.approx(1.6))
 

@@ -10,10 +10,10 @@ import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
-from dotsim_ros.documents import read_yaml, value_text
-from dotsim_ros.nodes.common.reasons import EXPECTED, HOW
+from dotsim_ros.documents import value_text
+from dotsim_ros.nodes.common.parameter_file import check_parameter_file
+from dotsim_ros.nodes.common.reasons import HOW
 from dotsim_ros.nodes.common.transport import PROFILE_FILES
 
 LARGEST_DOMAIN = 232
@@ -39,7 +39,7 @@ def check_start(arguments: Sequence[str]) -> None:
     for argument in _foreign(arguments):
         raise ValueError(f"the argument {value_text(argument)} is none that nodes take: {HOW}")
     for path in _parameter_files(arguments):
-        _check_parameters(read_yaml(path), path)
+        check_parameter_file(path)
     _check_domain(os.environ.get("ROS_DOMAIN_ID") or "0")
     for name in PROFILE_FILES:
         profile = os.environ.get(name)
@@ -75,8 +75,3 @@ def _parameter_files(arguments: Sequence[str]) -> Iterator[str]:
     for flag, value in pairwise(arguments):
         if flag == "--params-file":
             yield value
-
-
-def _check_parameters(content: Any, path: str) -> None:
-    if not isinstance(content, dict) or not content:
-        raise ValueError(f"{path} holds no parameters; expected {EXPECTED['params file']}")

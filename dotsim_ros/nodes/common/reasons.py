@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 
 from dotsim_ros.documents import value_text
+from dotsim_ros.printable import cut
 
 LONGEST_REASON = 400
+"""Characters; a value that a user gave may be of any length."""
 
 HOW = "parameters are given as --ros-args -p NAME:=VALUE, topics renamed by -r FROM:=TO"
 EXPECTED = {
@@ -35,9 +37,4 @@ def reason_of(error: BaseException) -> str:
         text += EXPECTED.get(what, HOW)
     elif type(error).__name__ == "UnknownROSArgsError":
         text = f"unknown after --ros-args: {text}; {HOW}"
-    return shortened(text or type(error).__name__)
-
-
-def shortened(text: str) -> str:
-    """Return a text without what is beyond `LONGEST_REASON` characters."""
-    return text if len(text) <= LONGEST_REASON else f"{text[:LONGEST_REASON]}..."
+    return cut(text or type(error).__name__, LONGEST_REASON)

@@ -20,6 +20,11 @@ LEVELS = {
     State.STOPPED: Level.WARN,
     State.LATCHED: Level.ERROR,
 }
+NO_FORCE_LIMIT = "force_limit_n is 0: nothing limits the force"
+NO_FORCE = (
+    "no force has come on the topic wrench: the arm does not move without; for a sensor that "
+    "measures none set force_limit_n to 0"
+)
 
 
 def statuses(
@@ -106,4 +111,8 @@ def _input(inputs: PolicyInputs, now_s: float) -> Report:
             f"{watch.name}_delay_ms": _milliseconds(reading.delay_s),
         }
     values["refused"] = str(inputs.refused)
+    if not inputs.hears_force:
+        return Level.OK, f"listening; {NO_FORCE_LIMIT}", values
+    if not inputs.force.count:
+        return Level.WARN, NO_FORCE, values
     return Level.OK, "listening", values

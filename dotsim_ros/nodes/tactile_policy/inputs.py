@@ -72,6 +72,9 @@ class PolicyInputs:
         node: owns the subscriptions.
         parameters: transport, limits.
         latch: takes a fault that stops the arm for good: reason and words.
+
+    Attributes:
+        hears_force: whether a force is expected, without which the arm does not move.
     """
 
     def __init__(
@@ -104,7 +107,8 @@ class PolicyInputs:
             ),
             self._subscribe(PoseStamped, "ee_pose", self._on_pose, STATE_QOS),
         ]
-        if parameters.force_limit_n > 0.0:
+        self.hears_force = parameters.force_limit_n > 0.0
+        if self.hears_force:
             subscriptions.append(
                 self._subscribe(WrenchStamped, "wrench", self._on_wrench, STATE_QOS)
             )

@@ -29,7 +29,7 @@ from dotsim_ros.nodes.common.priority import take_priority
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
-from dotsim_ros.nodes.tactile_policy.health import statuses
+from dotsim_ros.nodes.tactile_policy.health import NO_FORCE, NO_FORCE_LIMIT, statuses
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
 from dotsim_ros.nodes.tactile_policy.loops import ControlLoop, InferenceLoop
 from dotsim_ros.nodes.tactile_policy.parameters import (
@@ -148,6 +148,8 @@ class TactilePolicy(WorkingNode):
             f"{self._settings.command_rate_hz:g} commands a second on {self._commands.topic_name}; "
             "disabled until set_enabled is called"
         )
+        if not self._inputs.hears_force:
+            self.get_logger().warning(f"{NO_FORCE_LIMIT}; set it for a sensor that measures force")
         self._inference.begin(self.now_s())
         self._loop.begin(self.now_s())
         self.start_work("inference", self._inference, INFERENCE_BROKEN)
@@ -227,6 +229,8 @@ class TactilePolicy(WorkingNode):
             raise ValueError("it is enabled already")
         if self._inference.idle is None:
             raise ValueError("no idle image: call calibrate_idle with the sensor untouched")
+        if self._inputs.hears_force and not self._inputs.force.count:
+            raise ValueError(NO_FORCE)
         for crowd in self._crowds().values():
             raise ValueError(f"{crowd}: two senders would mix")
 

@@ -137,8 +137,9 @@ class TactilePolicyParameters:
         read_only=True,
     )
     force_limit_n: float = option(
-        0.0,
-        "Force on the topic wrench above which the tool retreats. 0: no such topic is read.",
+        8.0,
+        "Force on the topic wrench above which the tool retreats. 0: the sensor measures no force, "
+        "the topic is not read, and nothing limits the force.",
         minimum=0.0,
         maximum=1000.0,
         read_only=True,

@@ -14,7 +14,7 @@ import msg_adapters
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
-from dotsim_ros.nodes.common.reasons import shortened
+from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
@@ -30,6 +30,7 @@ from dotsim_ros.nodes.tactile_sim.parameters import (
     TWIST_STAMPED,
     TactileSimParameters,
 )
+from dotsim_ros.printable import cut
 
 # Only the newest counts, but a single one must not get lost. For a publisher of best effort the
 # user overrides the reliability by parameter; ROS warns that the two do not match.
@@ -136,7 +137,7 @@ class MotionInput:
             time.sleep(REALTIME_PAUSE_S)
 
     def _note(self, fault: Fault, reason: str) -> None:
-        reason = shortened(reason)
+        reason = cut(reason, LONGEST_REASON)
         if self._faults.note(fault, reason, self._node.now_s()):
             self._node.get_logger().warning(f"input: {reason}")
 

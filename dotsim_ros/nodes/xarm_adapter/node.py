@@ -18,11 +18,12 @@ from dotsim_ros.documents import value_text
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.reasons import shortened
+from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.xarm_adapter.health import link_statuses
 from dotsim_ros.nodes.xarm_adapter.link import Call, Hindrance, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
+from dotsim_ros.printable import cut
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
 from msg_adapters import Status
 from msg_adapters.xarm import move_velocity_service, robot_state_message
@@ -144,7 +145,7 @@ class XarmAdapter(WorkingNode):
             self._refuse(Fault.NUMBERS, f"{error}: the arm is stopped")
 
     def _refuse(self, fault: Fault, reason: str) -> None:
-        reason = shortened(reason)
+        reason = cut(reason, LONGEST_REASON)
         if self._faults.note(fault, reason, self.now_s()):
             self.get_logger().warning(f"cmd_vel: {reason}")
 

@@ -22,10 +22,11 @@ from dotsim_ros.geometry.pose import Pose, compose, inverse
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.reasons import shortened
+from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.xarm_sim.health import ArmCondition, arm_statuses
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
+from dotsim_ros.printable import cut
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR, check_plausible
 from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
 from dotsim_ros.tasks.arm.simulated import ArmState, SimulatedArm
@@ -223,7 +224,7 @@ class XarmSim(WorkingNode):
             self._heard_s = now_s
 
     def _refuse(self, fault: Fault, reason: str) -> None:
-        reason = shortened(reason)
+        reason = cut(reason, LONGEST_REASON)
         if self._faults.note(fault, reason, self.now_s()):
             self.get_logger().warning(f"cmd_vel: {reason}")
 

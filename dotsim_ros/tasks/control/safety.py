@@ -82,8 +82,8 @@ class SafetyLimits:
     half_box_m: FloatArray = field(default_factory=lambda: np.array([0.06, 0.06, 0.02]))
     turn_rad: float = 0.35
     reaction_s: float = 0.1
-    force_n: float = np.inf
-    release_n: float = np.inf
+    force_n: float = 8.0
+    release_n: float = 6.4
     retreat_m_s: float = 0.01
     retreat_m: float = 0.02
     resumes: bool = True

@@ -1,0 +1,54 @@
+"""What a file of ROS parameters must be, for nodes and launch files.
+
+Needs neither ROS nor more than NumPy and PyYAML: `ros2 launch` runs in an interpreter of its own,
+which may lack what the nodes need.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from dotsim_ros.documents import read_yaml, value_text
+from dotsim_ros.nodes.common.reasons import EXPECTED, reason_of
+
+PARAMETERS_KEY = "ros__parameters"
+
+
+def check_parameter_file(path: str) -> None:
+    """Refuse a file that holds no parameters of any node.
+
+    Raises:
+        FileNotFoundError: no such file.
+        OSError: it cannot be opened.
+        ValueError: it is no YAML, or names no parameters.
+    """
+    if not _holds_parameters(read_yaml(path)):
+        raise ValueError(f"{path} holds no parameters; expected {EXPECTED['params file']}")
+
+
+def check_params_file(path: str) -> None:
+    """Refuse what a launch file was given as `params_file`.
+
+    launch itself warns of a file that is not there and starts the nodes without it, so that all of
+    their parameters, limits among them, are the defaults.
+
+    Raises:
+        ValueError: the file is not there, cannot be read, or holds no parameters.
+    """
+    if not path:
+        raise ValueError(f"params_file is empty, expected {EXPECTED['params file']}")
+    try:
+        check_parameter_file(path)
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"params_file {value_text(path)} is refused and no node is started: {reason_of(error)}"
+        ) from error
+
+
+def _holds_parameters(content: Any) -> bool:
+    """Return whether parameters stand anywhere below namespaces and nodes."""
+    if not isinstance(content, dict):
+        return False
+    return isinstance(content.get(PARAMETERS_KEY), dict) or any(
+        map(_holds_parameters, content.values())
+    )

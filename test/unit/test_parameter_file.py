@@ -1,0 +1,85 @@
+"""Files of ROS parameters: what nodes and launch files refuse, and what checking one needs."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from dotsim_ros.nodes.common.parameter_file import check_parameter_file, check_params_file
+
+ROOT = Path(__file__).parents[2]
+SHIPPED = sorted((ROOT / "params").glob("*.yaml"))
+CONTENTS = {
+    "is no YAML": "a: [1\n  b",
+    "holds a sensor": "geometry: {outer_radius_m: 0.01575}\n",
+    "has `ros_parameters` for `ros__parameters`": "/**: {ros_parameters: {force_limit_n: 8.0}}\n",
+    "holds a section without parameters": "/**:\n  ros__parameters:\n",
+    "is empty": "",
+}
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.name)
+def test_every_shipped_file_is_taken(path: Path) -> None:
+    check_params_file(str(path))
+
+
+def test_parameters_may_stand_below_namespaces(tmp_path: Path) -> None:
+    path = tmp_path / "node.yaml"
+    path.write_text("left: {arm: {tactile_policy: {ros__parameters: {force_limit_n: 8.0}}}}\n")
+    check_parameter_file(str(path))
+
+
+@pytest.mark.fault("node parameters", "a launch's `params_file` that is not there")
+def test_a_launch_refuses_a_file_that_is_not_there(answered: Callable[..., None]) -> None:
+    with pytest.raises(ValueError, match="no node is started: no file") as caught:
+        check_params_file("closed_lop.yaml")
+    answered(caught.value)
+
+
+@pytest.mark.fault("node parameters", "a launch's `params_file` that is empty")
+def test_a_launch_refuses_an_empty_name(answered: Callable[..., None]) -> None:
+    with pytest.raises(ValueError, match="params_file is empty") as caught:
+        check_params_file("")
+    answered(caught.value)
+
+
+@pytest.mark.fault("node parameters", "a launch's `params_file` that is a folder")
+def test_a_launch_refuses_a_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answered: Callable[..., None]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("params").mkdir()
+    with pytest.raises(ValueError, match="is a folder") as caught:
+        check_params_file("params")
+    answered(caught.value)
+
+
+@pytest.mark.fault("node parameters", "a launch's `params_file` that is no file of parameters")
+@pytest.mark.parametrize("what", CONTENTS)
+def test_a_launch_refuses_a_file_without_parameters(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    what: str,
+    answered: Callable[..., None],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.yaml").write_text(CONTENTS[what])
+    with pytest.raises(ValueError, match=r"no node is started: mine\.yaml") as caught:
+        check_params_file("mine.yaml")
+    assert "\n" not in str(caught.value)
+    answered(caught.value, what=f"a launch's `params_file` {what}")
+
+
+def test_checking_one_loads_neither_ros_nor_what_nodes_need() -> None:
+    code = (
+        "import sys, dotsim_ros.nodes.common.parameter_file\n"
+        "print({'rclpy', 'cv2', 'warp', 'scipy', 'torch'} & set(sys.modules))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert done.stdout.strip() == "set()"
