@@ -25,6 +25,7 @@ class NodeProcess:
         environment: variables to set beside those of this process.
         arguments: further ROS arguments, such as remappings.
         code: Python code to run in the module's place.
+        command: a program with its arguments to run instead; ROS arguments are added.
     """
 
     def __init__(
@@ -35,14 +36,15 @@ class NodeProcess:
         environment: Mapping[str, str] | None = None,
         arguments: Sequence[str] = (),
         code: str = "",
+        command: Sequence[str] = (),
     ) -> None:
         self.executable = executable
         program = ["-c", code] if code else ["-m", f"dotsim_ros.nodes.{executable}.node"]
-        command = [sys.executable, "-u", *program, "--ros-args", *arguments]
+        started = [*(command or [sys.executable, "-u", *program]), "--ros-args", *arguments]
         for name, value in parameters.items():
-            command += ["-p", f"{name}:={value}"]
+            started += ["-p", f"{name}:={value}"]
         self._process = subprocess.Popen(
-            command,
+            started,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,

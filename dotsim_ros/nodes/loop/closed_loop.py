@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ SETTLE_FRAMES = 4
 ENABLE_TIMEOUT_S = 15.0
 RECORDER_POLL_S = 0.02
 ASK_EVERY_POSES = 100
+POSE_DELAY_S = 0.3
 
 
 @dataclass(frozen=True)
@@ -63,7 +65,6 @@ class LoopSetup:
         sensor: name or file of the simulated sensor.
         policy_parameters, sensor_parameters, arm_parameters: of the nodes.
         policy_code: Python code to run in place of the policy's module.
-        others: nodes of the user's that take part in simulated time, by name.
         stepping: how simulated time goes.
     """
 
@@ -73,7 +74,6 @@ class LoopSetup:
     sensor_parameters: Mapping[str, Any] = field(default_factory=dict)
     arm_parameters: Mapping[str, Any] = field(default_factory=dict)
     policy_code: str = ""
-    others: Mapping[str, Participant] = field(default_factory=dict)
     stepping: StepperSettings = field(default_factory=StepperSettings)
 
     def limits(self) -> SafetyLimits:
@@ -95,6 +95,17 @@ def loop_parameters(executable: str) -> dict[str, Any]:
     content = read_yaml(parameter_path("closed_loop.yaml"))
     given = content[f"/**/{executable}"]["ros__parameters"]
     return {key: tuple(v) if isinstance(v, list) else v for key, v in given.items()}
+
+
+class LoopFault(StrEnum):
+    """What may fail in a loop, on request."""
+
+    IMAGES_CUT = "images cut"
+    SENSOR_STOPPED = "sensor stopped"
+    POSE_CUT = "pose cut"
+    POSE_DELAYED = "pose delayed"
+    ARM_STOPPED = "arm stopped"
+    EMERGENCY_STOP = "emergency stop"
 
 
 class RefusedError(OSError):
@@ -128,6 +139,7 @@ class ClosedLoop:
         self.contact = contact or DomeContact()
         self.places = setup.places()
         self._processes: dict[str, NodeProcess] = {}
+        self._others: dict[str, Participant] = {}
         self._indenter = self.places.indenter(FAR_M)
         self.observer = LoopObserver(topics, is_stepped=clock == SIMULATED)
         self.time: LoopTime = (
@@ -135,7 +147,6 @@ class ClosedLoop:
                 self.observer,
                 settings=setup.stepping,
                 diagnostics_period_s=DIAGNOSTICS_PERIOD_S,
-                others=setup.others,
             )
             if clock == SIMULATED
             else RealTime(self.observer)
@@ -184,6 +195,45 @@ class ClosedLoop:
         self.rest()
         self.calibrate_idle()
 
+    def start_stand_ins(self) -> None:
+        """Start the arm and the sensor, for a controller of the user's."""
+        self._launch(ARM, self.setup.arm_parameters)
+        self._launch_sensor()
+        for executable in (ARM, SENSOR):
+            self._await(executable)
+        self._expect()
+
+    def inject(self, fault: LoopFault) -> None:
+        """Let something fail from now on, until `heal`.
+
+        Raises:
+            OSError: a node refuses, or does not answer.
+        """
+        match fault:
+            case LoopFault.IMAGES_CUT:
+                self._set(SENSOR, fail_drop_images=True)
+            case LoopFault.SENSOR_STOPPED:
+                self.observer.call(SetBool, f"{SENSOR}/set_enabled", data=False)
+            case LoopFault.POSE_CUT:
+                self.set_arm(fail_drop_feedback=True)
+            case LoopFault.POSE_DELAYED:
+                self.set_arm(fail_delay_s=POSE_DELAY_S)
+            case LoopFault.ARM_STOPPED:
+                self.set_arm(fail_stop=True)
+            case LoopFault.EMERGENCY_STOP:
+                self._trigger(f"{ARM}/emergency_stop")
+
+    def heal(self) -> None:
+        """End whatever `inject` brought about; the arm is at its start then.
+
+        Raises:
+            OSError: a node refuses, or does not answer.
+        """
+        self._set(SENSOR, fail_drop_images=False)
+        self.observer.call(SetBool, f"{SENSOR}/set_enabled", data=True)
+        self.set_arm(fail_drop_feedback=False, fail_delay_s=0.0, fail_stop=False)
+        self._trigger(f"{ARM}/reset")
+
     def _launch_sensor(self) -> None:
         self._launch(SENSOR, {"sensor": self.setup.sensor, **self.setup.sensor_parameters})
 
@@ -214,9 +264,22 @@ class ClosedLoop:
             code=code,
         )
 
+    def join(self, others: Mapping[str, Participant]) -> None:
+        """Let nodes of the user's take part in the loop's time, in place of those before.
+
+        Raises:
+            OSError: they do not; says why.
+        """
+        self._others = dict(others)
+        self._expect()
+
+    def now_ns(self) -> int:
+        """Return the loop's time, which messages are stamped with."""
+        return self.time.now_ns()
+
     def _expect(self) -> None:
         """Let the nodes that run take part in the loop's time."""
-        self.time.expect(self._processes)
+        self.time.expect({**dict.fromkeys(self._processes, Participant()), **self._others})
 
     def _await(self, executable: str, line: str = "ready:") -> None:
         """Wait until a node has said so."""
@@ -244,12 +307,17 @@ class ClosedLoop:
         Raises:
             OSError: the node refuses.
         """
+        self._set(ARM, **values)
+
+    def _set(self, executable: str, **values: Any) -> None:
         parameters = [Parameter(k, value=v).to_parameter_msg() for k, v in values.items()]
         answer = self.observer.call(
-            SetParametersAtomically, f"{ARM}/set_parameters_atomically", parameters=parameters
+            SetParametersAtomically,
+            f"{executable}/set_parameters_atomically",
+            parameters=parameters,
         )
         if not answer.result.successful:
-            raise OSError(f"{ARM}: {answer.result.reason}")
+            raise OSError(f"{executable}: {answer.result.reason}")
 
     def rest(self) -> None:
         """Stop the arm, bring it to its start, and take the indenter away from the sensor."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 from dotsim_ros.nodes.loop.observer import PATIENCE_S, LoopObserver
@@ -32,8 +32,12 @@ class LoopTime(Protocol):
         """Return the simulated seconds for each real one."""
         ...
 
-    def expect(self, nodes: Iterable[str]) -> None:
+    def expect(self, nodes: Mapping[str, Participant]) -> None:
         """Let these nodes take part from now on."""
+
+    def now_ns(self) -> int:
+        """Return the time that messages are stamped with."""
+        ...
 
     def go(self, seconds: float) -> None:
         """Let time pass."""
@@ -65,8 +69,12 @@ class RealTime:
     def __init__(self, observer: LoopObserver) -> None:
         self._observer = observer
 
-    def expect(self, nodes: Iterable[str]) -> None:
+    def expect(self, nodes: Mapping[str, Participant]) -> None:
         """Nothing waits for nodes."""
+
+    def now_ns(self) -> int:
+        """Return the system's time."""
+        return time.time_ns()
 
     def go(self, seconds: float) -> None:
         """Wait."""
@@ -97,7 +105,6 @@ class SteppedTime:
         observer: of the loop; takes part.
         settings: of the steps.
         diagnostics_period_s: of the nodes that are asked for theirs.
-        others: nodes of the user's that take part as well.
 
     Attributes:
         stepper: what moves the time on.
@@ -111,10 +118,8 @@ class SteppedTime:
         *,
         settings: StepperSettings,
         diagnostics_period_s: float,
-        others: Mapping[str, Participant],
     ) -> None:
         self._observer = observer
-        self._others = dict(others)
         self._diagnostics_period_s = diagnostics_period_s
         self.stepper = Stepper(observer.beside, {}, settings)
 
@@ -123,10 +128,13 @@ class SteppedTime:
         """Return the simulated seconds for each real one, of the last stretch."""
         return self.stepper.speed_factor
 
-    def expect(self, nodes: Iterable[str]) -> None:
+    def expect(self, nodes: Mapping[str, Participant]) -> None:
         """See `LoopTime.expect`."""
-        names = [*nodes, self._observer.node.get_name()]
-        self.stepper.expect({**dict.fromkeys(names, Participant()), **self._others})
+        self.stepper.expect({**nodes, self._observer.node.get_name(): Participant()})
+
+    def now_ns(self) -> int:
+        """Return where the nodes are."""
+        return self.stepper.time_ns
 
     def go(self, seconds: float) -> None:
         """Take the nodes on."""
