@@ -7,7 +7,7 @@ The sensor, the policy and the arm are the executables that a user starts, with 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -108,6 +108,19 @@ class LoopFault(StrEnum):
     EMERGENCY_STOP = "emergency stop"
 
 
+@dataclass(frozen=True)
+class TimedFault:
+    """Something that fails.
+
+    Attributes:
+        at_s: when, in seconds since the loop is led.
+        fault: what.
+    """
+
+    at_s: float
+    fault: LoopFault
+
+
 class RefusedError(OSError):
     """A node refuses a request."""
 
@@ -184,11 +197,20 @@ class ClosedLoop:
         self.rest()
         self.calibrate_idle()
 
-    def start(self, path: str) -> None:
-        """Start all nodes at once, and show the policy the sensor at rest."""
-        self._launch(ARM, self.setup.arm_parameters)
-        self._launch_sensor()
-        self._launch_policy(path)
+    def start(self, path: str, *, order: Sequence[str] = (ARM, SENSOR, POLICY)) -> None:
+        """Start all nodes at once, and show the policy the sensor at rest.
+
+        Args:
+            path: that the policy follows.
+            order: of the starts.
+        """
+        launches = {
+            ARM: lambda: self._launch(ARM, self.setup.arm_parameters),
+            SENSOR: self._launch_sensor,
+            POLICY: lambda: self._launch_policy(path),
+        }
+        for executable in order:
+            launches[executable]()
         for executable in (ARM, SENSOR, POLICY):
             self._await(executable)
         self._expect()
@@ -381,6 +403,7 @@ class ClosedLoop:
         *,
         bag: Path | None = None,
         is_done: Callable[[LoopRecording], bool] | None = None,
+        faults: Sequence[TimedFault] = (),
     ) -> LoopRecording:
         """Return what the loop does from a place on, for a time or until it is latched; nothing
         where the policy refuses to lead, which the notes say.
@@ -390,6 +413,7 @@ class ClosedLoop:
             seconds: how long the policy leads.
             bag: folder for a bag of it by `tactile_record`; None for none.
             is_done: asked about once a second whether what was done so far is enough.
+            faults: what fails meanwhile, and stays so until `heal`.
         """
         self.rest()
         self.touch(start_m)
@@ -397,8 +421,9 @@ class ClosedLoop:
             self._launch(RECORDER, {"output": bag})
             self._await(RECORDER, "recording /")
             self._expect()
-            while not self._processes[RECORDER].has_logged("receiving /cmd_vel"):
-                self.time.go(RECORDER_POLL_S)
+            self.time.wait_for_line(
+                self._processes[RECORDER], "receiving /cmd_vel", START_TIMEOUT_S
+            )
         self.wait_diagnostics()
         before = self.stops()
         self.observer.forget()
@@ -407,7 +432,7 @@ class ClosedLoop:
         except RefusedError as error:
             state, reason, detail = "refused", "refused", str(error)
         else:
-            state, reason, detail = self._watch(seconds, is_done)
+            state, reason, detail = self._watch(seconds, is_done, faults)
         self.disable()
         self.wait_diagnostics()
         after = self.stops()
@@ -426,7 +451,10 @@ class ClosedLoop:
         )
 
     def _watch(
-        self, seconds: float, is_done: Callable[[LoopRecording], bool] | None
+        self,
+        seconds: float,
+        is_done: Callable[[LoopRecording], bool] | None,
+        faults: Sequence[TimedFault],
     ) -> tuple[str, str, str]:
         """Return state, reason and details after a time, or when the loop is latched or done."""
         asked = 0
@@ -441,7 +469,12 @@ class ClosedLoop:
             asked = count
             return is_done(self.recording({}))
 
-        self.time.watch(f"{POLICY}: control", seconds, is_over)
+        passed_s, part = 0.0, f"{POLICY}: control"
+        for each in sorted(faults, key=lambda fault: fault.at_s):
+            self.time.watch(part, each.at_s - passed_s, is_over)
+            self.inject(each.fault)
+            passed_s = each.at_s
+        self.time.watch(part, seconds - passed_s, is_over)
         state, reason = self.state()
         status = self.observer.diagnostics.get(f"{POLICY}: control")
         return state, reason, status.message if status is not None and state == "latched" else ""

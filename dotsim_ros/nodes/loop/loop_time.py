@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.observer import PATIENCE_S, LoopObserver
 from dotsim_ros.nodes.simulated_time.participants import Participant
 from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
@@ -49,6 +50,13 @@ class LoopTime(Protocol):
             OSError: it does not for too long.
         """
 
+    def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
+        """Wait until a node that has just begun to listen says that it hears; time goes on.
+
+        Raises:
+            OSError: it does not.
+        """
+
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """Let time pass, less where the diagnostics of a part of a node say that it is over."""
 
@@ -83,6 +91,10 @@ class RealTime:
     def wait(self, is_reached: Callable[[], Any], what: str) -> None:
         """See `LoopTime.wait`."""
         self._observer.wait(is_reached, what)
+
+    def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
+        """See `LoopTime.wait_for_line`."""
+        process.wait_for_line(text, timeout_s=timeout_s)
 
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """See `LoopTime.watch`."""
@@ -148,13 +160,18 @@ class SteppedTime:
                 raise OSError(f"waited {PATIENCE_S:g} s of simulated time for {what}")
             self.go(STEPPED_POLL_S)
 
+    def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
+        """Nothing to wait for: no step begins before all are connected, and how many steps went by
+        until a line was read would depend on the machine."""
+
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """See `LoopTime.watch`."""
         end_ns = self.stepper.time_ns + round(seconds * NANOSECONDS_PER_SECOND)
         while (left_ns := end_ns - self.stepper.time_ns) > 0 and not is_over():
-            since_ns = self.stepper.time_ns
-            self.go(min(self._diagnostics_period_s, left_ns / NANOSECONDS_PER_SECOND))
-            if self.stepper.time_ns < end_ns:
+            since_ns, period_s = self.stepper.time_ns, self._diagnostics_period_s
+            self.go(min(period_s, left_ns / NANOSECONDS_PER_SECOND))
+            # In less than a period there may be none.
+            if self.stepper.time_ns - since_ns >= round(period_s * NANOSECONDS_PER_SECOND):
                 self._hear_after(part, since_ns)
 
     def hear_anew(self, part: str) -> None:

@@ -13,10 +13,10 @@ from functools import partial
 from threading import Condition
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 
 import msg_adapters
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
@@ -62,7 +62,7 @@ class StepperSettings:
     period_s: float = 0.01
     start_s: float = 1.0
     speed: float = 0.0
-    patience_s: float = 120.0
+    patience_s: float = 40.0
 
 
 @dataclass
@@ -119,9 +119,9 @@ class Stepper:
         self._heard: dict[str, _Heard] = {}
         self._listening: dict[str, Any] = {}
         self._is_joined = False
-        self._steps = Node.create_publisher(node, DiagnosticArray, STEP_TOPIC, PROTOCOL_QOS)
+        self._steps = Node.create_publisher(node, String, STEP_TOPIC, PROTOCOL_QOS)
         self._clock = Node.create_publisher(node, Clock, CLOCK_TOPIC, CLOCK_QOS)
-        Node.create_subscription(node, DiagnosticArray, ANSWER_TOPIC, self._on_answer, PROTOCOL_QOS)
+        Node.create_subscription(node, String, ANSWER_TOPIC, self._on_answer, PROTOCOL_QOS)
         self.expect(participants)
 
     def expect(self, participants: Mapping[str, Participant]) -> None:
@@ -211,9 +211,13 @@ class Stepper:
                     continue
                 spent_s = time.monotonic() - begun_s
                 self._look(late())
+                self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
                 if spent_s > self.settings.patience_s:
+                    waits = [each.waits for each in self._present.values() if each.waits]
+                    more = f"; it waits for {', '.join(waits)}" if waits else ""
                     raise SteppingError(
-                        f"at {self._time_s:.3f} s of simulated time: {late()} for {spent_s:.0f} s"
+                        f"at {self._time_s:.3f} s of simulated time: {late()} for "
+                        f"{spent_s:.0f} s{more}"
                     )
 
     @property
@@ -341,7 +345,11 @@ class Stepper:
         self._is_joined = True
 
     def _on_answer(self, message: Any) -> None:
-        answer = decode_answer(message)
+        try:
+            answer = decode_answer(message)
+        except ValueError as error:
+            self._node.get_logger().error(str(error))
+            return
         with self._changed:
             if answer.name not in self._participants:
                 return
