@@ -26,7 +26,7 @@ from dotsim_ros.specification import SensorSpecification, SolverSpecification
 TIMED_STEP_M = 0.3e-3
 TIMED_FRAMES = 8
 """A slide of 2.4 mm."""
-MADE_SHORT_S = 5.0
+REFUSAL_TOLD_S = 5.0
 """Between two lines of the log about changes that were refused."""
 
 
@@ -147,7 +147,7 @@ class ProfileInForce:
         except SkinJumpError as error:
             self._keeper.refused(now_s)
             self._refused += 1
-            if now_s - self._told_s > MADE_SHORT_S:
+            if now_s - self._told_s > REFUSAL_TOLD_S:
                 self._told_s = now_s
                 self._tell(f"profile {before} stays for now, {name} would be next: {error}")
             return
