@@ -24,6 +24,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.time import Time
+from threadpoolctl import threadpool_limits
 
 import msg_adapters
 from dotsim_ros.nodes.common.arguments import check_start
@@ -83,6 +84,8 @@ class WorkingNode(GuardedNode):
         if self.is_stepped:
             # The steps themselves tell the time, and to hear it twice costs a tenth of a core.
             self._time_source.detach_node()
+            # Sums are made in another order by another number of threads.
+            threadpool_limits(limits=1)
             self.participant = StepParticipant(self, self._step_to)
         elif is_simulated:
             self._follow_clock()
