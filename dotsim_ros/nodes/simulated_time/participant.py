@@ -94,7 +94,11 @@ class StepParticipant:
         self._take_step()
 
     def _on_step(self, message: Any) -> None:
-        step = decode_step(message)
+        try:
+            step = decode_step(message)
+        except ValueError as error:
+            self._node.get_logger().warning(f"a message on {STEP_TOPIC} is left out: {error}")
+            return
         if step.kind is Kind.CALL:
             self._answer_call(step.time_ns)
             return
