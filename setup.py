@@ -132,6 +132,7 @@ setup(
             "tactile_policy = dotsim_ros.nodes.tactile_policy.node:main",
             "tactile_record = dotsim_ros.nodes.tactile_record.node:main",
             "tactile_sim = dotsim_ros.nodes.tactile_sim.node:main",
+            "time_stepper = dotsim_ros.nodes.time_stepper.node:main",
             "xarm_adapter = dotsim_ros.nodes.xarm_adapter.node:main",
             "xarm_sim = dotsim_ros.nodes.xarm_sim.node:main",
         ]

@@ -64,10 +64,14 @@ def led(bag: Path, fault: LoopFault, order: tuple[str, ...]) -> tuple[str, dict[
 
 
 def test_the_same_messages_under_load_on_one_core_and_in_any_order(tmp_path: Path) -> None:
-    quiet, row, stopped_s = led(tmp_path / "quiet" / "loop", LoopFault.IMAGES_CUT, (ARM, SENSOR, POLICY))
+    quiet, row, stopped_s = led(
+        tmp_path / "quiet" / "loop", LoopFault.IMAGES_CUT, (ARM, SENSOR, POLICY)
+    )
     cores = sorted(os.sched_getaffinity(0))[:2]
     with busy(cores):
-        other, _, other_s = led(tmp_path / "busy" / "loop", LoopFault.IMAGES_CUT, (POLICY, SENSOR, ARM))
+        other, _, other_s = led(
+            tmp_path / "busy" / "loop", LoopFault.IMAGES_CUT, (POLICY, SENSOR, ARM)
+        )
     assert other == quiet
     assert other_s == stopped_s
     files = [tmp_path / name / "loop" / "loop.mcap" for name in ("quiet", "busy")]

@@ -7,7 +7,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from copy import copy
 from functools import partial
-from inspect import signature
+from inspect import iscoroutinefunction, signature
 from threading import Lock
 from typing import Any
 
@@ -179,12 +179,21 @@ class GuardedNode(Node):
     def create_service(
         self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
     ) -> Any:
-        """See `rclpy.node.Node.create_service`."""
+        """See `rclpy.node.Node.create_service`; the callback may be a coroutine, which is answered
+        when it ends."""
 
         def answer(request: Any, response: Any) -> Any:
             try:
                 self.before_request()
                 return callback(request, response)
+            except Exception as error:
+                reason = self.note_failure(f"a call of {srv_name} fails", error)
+                return _refused(srv_type, reason)
+
+        async def answer_later(request: Any, response: Any) -> Any:
+            try:
+                self.before_request()
+                return await callback(request, response)
             except Exception as error:
                 reason = self.note_failure(f"a call of {srv_name} fails", error)
                 return _refused(srv_type, reason)
@@ -196,10 +205,12 @@ class GuardedNode(Node):
                 response.results.extend(one.results)
             return response
 
-        is_each = srv_type is SetParameters
-        return super().create_service(
-            srv_type, srv_name, answer_each if is_each else answer, **options
-        )
+        hear: Callable[[Any, Any], Any] = answer
+        if srv_type is SetParameters:
+            hear = answer_each
+        elif iscoroutinefunction(callback):
+            hear = answer_later
+        return super().create_service(srv_type, srv_name, hear, **options)
 
     def before_request(self) -> None:
         """Called before a service is answered."""

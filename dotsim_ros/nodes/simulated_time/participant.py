@@ -97,7 +97,7 @@ class StepParticipant:
         try:
             step = decode_step(message)
         except ValueError as error:
-            self._node.get_logger().error(str(error))
+            self._node.get_logger().warning(f"a message on {STEP_TOPIC} is left out: {error}")
             return
         if step.kind is Kind.CALL:
             self._answer_call(step.time_ns)
@@ -151,7 +151,6 @@ class StepParticipant:
         return changed
 
     def _answer_call(self, time_ns: int) -> None:
-        self._told = {topic: each.sent for topic, each in self._publishers.items()}
         self._answers.publish(
             encode_answer(
                 Answer(
@@ -159,7 +158,7 @@ class StepParticipant:
                     Kind.PRESENT,
                     self._name,
                     self._life,
-                    sent=self._told,
+                    sent={topic: each.sent for topic, each in self._publishers.items()},
                     readers={
                         topic: each.get_subscription_count()
                         for topic, each in self._publishers.items()

@@ -6,21 +6,19 @@ message that is sent in one step is heard at the beginning of the next.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from threading import Condition
 from typing import Any
 
 from rclpy.node import Node
-from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 import msg_adapters
-from dotsim_ros.nodes.common.guarded_node import GuardedNode
-from dotsim_ros.nodes.simulated_time.participant import stamp_of
 from dotsim_ros.nodes.simulated_time.participants import Participant, Publication
 from dotsim_ros.nodes.simulated_time.protocol import (
     ANSWER_TOPIC,
@@ -35,13 +33,12 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     decode_answer,
     encode_step,
 )
+from dotsim_ros.nodes.simulated_time.publication_watch import PublicationWatch
+from dotsim_ros.nodes.simulated_time.speed_limit import SpeedLimit
 
 CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
-HEARD_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.BEST_EFFORT)
 CALL_EVERY_S = 0.1
 LOOK_EVERY_S = 0.5
-FARTHEST_STAMP_S = 10.0
-"""A stamp further from the simulated time is one of another clock."""
 
 
 class SteppingError(OSError):
@@ -62,34 +59,12 @@ class StepperSettings:
     period_s: float = 0.01
     start_s: float = 1.0
     speed: float = 0.0
-    patience_s: float = 40.0
-
-
-@dataclass
-class _Heard:
-    """What has come from a node that knows nothing of steps.
-
-    Attributes:
-        node: its name.
-        publication: when it publishes.
-        since: number of its newest message, when it joined.
-        replied_to: messages that it answers had been sent then.
-        count: number of its newest message.
-        stamp_ns: of that.
-        fault: why what comes is not counted.
-    """
-
-    node: str
-    publication: Publication
-    since: int = 0
-    replied_to: int = 0
-    count: int = 0
-    stamp_ns: int = 0
-    fault: str = ""
+    patience_s: float = 120.0
 
 
 class Stepper:
-    """Steps the participants of one session; `join`, `advance` from one thread of the user's.
+    """Steps the participants of one session; `join`, `step`, `advance` from one thread of the
+    user's.
 
     Args:
         node: for its topics; somebody spins it in another thread.
@@ -98,11 +73,12 @@ class Stepper:
 
     Attributes:
         time_ns: where the participants are.
+        waiting_for: what `join` or a step has been waiting for, for a moment or longer, in words.
         speed_factor: simulated seconds for each real one, over the last `advance`.
     """
 
     def __init__(
-        self, node: GuardedNode, participants: Mapping[str, Participant], settings: StepperSettings
+        self, node: Node, participants: Mapping[str, Participant], settings: StepperSettings
     ) -> None:
         self._node = node
         self.settings = settings
@@ -110,29 +86,53 @@ class Stepper:
         if self._period_ns <= 0:
             raise ValueError(f"the step is {settings.period_s:g} s, expected more than 0")
         self.time_ns = round(settings.start_s * NANOSECONDS_PER_SECOND)
+        self.waiting_for = ""
         self.speed_factor = 0.0
         self._changed = Condition()
         self._present: dict[str, Answer] = {}
+        self._lives: dict[str, set[str]] = {}
         self._done: dict[str, int] = {}
         self._sent: dict[str, Sent] = {}
         self._news: dict[str, Sent] = {}
-        self._heard: dict[str, _Heard] = {}
-        self._listening: dict[str, Any] = {}
-        self._is_joined = False
+        self._watches: dict[str, PublicationWatch] = {}
+        self._anew = ""
+        self._is_joined = self._is_cancelled = False
+        self._looked_s = -math.inf
+        # Not the node's own methods: these topics belong to no step.
         self._steps = Node.create_publisher(node, String, STEP_TOPIC, PROTOCOL_QOS)
         self._clock = Node.create_publisher(node, Clock, CLOCK_TOPIC, CLOCK_QOS)
         Node.create_subscription(node, String, ANSWER_TOPIC, self._on_answer, PROTOCOL_QOS)
         self.expect(participants)
 
     def expect(self, participants: Mapping[str, Participant]) -> None:
-        """Wait for these participants from now on; they join before the next step."""
+        """Wait for these participants from now on; they join before the next step.
+
+        Raises:
+            ValueError: a period of theirs is no whole number of steps.
+        """
+        for name, participant in participants.items():
+            for topic, publication in participant.publishes.items():
+                self._check_period(f"{name}: {topic}", publication)
+        wanted = {
+            self._resolved(topic): (self._resolved(name), publication)
+            for name, participant in participants.items()
+            for topic, publication in participant.publishes.items()
+        }
         with self._changed:
             self._participants = {self._resolved(n): p for n, p in participants.items()}
-            self._heard = {
-                self._resolved(topic): _Heard(self._resolved(name), publication)
-                for name, participant in participants.items()
-                for topic, publication in participant.publishes.items()
-            }
+            for topic, watch in list(self._watches.items()):
+                if (watch.owner, watch.publication) != wanted.get(topic):
+                    self._watches.pop(topic).close()
+            for topic, (owner, publication) in wanted.items():
+                if topic not in self._watches:
+                    self._watches[topic] = PublicationWatch(
+                        self._node,
+                        topic,
+                        owner,
+                        publication,
+                        changed=self._changed,
+                        now_ns=lambda: self.time_ns,
+                    )
             self._is_joined = False
 
     def join(self) -> None:
@@ -145,22 +145,42 @@ class Stepper:
         with self._changed:
             self._present.clear()
         while True:
+            with self._changed:
+                self._lives.clear()
             # The nodes that follow /clock need a time to begin with.
             self._publish_clock()
             self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
             with self._changed:
                 self._changed.wait_for(self._all_are_present, CALL_EVERY_S)
-                hindrance = self._hindrance()
-                if not hindrance:
+                self._check_cancelled()
+                self.waiting_for = self._hindrance()
+                if not self.waiting_for:
                     self._begin()
                     return
                 self._present.clear()
             if time.monotonic() > end_s:
                 raise SteppingError(
                     f"simulated time does not begin after {self.settings.patience_s:g} s: "
-                    f"{hindrance}"
+                    f"{self.waiting_for}"
                 )
             time.sleep(CALL_EVERY_S)
+
+    def step(self) -> None:
+        """Take all participants on by one step.
+
+        Raises:
+            SteppingError: a participant does not answer, or left, or another clock runs.
+        """
+        if not self._is_joined:
+            self.join()
+        with self._changed:
+            self.time_ns += self._period_ns
+            heard = {topic: watch.sent for topic, watch in self._watches.items()}
+            step = Step(self.time_ns, Kind.STEP, {**self._news, **heard})
+            self._news = {}
+        self._publish_clock()
+        self._steps.publish(encode_step(step))
+        self._wait()
 
     def advance(self, duration_s: float, progress: Callable[[float], None] | None = None) -> None:
         """Take all participants on by a time, a whole number of steps.
@@ -170,35 +190,31 @@ class Stepper:
             progress: called after each step with the share that is done.
 
         Raises:
-            SteppingError: a participant does not answer, or left.
+            SteppingError: as of `step`.
         """
         if not self._is_joined:
             self.join()
         begun_s = time.monotonic()
+        limit = SpeedLimit(self.settings.speed, now_s=begun_s)
         count = round(duration_s * NANOSECONDS_PER_SECOND / self._period_ns)
         for index in range(count):
-            self._step()
+            self.step()
+            time.sleep(limit.delay_s(self.settings.period_s, time.monotonic()))
             simulated_s = (index + 1) * self.settings.period_s
-            if self.settings.speed > 0.0:
-                due_s = begun_s + simulated_s / self.settings.speed
-                time.sleep(max(0.0, due_s - time.monotonic()))
             self.speed_factor = simulated_s / max(time.monotonic() - begun_s, 1e-9)
             if progress is not None:
                 progress((index + 1) / count)
 
-    def _step(self) -> None:
+    def cancel(self) -> None:
+        """End what waits, now and from now on; it raises a SteppingError. From any thread."""
         with self._changed:
-            self.time_ns += self._period_ns
-            step = Step(self.time_ns, Kind.STEP, self._news)
-            self._news = {}
-        self._publish_clock()
-        self._steps.publish(encode_step(step))
-        self._wait(self._late)
+            self._is_cancelled = True
+            self._changed.notify_all()
 
     def _publish_clock(self) -> None:
         self._clock.publish(Clock(clock=msg_adapters.encode_stamp(self.time_ns)))
 
-    def _wait(self, late: Callable[[], str]) -> None:
+    def _wait(self) -> None:
         """Wait until nobody is late.
 
         Raises:
@@ -206,31 +222,69 @@ class Stepper:
         """
         begun_s = time.monotonic()
         with self._changed:
-            while late():
-                if self._changed.wait(LOOK_EVERY_S):
-                    continue
-                spent_s = time.monotonic() - begun_s
-                self._look(late())
-                self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
-                if spent_s > self.settings.patience_s:
-                    waits = [each.waits for each in self._present.values() if each.waits]
-                    more = f"; it waits for {', '.join(waits)}" if waits else ""
+            while True:
+                self._check_cancelled()
+                self._check_faults()
+                late, now_s = self._late(), time.monotonic()
+                # Who does not answer may have left, and another clock stops nobody.
+                if now_s - self._looked_s > LOOK_EVERY_S:
+                    self._looked_s = now_s
+                    self._look(late)
+                    if late:
+                        # What they answer says what they wait for.
+                        self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
+                    self.waiting_for = late if now_s - begun_s > LOOK_EVERY_S else ""
+                if not late:
+                    return
+                if now_s - begun_s > self.settings.patience_s:
                     raise SteppingError(
-                        f"at {self._time_s:.3f} s of simulated time: {late()} for "
-                        f"{spent_s:.0f} s{more}"
+                        f"at {self._time_s:.3f} s of simulated time: {late} for "
+                        f"{now_s - begun_s:.0f} s{self._waits()}"
                     )
+                self._changed.wait(min(LOOK_EVERY_S, self.settings.patience_s))
+
+    def _waits(self) -> str:
+        waits = [
+            f"{name.lstrip('/')} waits for {each.waits}"
+            for name, each in self._present.items()
+            if each.waits
+        ]
+        return "".join(f"; {words}" for words in waits)
 
     @property
     def _time_s(self) -> float:
         return self.time_ns / NANOSECONDS_PER_SECOND
 
+    def _check_cancelled(self) -> None:
+        if self._is_cancelled:
+            raise SteppingError("simulated time was stopped")
+
+    def _check_faults(self) -> None:
+        if self._anew:
+            raise SteppingError(
+                f"{self._anew.lstrip('/')} left at {self._time_s:.3f} s of simulated time and has "
+                "started anew: start all participants together"
+            )
+        for watch in self._watches.values():
+            if watch.fault:
+                raise SteppingError(watch.fault)
+
+    def _check_period(self, where: str, publication: Publication) -> None:
+        """Raise a ValueError where what is published falls between two steps: which step it then
+        belonged to would be a matter of chance."""
+        every_ns = round(publication.every_s * NANOSECONDS_PER_SECOND)
+        if every_ns % self._period_ns:
+            raise ValueError(
+                f"{where} is published every {publication.every_s:g} s, expected a whole number of "
+                f"steps of {self.settings.period_s:g} s: make the steps shorter"
+            )
+
     def _look(self, late: str) -> None:
-        """Look whether those who are waited for can still come."""
+        """Look whether those who are waited for can still come, and whether the time is ours."""
+        if self._node.count_publishers(CLOCK_TOPIC) > 1:
+            raise SteppingError(_TWO_CLOCKS)
         if not late:
             return
-        for heard in self._heard.values():
-            if heard.fault:
-                raise SteppingError(heard.fault)
         there = self._there()
         for name in self._participants:
             if name not in there:
@@ -238,8 +292,6 @@ class Stepper:
                     f"{name.lstrip('/')} left at {self._time_s:.3f} s of simulated time: see its "
                     "log for the reason"
                 )
-        if self._node.count_publishers(CLOCK_TOPIC) > 1:
-            raise SteppingError(_TWO_CLOCKS)
 
     def _there(self) -> set[str]:
         return {
@@ -256,52 +308,58 @@ class Stepper:
         ]
         if late:
             return f"{', '.join(late)} did not answer"
-        for topic, heard in self._heard.items():
-            if self._is_late(heard):
-                return f"{heard.node.lstrip('/')} published nothing on {topic}"
+        for topic, watch in self._watches.items():
+            if watch.is_late(self._asked(watch)):
+                return f"{watch.owner.lstrip('/')} published nothing on {topic}"
         return ""
 
-    def _is_late(self, heard: _Heard) -> bool:
-        publication = heard.publication
-        if publication.for_each:
-            asked = self._sent.get(self._resolved(publication.for_each), Sent("", 0)).count
-            return heard.count - heard.since < asked - heard.replied_to
-        every_ns = round(publication.every_s * NANOSECONDS_PER_SECOND)
-        start_ns = round(self.settings.start_s * NANOSECONDS_PER_SECOND)
-        return self.time_ns - start_ns >= every_ns and heard.stamp_ns <= self.time_ns - every_ns
+    def _asked(self, watch: PublicationWatch) -> int:
+        """Return how many messages have been sent that are to be answered on a topic."""
+        question = watch.publication.for_each
+        if not question:
+            return 0
+        topic = self._resolved(question)
+        other = self._watches.get(topic)
+        if other is not None:
+            return other.sent.count
+        return self._sent[topic].count if topic in self._sent else 0
 
     def _all_are_present(self) -> bool:
-        return all(name in self._present for name, p in self._participants.items() if p.answers)
+        return self._is_cancelled or all(
+            name in self._present for name, p in self._participants.items() if p.answers
+        )
 
     def _hindrance(self) -> str:
         """Return why time cannot begin yet, in words; empty for nothing."""
         there = self._there()
         for name, each in self._participants.items():
+            plain = name.lstrip("/")
             if name not in there:
-                return f"{name.lstrip('/')} is not there; start it, or take it off the participants"
+                return f"{plain} is not there; start it, or take it off the participants"
             if each.answers and name not in self._present:
                 return (
-                    f"{name.lstrip('/')} does not answer: is it warming up? It needs use_sim_time "
+                    f"{plain} does not answer: is it warming up? It needs use_sim_time "
                     "and stepped, or an entry that says what it publishes"
                 )
+            if len(self._lives.get(name, ())) > 1:
+                return f"two nodes are called {plain}: give one of them another name"
         if self._node.count_publishers(CLOCK_TOPIC) > 1:
             return _TWO_CLOCKS
-        return self._listen() or self._disconnected()
+        for watch in self._watches.values():
+            if hindrance := watch.listen():
+                return hindrance
+        return self._unanswerable() or self._disconnected()
 
-    def _listen(self) -> str:
-        """Subscribe to what the nodes publish that know nothing of steps."""
-        types = dict(self._node.get_topic_names_and_types())
-        for topic in self._heard:
-            if topic in self._listening:
-                continue
-            if topic not in types or not self._node.count_publishers(topic):
-                return f"{self._heard[topic].node.lstrip('/')} has no publisher on {topic}"
-            kind = msg_adapters.message_class(types[topic][0])
-
-            hear: Any = partial(self._on_message, topic)
-            self._listening[topic] = Node.create_subscription(
-                self._node, kind, topic, hear, HEARD_QOS, raw=True
-            )
+    def _unanswerable(self) -> str:
+        """Return in words which topic a node should answer that nobody publishes."""
+        published = {topic for each in self._present.values() for topic in each.sent}
+        for topic, watch in self._watches.items():
+            question = watch.publication.for_each
+            if question and self._resolved(question) not in {*published, *self._watches}:
+                return (
+                    f"{watch.owner.lstrip('/')} publishes {topic} for each message of "
+                    f"{self._resolved(question)}, which no participant publishes"
+                )
         return ""
 
     def _disconnected(self) -> str:
@@ -313,11 +371,13 @@ class Stepper:
                 readers[topic] = readers.get(topic, 0) + 1
             for topic in answer.readers:
                 senders.setdefault(topic, []).append(name)
-        for each in self._participants.values():
-            for topic in map(self._resolved, each.reads):
+        for name, topics in self._read().items():
+            for topic in topics:
                 readers[topic] = readers.get(topic, 0) + 1
-        for topic, heard in self._heard.items():
-            senders.setdefault(topic, []).append(heard.node)
+                if name not in self._reading(topic):
+                    return f"{name.lstrip('/')} does not read {topic}"
+        for topic, watch in self._watches.items():
+            senders.setdefault(topic, []).append(watch.owner)
         for topic, names in senders.items():
             if len(names) > 1 or self._node.count_publishers(topic) > 1:
                 return f"{topic} has more than one publisher, expected one: stop the others"
@@ -329,6 +389,25 @@ class Stepper:
                     return f"{name.lstrip('/')} is not connected to who publishes {topic}"
         return ""
 
+    def _read(self) -> dict[str, set[str]]:
+        """Return what the nodes read that know nothing of steps, by node."""
+        found = {
+            name: set(map(self._resolved, each.reads))
+            for name, each in self._participants.items()
+            if not each.answers
+        }
+        for watch in self._watches.values():
+            if watch.publication.for_each:
+                found[watch.owner].add(self._resolved(watch.publication.for_each))
+        return found
+
+    def _reading(self, topic: str) -> set[str]:
+        """Return who reads a topic."""
+        return {
+            f"{each.node_namespace.rstrip('/')}/{each.node_name}"
+            for each in self._node.get_subscriptions_info_by_topic(topic)
+        }
+
     def _begin(self) -> None:
         """Take what the participants have sent so far as the state to begin with."""
         self._sent = {
@@ -336,45 +415,32 @@ class Stepper:
             for answer in self._present.values()
             for topic, count in answer.sent.items()
         }
-        for topic, heard in self._heard.items():
-            asked = self._sent.get(self._resolved(heard.publication.for_each or topic))
-            heard.since, heard.replied_to = heard.count, asked.count if asked else 0
-            self._sent[topic] = Sent(heard.node, heard.count)
         self._news = dict(self._sent)
+        for watch in self._watches.values():
+            watch.begin(self._asked(watch))
         self._done.clear()
+        self._anew = ""
         self._is_joined = True
 
     def _on_answer(self, message: Any) -> None:
         try:
             answer = decode_answer(message)
         except ValueError as error:
-            self._node.get_logger().error(str(error))
+            self._node.get_logger().warning(f"a message on {ANSWER_TOPIC} is left out: {error}")
             return
+        name = answer.name
         with self._changed:
-            if answer.name not in self._participants:
+            if name not in self._participants:
                 return
             if answer.kind is Kind.PRESENT:
-                self._present[answer.name] = answer
+                self._present[name] = answer
+                self._lives.setdefault(name, set()).add(answer.life)
+            elif self._is_joined and answer.life != self._present[name].life:
+                self._anew = name
             elif answer.time_ns == self.time_ns:
-                self._done[answer.name] = answer.time_ns
+                self._done[name] = answer.time_ns
                 for topic, count in answer.sent.items():
                     self._sent[topic] = self._news[topic] = Sent(answer.life, count)
-            self._changed.notify_all()
-
-    def _on_message(self, topic: str, message: bytes, information: Any) -> None:
-        heard, stamp_ns = self._heard.get(topic), stamp_of(message)
-        if heard is None:
-            return
-        away_s = (stamp_ns - self.time_ns) / NANOSECONDS_PER_SECOND
-        if abs(away_s) > FARTHEST_STAMP_S:
-            heard.fault = (
-                f"{topic} of {heard.node.lstrip('/')} is stamped {away_s:.0f} s away from the "
-                "simulated time: set use_sim_time on that node"
-            )
-            return
-        with self._changed:
-            heard.count, heard.stamp_ns = information["publication_sequence_number"], stamp_ns
-            self._sent[topic] = self._news[topic] = Sent(heard.node, heard.count)
             self._changed.notify_all()
 
     def _resolved(self, name: str) -> str:

@@ -1,0 +1,1 @@
+"""time_stepper: moves simulated time on for nodes that the user launches."""
