@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-import time
 from pathlib import Path
 
 POLICY = "densetact2_sphere"
@@ -42,8 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
-    import numpy as np
-
     from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
     from dotsim_ros.evaluation.trajectory.page import path_image, trial_report
     from dotsim_ros.evaluation.trajectory.trials import judge, summary_of, trial_start
@@ -78,9 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
         loop.start(path.name)
         start_m = trial_start(path, contact, seed=arguments.seed, number=0)
         longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
-        begun_s = time.monotonic()
         observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
-        spent_s = time.monotonic() - begun_s
         statuses = loop.close()
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
@@ -93,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         "clock": arguments.clock,
         "frames_per_second": row.get("frame_rate_hz"),
         "bag_sha256": bag_sha256(bag),
-        "speed_factor": round(float(np.ptp(recording.pose_s)) / spent_s, 3),
+        "speed_factor": round(loop.led_speed_factor, 3),
     }
     image = path_image(path.name, [recording], name="path")
     page = trial_report(

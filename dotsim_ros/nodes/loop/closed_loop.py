@@ -138,6 +138,7 @@ class ClosedLoop:
         observer: receives messages and calls services.
         contact: of the ball on the dome.
         time: how the loop's time passes.
+        led_speed_factor: seconds of the loop's time for each real one, while the policy led last.
     """
 
     def __init__(
@@ -151,6 +152,7 @@ class ClosedLoop:
         self.setup = setup
         self.contact = contact or DomeContact()
         self.places = setup.places()
+        self.led_speed_factor = 1.0
         self._processes: dict[str, NodeProcess] = {}
         self._others: dict[str, Participant] = {}
         self._indenter = self.places.indenter(FAR_M)
@@ -427,12 +429,16 @@ class ClosedLoop:
         self.wait_diagnostics()
         before = self.stops()
         self.observer.forget()
+        enabled_s = 1e-9 * self.now_ns()
         try:
             self.enable()
         except RefusedError as error:
             state, reason, detail = "refused", "refused", str(error)
         else:
+            begun_ns, begun_s = self.now_ns(), time.monotonic()
             state, reason, detail = self._watch(seconds, is_done, faults)
+            led_s = 1e-9 * (self.now_ns() - begun_ns)
+            self.led_speed_factor = led_s / (time.monotonic() - begun_s)
         self.disable()
         self.wait_diagnostics()
         after = self.stops()
@@ -447,6 +453,7 @@ class ClosedLoop:
                 "reason": reason,
                 "detail": detail,
                 "seconds": seconds,
+                "enabled_s": enabled_s,
             }
         )
 

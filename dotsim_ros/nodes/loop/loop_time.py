@@ -23,15 +23,9 @@ class LoopTime(Protocol):
 
     Attributes:
         parameters: that the loop's nodes need for it.
-        speed_factor: simulated seconds for each real one.
     """
 
     parameters: Mapping[str, Any]
-
-    @property
-    def speed_factor(self) -> float:
-        """Return the simulated seconds for each real one."""
-        ...
 
     def expect(self, nodes: Mapping[str, Participant]) -> None:
         """Let these nodes take part from now on."""
@@ -72,7 +66,6 @@ class RealTime:
     """
 
     parameters: Mapping[str, Any] = {}
-    speed_factor = 1.0
 
     def __init__(self, observer: LoopObserver) -> None:
         self._observer = observer
@@ -134,11 +127,6 @@ class SteppedTime:
         self._observer = observer
         self._diagnostics_period_s = diagnostics_period_s
         self.stepper = Stepper(observer.beside, {}, settings)
-
-    @property
-    def speed_factor(self) -> float:
-        """Return the simulated seconds for each real one, of the last stretch."""
-        return self.stepper.speed_factor
 
     def expect(self, nodes: Mapping[str, Participant]) -> None:
         """See `LoopTime.expect`."""
