@@ -4,7 +4,8 @@ ros2 launch dotsim_ros closed_loop.launch.py path:=figure_eight record:=true
 ros2 service call /tactile_policy/calibrate_idle std_srvs/srv/Trigger
 ros2 service call /tactile_policy/set_enabled std_srvs/srv/SetBool "{data: true}"
 
-The arm stays until the last line; docs/closed_loop.md says what to check before it.
+The arm stays until the last line; docs/closed_loop.md says what to check before it. With
+clock:=simulated all nodes go on in the steps of time_stepper: docs/simulated_time.md.
 """
 
 from pathlib import Path
@@ -13,7 +14,7 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -27,6 +28,8 @@ def generate_launch_description() -> LaunchDescription:
     params_file = LaunchConfiguration("params_file")
     simulate_sensor = LaunchConfiguration("simulate_sensor")
     simulate_arm = LaunchConfiguration("simulate_arm")
+    is_simulated = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
+    time = {"use_sim_time": is_simulated, "stepped": is_simulated}
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
@@ -63,12 +66,29 @@ def generate_launch_description() -> LaunchDescription:
                 choices=["true", "false"],
                 description="record a bag in the working directory",
             ),
+            DeclareLaunchArgument(
+                "clock",
+                default_value="realtime",
+                choices=["realtime", "simulated"],
+                description="simulated: in steps that all nodes take together, by time_stepper",
+            ),
+            DeclareLaunchArgument(
+                "participants",
+                default_value="",
+                description="file of those whom simulated time waits for, of these nodes and of "
+                "yours; empty: the shipped one",
+            ),
+            DeclareLaunchArgument(
+                "speed",
+                default_value="0",
+                description="simulated seconds for each real one; 0: as many as the machine gives",
+            ),
             OpaqueFunction(function=refuse_wrong_file),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
                 namespace=namespace,
-                parameters=[params_file],
+                parameters=[params_file, time],
                 condition=IfCondition(simulate_sensor),
                 output="screen",
             ),
@@ -76,7 +96,7 @@ def generate_launch_description() -> LaunchDescription:
                 package="dotsim_ros",
                 executable="xarm_sim",
                 namespace=namespace,
-                parameters=[params_file],
+                parameters=[params_file, time],
                 condition=IfCondition(simulate_arm),
                 output="screen",
             ),
@@ -86,6 +106,7 @@ def generate_launch_description() -> LaunchDescription:
                 namespace=namespace,
                 parameters=[
                     params_file,
+                    time,
                     {
                         "policy": ParameterValue(LaunchConfiguration("policy"), value_type=str),
                         "path": ParameterValue(LaunchConfiguration("path"), value_type=str),
@@ -98,10 +119,27 @@ def generate_launch_description() -> LaunchDescription:
                 package="dotsim_ros",
                 executable="tactile_record",
                 namespace=namespace,
-                parameters=[params_file],
+                parameters=[params_file, time],
                 condition=IfCondition(LaunchConfiguration("record")),
                 # The bag appears once all that waits is written: the usual 5 s could lose it.
                 sigterm_timeout="60",
+                output="screen",
+            ),
+            Node(
+                package="dotsim_ros",
+                executable="time_stepper",
+                namespace=namespace,
+                parameters=[
+                    {
+                        "participants": ParameterValue(
+                            LaunchConfiguration("participants"), value_type=str
+                        ),
+                        "speed": ParameterValue(LaunchConfiguration("speed"), value_type=float),
+                        # A first start compiles the gel's kernels and computes its tables.
+                        "patience_s": 600.0,
+                    }
+                ],
+                condition=IfCondition(is_simulated),
                 output="screen",
             ),
         ]

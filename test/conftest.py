@@ -28,6 +28,7 @@ AREAS = (
     "recording",
     "node parameters",
     "messages",
+    "simulated time",
 )
 """The chapters of the table, in their order."""
 

@@ -23,6 +23,7 @@ CLASSES = {
     "tactile_record": RecordParameters,
     "xarm_sim": XarmSimParameters,
 }
+STEPPER = "time_stepper"
 
 
 def test_every_section_of_the_parameters_is_valid_for_its_node() -> None:
@@ -39,7 +40,7 @@ def test_every_section_of_the_parameters_is_valid_for_its_node() -> None:
         assert parameters
 
 
-def test_it_describes_the_four_nodes() -> None:
+def test_it_describes_the_nodes() -> None:
     pytest.importorskip("launch", reason="launch comes with a ROS installation only")
     pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS installation only")
     from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
@@ -57,4 +58,4 @@ def test_it_describes_the_four_nodes() -> None:
     specification.loader.exec_module(module)
     entities = module.generate_launch_description().entities
     nodes = {entity.node_executable for entity in entities if isinstance(entity, Node)}
-    assert nodes == set(CLASSES)
+    assert nodes == {*CLASSES, STEPPER}

@@ -11,6 +11,7 @@ import dataclasses
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import dotsim_ros
 from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.time_stepper.parameters import TimeStepperParameters
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dotsim_ros", "msg_adapters")
@@ -62,7 +64,10 @@ NODE_PARAMETERS = {
     "tactile_sim": TactileSimParameters,
     "tactile_policy": TactilePolicyParameters,
     "indenter_player": PlayerParameters,
+    "time_stepper": TimeStepperParameters,
 }
+TIME_PARAMETERS = {"use_sim_time", "stepped"}
+"""What every node takes, beside its own."""
 
 NAMES_ELSEWHERE = {
     "PIL": "pillow",
@@ -194,9 +199,9 @@ def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
     assert isinstance(value.func, ast.Name)
     if value.func.id == "EqualsSubstitution":
         return [True, False]
-    is_text = value.func.id == "ParameterValue"
-    if is_text:
-        assert ast.unparse(keywords(value)["value_type"]) == "str"
+    read: Callable[[str], Any] = yaml.safe_load
+    if value.func.id == "ParameterValue":
+        read = {"str": str, "float": float}[ast.unparse(keywords(value)["value_type"])]
         inner = value.args[0]
         value = assigned(tree)[inner.id] if isinstance(inner, ast.Name) else inner
         assert isinstance(value, ast.Call)
@@ -208,7 +213,7 @@ def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
         given = keywords(value)
         texts = [ast.literal_eval(given[name]) for name in ("if_value", "else_value")]
     assert texts, f"nothing is known of {ast.unparse(value)}"
-    return texts if is_text else [yaml.safe_load(text) for text in texts]
+    return [read(text) for text in texts]
 
 
 def test_version_is_the_same_everywhere() -> None:
@@ -347,8 +352,14 @@ def test_launched_nodes_take_their_parameters(path: Path) -> None:
         node = keywords(call)
         entries = node.get("parameters", ast.List(elts=[]))
         assert isinstance(entries, ast.List)
-        for entry in entries.elts:
+        for each in entries.elts:
+            entry = assigned(tree)[each.id] if isinstance(each, ast.Name) else each
             if not isinstance(entry, ast.Dict):
+                continue
+            if isinstance(each, ast.Name):
+                assert {ast.literal_eval(key) for key in entry.keys if key} == TIME_PARAMETERS
+                chosen = [parameter_values(tree, value) for value in entry.values]
+                assert chosen == [[True, False]] * len(TIME_PARAMETERS)
                 continue
             defaults = NODE_PARAMETERS[ast.literal_eval(node["executable"])]()
             for key, value in zip(entry.keys, entry.values, strict=True):
@@ -374,3 +385,18 @@ def test_launched_parameter_files_are_shipped(path: Path) -> None:
     }
     assert names
     assert all((ROOT / "params" / str(name)).is_file() for name in names)
+
+
+def test_in_simulated_time_every_node_of_the_loop_but_the_stepper_is_stepped() -> None:
+    tree = tree_of(ROOT / "launch" / "closed_loop.launch.py")
+    stepped = {
+        ast.literal_eval(node["executable"])
+        for node in map(keywords, calls(tree, "Node"))
+        if "time"
+        in [
+            ast.unparse(entry)
+            for entry in ast.walk(node["parameters"])
+            if isinstance(entry, ast.Name)
+        ]
+    }
+    assert stepped == {"tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"}

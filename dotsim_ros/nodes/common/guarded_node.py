@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -210,6 +211,8 @@ class GuardedNode(Node):
             hear = answer_each
         elif iscoroutinefunction(callback):
             hear = answer_later
+            # Else nothing of the node's would be called while it waits.
+            options.setdefault("callback_group", ReentrantCallbackGroup())
         return super().create_service(srv_type, srv_name, hear, **options)
 
     def before_request(self) -> None:

@@ -72,7 +72,8 @@ class PublicationWatch:
         # One that has started anew counts its messages anew.
         life = bytes(publisher.endpoint_gid).hex()
         if life == self.sent.publisher:
-            return ""
+            is_connected = self._subscription.get_publisher_count() > 0
+            return "" if is_connected else f"{self._topic} of {name} is not connected yet"
         kind = msg_adapters.message_class(publisher.topic_type)
         self._is_stamped = list(kind.get_fields_and_field_types().values())[:1] == [HEADER]
         if self.publication.every_s and not self._is_stamped:
@@ -95,7 +96,7 @@ class PublicationWatch:
             ),
             raw=True,
         )
-        return f"{name} is not connected yet"
+        return f"{self._topic} of {name} is not connected yet"
 
     def begin(self, asked: int) -> None:
         """Take what has come so far as the state to begin with.

@@ -91,7 +91,9 @@ class SimulatedSchedule:
         def again() -> None:
             nonlocal due_s
             act()
-            due_s = max(due_s, self.now_s - period_s) + period_s
+            due_s += period_s
+            if due_s <= self.now_s:
+                due_s = self.now_s + period_s
             self.at(due_s, again)
 
         due_s += period_s

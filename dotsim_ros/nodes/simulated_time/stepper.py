@@ -39,6 +39,9 @@ from dotsim_ros.nodes.simulated_time.speed_limit import SpeedLimit
 CLOCK_QOS = QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
 CALL_EVERY_S = 0.1
 LOOK_EVERY_S = 0.5
+TELL_AFTER_S = 2.0
+CALM_ROUNDS = 2
+"""In which all are there and connected, before time is told, and one more before it begins."""
 
 
 class SteppingError(OSError):
@@ -141,28 +144,36 @@ class Stepper:
         Raises:
             SteppingError: they are not after the patience; says what is missing.
         """
-        end_s = time.monotonic() + self.settings.patience_s
+        begun_s = time.monotonic()
         with self._changed:
             self._present.clear()
+        rounds, there_s = 0, math.inf
         while True:
             with self._changed:
                 self._lives.clear()
-            # The nodes that follow /clock need a time to begin with.
-            self._publish_clock()
             self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
             with self._changed:
                 self._changed.wait_for(self._all_are_present, CALL_EVERY_S)
                 self._check_cancelled()
-                self.waiting_for = self._hindrance()
-                if not self.waiting_for:
+                absent = self._absent()
+                self.waiting_for = absent or self._hindrance()
+                rounds = 0 if self.waiting_for else rounds + 1
+                if rounds > CALM_ROUNDS:
                     self._begin()
                     return
                 self._present.clear()
-            if time.monotonic() > end_s:
+            now_s = time.monotonic()
+            there_s = math.inf if absent else min(there_s, now_s)
+            if now_s - begun_s > self.settings.patience_s:
                 raise SteppingError(
                     f"simulated time does not begin after {self.settings.patience_s:g} s: "
                     f"{self.waiting_for}"
                 )
+            # Nodes that follow /clock need a time to begin with. What they publish as they hear it
+            # is to be counted: they know who listens a moment after the others do. A node that
+            # becomes ready only once there is a time hears it earlier.
+            if rounds >= CALM_ROUNDS or now_s - there_s > TELL_AFTER_S:
+                self._publish_clock()
             time.sleep(CALL_EVERY_S)
 
     def step(self) -> None:
@@ -329,13 +340,18 @@ class Stepper:
             name in self._present for name, p in self._participants.items() if p.answers
         )
 
-    def _hindrance(self) -> str:
-        """Return why time cannot begin yet, in words; empty for nothing."""
+    def _absent(self) -> str:
+        """Return in words who is not there; empty for nobody."""
         there = self._there()
+        for name in self._participants:
+            if name not in there:
+                return f"{name.lstrip('/')} is not there; start it, or take it off the participants"
+        return ""
+
+    def _hindrance(self) -> str:
+        """Return why time cannot begin yet though all are there, in words; empty for nothing."""
         for name, each in self._participants.items():
             plain = name.lstrip("/")
-            if name not in there:
-                return f"{plain} is not there; start it, or take it off the participants"
             if each.answers and name not in self._present:
                 return (
                     f"{plain} does not answer: is it warming up? It needs use_sim_time "

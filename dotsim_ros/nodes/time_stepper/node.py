@@ -218,7 +218,7 @@ class TimeStepper(WorkingNode):
             "steps": str(self._steps),
             "waiting_for": waiting_for,
         }
-        message = self._fault or (waiting_for if state == "waiting" else state)
+        message = self._fault or (waiting_for if state == "waiting" else "") or state
         return statuses_of(self.get_name(), "", {"time": (level, message, values)})
 
     def _log_waiting(self, waiting_for: str) -> None:

@@ -1,0 +1,259 @@
+"""A stepper with light nodes that take part, and a user who watches them and calls services."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
+from harness import Executable, spin_in_background
+from rclpy.qos import HistoryPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+from std_srvs.srv import SetBool, Trigger
+
+import msg_adapters
+
+MODULE = "dotsim_ros.nodes.time_stepper.node"
+PATIENCE_S = 30.0
+TICK_S = 0.02
+BEAT_S = 0.05
+
+WORKER = """
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from std_msgs.msg import Empty
+from std_srvs.srv import Trigger
+import msg_adapters
+from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.spin import WorkingNode, run_node
+
+
+class Worker(WorkingNode):
+    def __init__(self):
+        super().__init__("worker")
+        self.replies = self.count = self.beats = 0
+        self.pace = FramePace(rate_hz=50.0, start_s=self.now_s())
+        self.ticks = self.create_publisher(PoseStamped, "ticks", 5)
+        self.create_subscription(Empty, "replies", self.on_reply, 5)
+        self.create_subscription(TwistStamped, "beats", self.on_beat, 5)
+        self.create_service(Trigger, "~/reset", self.on_reset)
+
+    def begin(self):
+        self.start_paced("ticks", lambda: self.pace, self.tick, "ticking failed")
+        self.get_logger().info("ready: worker")
+
+    def on_reply(self, message):
+        self.replies += 1
+
+    def on_beat(self, message):
+        self.beats += 1
+
+    def on_reset(self, request, response):
+        self.replies = self.count = self.beats = 0
+        response.success = True
+        return response
+
+    def tick(self):
+        self.count += 1
+        place = (float(self.count), float(self.replies), float(self.beats))
+        self.ticks.publish(
+            msg_adapters.encode_pose_stamped(
+                place, (0.0, 0.0, 0.0, 1.0), stamp_ns=self.time_ns(), frame_id="base"
+            )
+        )
+
+
+raise SystemExit(run_node(Worker))
+"""
+"""Publishes every 20 ms how many ticks it has sent, and how many replies and beats it has heard."""
+
+CONTROLLER = """
+import time
+import rclpy
+from geometry_msgs.msg import PoseStamped, TwistStamped
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from std_msgs.msg import Empty
+
+
+class Controller(Node):
+    def __init__(self):
+        super().__init__("controller")
+        self.silent_after = self.declare_parameter("silent_after", 10**9).value
+        self.count = 0
+        self.replies = self.create_publisher(Empty, "replies", 5)
+        self.beats = self.create_publisher(TwistStamped, "beats", 5)
+        self.create_subscription(PoseStamped, "ticks", self.on_tick, 5)
+        self.create_timer(0.05, self.beat)
+        self.get_logger().info("ready: controller")
+
+    def on_tick(self, message):
+        self.count += 1
+        # Longer than a step takes: what is not waited for would come late.
+        time.sleep(0.002)
+        if self.count <= self.silent_after:
+            self.replies.publish(Empty())
+
+    def beat(self):
+        message = TwistStamped()
+        message.header.stamp = self.get_clock().now().to_msg()
+        self.beats.publish(message)
+
+
+rclpy.init()
+try:
+    rclpy.spin(Controller())
+except (KeyboardInterrupt, ExternalShutdownException):
+    rclpy.try_shutdown()
+"""
+"""Knows nothing of steps: replies to each tick, without a stamp, and beats by a timer."""
+
+WORKER_ENTRY = "  worker: {}\n"
+REPLYING = "    reads: [ticks]\n    publishes:\n      replies: {for_each: ticks}\n"
+CONTROLLER_ENTRY = f"  controller:\n{REPLYING}      beats: {{every_s: {BEAT_S}}}\n"
+
+_numbers = itertools.count()
+
+
+class Session:
+    """A stepper and the nodes that take part, in a namespace of their own.
+
+    Attributes:
+        clock_ns: every time that /clock has told, in order.
+        ticks: of the worker: stamp (s), count, replies and beats heard.
+        diagnostics: the newest state of the stepper, None before the first.
+    """
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        self._stack = stack
+        self._folder = folder
+        self.namespace = f"/steps_{next(_numbers)}"
+        self.clock_ns: list[int] = []
+        self.ticks: list[tuple[float, int, int, int]] = []
+        self.diagnostics: msg_adapters.Status | None = None
+        self._changed = threading.Condition()
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("user", context=self._context, namespace=self.namespace)
+        deep = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        self.node.create_subscription(Clock, "/clock", self._on_clock, deep)
+        self.node.create_subscription(PoseStamped, "ticks", self._on_tick, deep)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._thread = spin_in_background(self.node)
+        stack.callback(self._close)
+
+    def start(self, code: str, **parameters: Any) -> Executable:
+        """Start a participant."""
+        return self._run(Executable("", parameters, ("-r", f"__ns:={self.namespace}"), code=code))
+
+    def step(self, participants: str = WORKER_ENTRY, **parameters: Any) -> Executable:
+        """Start the stepper."""
+        path = self._folder / f"participants_{next(_numbers)}.yaml"
+        path.write_text(f"participants:\n{participants}")
+        given = {"participants": path, "diagnostics_period_s": 0.1, **parameters}
+        return self._run(Executable(MODULE, given, ("-r", f"__ns:={self.namespace}")))
+
+    def begin(self, participants: str = WORKER_ENTRY, **parameters: Any) -> Executable:
+        """Start the stepper, and let time run once all that it brings about is heard here."""
+        stepper = self.step(participants, paused="true", **parameters)
+        stepper.wait_for_line("simulated time begins")
+        self.wait(lambda: self.trigger("step").success and self.ticks and self.clock_ns, "a tick")
+        self.clock_ns.clear()
+        self.ticks.clear()
+        self.pause(False)
+        return stepper
+
+    def reason(self, stepper: Executable) -> str:
+        """Wait until the stepper ends by itself; return the one line that says why."""
+        assert stepper.exit_status() == 1, stepper.log
+        return self.fatal(stepper)
+
+    def fatal(self, executable: Executable) -> str:
+        """Return the one line with which a node has ended, as in no namespace."""
+        (line,) = [line for line in executable.log.splitlines() if "[FATAL]" in line]
+        assert "Traceback" not in executable.log
+        return line.partition("]: ")[2].replace(f"{self.namespace[1:]}/", "")
+
+    def wait_for_hindrance(self, text: str) -> str:
+        """Wait until time cannot begin for a reason; return it, as in no namespace."""
+
+        def found() -> str:
+            plain = self.diagnostics.values["waiting_for"] if self.diagnostics else ""
+            plain = plain.replace(f"{self.namespace[1:]}/", "")
+            return plain if text in plain else ""
+
+        return self.wait(found, text)
+
+    def _run(self, executable: Executable) -> Executable:
+        self._stack.callback(executable.end)
+        return executable
+
+    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
+        """Wait until something holds."""
+        end_s = time.monotonic() + PATIENCE_S
+        while not (reached := is_reached()):
+            assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}; {self.diagnostics}"
+            time.sleep(0.01)
+        return reached
+
+    def wait_for_time(self, time_s: float) -> None:
+        """Wait until the simulated time has come so far."""
+        self.wait(lambda: self.clock_ns and self.clock_ns[-1] >= 1e9 * time_s, f"{time_s} s")
+
+    def wait_for_state(self, state: str) -> msg_adapters.Status:
+        """Wait until the stepper reports a state."""
+        return self.wait(
+            lambda: (
+                (found := self.diagnostics) is not None and found.values["state"] == state and found
+            ),
+            f"the state {state}",
+        )
+
+    def call(self, kind: type, name: str, **fields: Any) -> Any:
+        """Call a service of the stepper and return its response."""
+        client = self.node.create_client(kind, f"time_stepper/{name}")
+        assert client.wait_for_service(PATIENCE_S), name
+        future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
+        self.wait(future.done, f"an answer of {name}")
+        self.node.destroy_client(client)
+        return future.result()
+
+    def trigger(self, name: str) -> Any:
+        """Call a service without arguments."""
+        return self.call(Trigger, name)
+
+    def pause(self, wanted: bool = True) -> Any:
+        """Pause, or let time run."""
+        return self.call(SetBool, "pause", data=wanted)
+
+    def _on_clock(self, message: Clock) -> None:
+        now_ns = message.clock.sec * 10**9 + message.clock.nanosec
+        self.clock_ns.append(now_ns)
+
+    def _on_tick(self, message: PoseStamped) -> None:
+        place = message.pose.position
+        stamp_s = 1e-9 * msg_adapters.message_stamp_ns(message)
+        self.ticks.append((stamp_s, int(place.x), int(place.y), int(place.z)))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in msg_adapters.decode_diagnostics(message):
+            if status.name == "time_stepper: time":
+                self.diagnostics = status
+
+    def _close(self) -> None:
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join(10.0)
+        self.node.destroy_node()
+
+
+@contextmanager
+def session(folder: Path) -> Iterator[Session]:
+    """Begin with nothing; end all that was started in the block."""
+    with ExitStack() as stack:
+        yield Session(folder, stack)

@@ -1,0 +1,270 @@
+"""time_stepper with light nodes: that all go together, what its services do, and how it ends."""
+
+from __future__ import annotations
+
+import re
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray
+from rosgraph_msgs.msg import Clock
+from stepper_rig import (
+    BEAT_S,
+    CONTROLLER,
+    CONTROLLER_ENTRY,
+    REPLYING,
+    TICK_S,
+    WORKER,
+    WORKER_ENTRY,
+    Session,
+    session,
+)
+
+STEPPED = {"use_sim_time": "true", "stepped": "true"}
+SIMULATED = {"use_sim_time": "true"}
+STEP_NS = 10_000_000
+AREA = "simulated time"
+
+
+def without_time(line: str) -> str:
+    """Return a line without the simulated time, which differs from run to run."""
+    return re.sub(r"at \d+\.\d{3} s", "at 12.340 s", line)
+
+
+@pytest.fixture
+def steps(tmp_path: Path) -> Iterator[Session]:
+    with session(tmp_path) as found:
+        yield found
+
+
+def test_all_go_together(steps: Session) -> None:
+    steps.start(WORKER, **STEPPED)
+    steps.start(CONTROLLER, **SIMULATED)
+    stepper = steps.begin(WORKER_ENTRY + CONTROLLER_ENTRY)
+    steps.wait(lambda: len(steps.ticks) > 200, "ticks")
+    running = steps.wait_for_state("running")
+    assert stepper.interrupt() == 0
+    assert "Traceback" not in stepper.log
+
+    # One message for each step, none of them lost.
+    np.testing.assert_array_equal(np.diff(steps.clock_ns), STEP_NS)
+    stamps_s, counts, replies, beats = np.array(steps.ticks).T
+    np.testing.assert_allclose(np.diff(stamps_s), TICK_S, atol=1e-9)
+    # Each tick was answered before the next, though that took longer than a step.
+    np.testing.assert_array_equal(replies, counts - 1)
+    # Beats of the simulated times before that of the tick, the last of which was one step earlier.
+    expected = np.ceil(stamps_s / BEAT_S - 1e-6)
+    assert np.ptp(beats - expected) == 0
+    assert float(running.values["speed_factor"]) > 0.0
+    assert float(running.values["time_s"]) > 1.0
+    assert int(running.values["steps"]) > 0
+
+
+def test_pause_step_and_reset(steps: Session) -> None:
+    steps.start(WORKER, **STEPPED)
+    stepper = steps.step(paused="true", steps_per_call=5, start_s=7.0)
+    stepper.wait_for_line("simulated time begins, paused")
+    assert steps.wait_for_state("paused").values["steps"] == "0"
+    steps.wait(lambda: steps.node.count_publishers("/clock"), "the stepper")
+    time.sleep(0.5)
+    assert steps.trigger("step").message == "at 7.050 s"
+    assert steps.trigger("step").message == "at 7.100 s"
+    steps.wait_for_time(7.1)
+    assert steps.clock_ns[-1] == 7_100_000_000
+    time.sleep(0.3)
+    assert steps.clock_ns[-1] == 7_100_000_000
+
+    assert steps.pause(False).message == "running"
+    steps.wait_for_time(8.0)
+    steps.wait(lambda: steps.ticks, "a tick")
+    refused = steps.trigger("step")
+    assert not refused.success
+    assert "pause it first" in refused.message
+    reset = steps.trigger("reset")
+    assert reset.success
+    assert reset.message.startswith("reset worker; time goes on from ")
+    assert steps.pause().message == "paused"
+    steps.wait_for_state("paused")
+    counts = [count for _, count, _, _ in steps.ticks]
+    (anew,) = np.flatnonzero(np.diff(counts) < 0)
+    assert counts[anew + 1] == 1
+    np.testing.assert_array_equal(np.diff(steps.clock_ns), STEP_NS)
+    assert stepper.interrupt() == 0
+
+
+def test_real_time_is_not_left_behind(steps: Session) -> None:
+    steps.start(WORKER, **STEPPED)
+    stepper = steps.step(speed=1.0, period_s=0.02)
+    stepper.wait_for_line("simulated time begins")
+    steps.wait_for_time(1.1)
+    begun_s, begun_ns = time.monotonic(), steps.clock_ns[-1]
+    steps.wait_for_time(2.1)
+    spent_s = time.monotonic() - begun_s
+    # It may make up for a tenth of a second.
+    assert spent_s > 1e-9 * (steps.clock_ns[-1] - begun_ns) - 0.15
+    assert stepper.interrupt() == 0
+
+
+def test_what_is_no_message_of_the_protocol_is_left_out(steps: Session) -> None:
+    steps.start(WORKER, **STEPPED)
+    stepper = steps.begin(speed=1.0)
+    for topic in ("answer", "step"):
+        publisher = steps.node.create_publisher(DiagnosticArray, f"/simulated_time/{topic}", 1)
+        steps.wait(publisher.get_subscription_count, "a reader")
+        publisher.publish(DiagnosticArray())
+    stepper.wait_for_line("a message on /simulated_time/answer is left out")
+    steps.wait_for_time(1e-9 * steps.clock_ns[-1] + 0.2)
+    assert stepper.interrupt() == 0
+
+
+def test_it_stops_while_it_waits(steps: Session) -> None:
+    stepper = steps.step()
+    stepper.wait_for_line("ready:")
+    steps.wait_for_hindrance("worker is not there; start it")
+    assert steps.wait_for_state("waiting").level > 0
+    # The step waits for the participants, and is given up with them.
+    assert stepper.interrupt() == 0
+    assert "Traceback" not in stepper.log
+
+
+@pytest.mark.fault(AREA, "a node that time waits for is not there")
+def test_a_participant_never_comes(steps: Session, answered: Callable[..., None]) -> None:
+    stepper = steps.step(patience_s=1.0)
+    line = steps.reason(stepper)
+    assert "does not begin after 1 s: worker is not there; start it" in line
+    answered(line)
+
+
+@pytest.mark.fault(AREA, "a node without `stepped` is to answer each step")
+def test_a_participant_never_answers(steps: Session, answered: Callable[..., None]) -> None:
+    node = steps.start(WORKER, **SIMULATED)
+    node.wait_for_line("ready:")
+    stepper = steps.step(patience_s=4.0)
+    line = steps.reason(stepper)
+    assert "worker does not answer" in line
+    assert "use_sim_time and stepped" in line
+    answered(line)
+
+
+@pytest.mark.fault(AREA, "another node publishes `/clock`")
+def test_another_clock_begins_in_the_middle(steps: Session, answered: Callable[..., None]) -> None:
+    steps.start(WORKER, **STEPPED)
+    stepper = steps.step()
+    steps.wait_for_time(1.5)
+    clock = steps.node.create_publisher(Clock, "/clock", 10)
+    line = steps.reason(stepper)
+    assert "another node publishes /clock" in line
+    answered(line)
+    # It is no better before the start.
+    again = steps.step(patience_s=5.0)
+    assert "another node publishes /clock" in steps.reason(again)
+    steps.node.destroy_publisher(clock)
+
+
+@pytest.mark.fault(AREA, "a node that time waits for ends")
+def test_a_participant_leaves(steps: Session, answered: Callable[..., None]) -> None:
+    worker = steps.start(WORKER, **STEPPED)
+    stepper = steps.step()
+    steps.wait_for_time(1.5)
+    assert worker.interrupt() == 0
+    line = steps.reason(stepper)
+    assert "worker left at " in line
+    answered(without_time(line))
+
+
+@pytest.mark.fault(AREA, "a node that time waits for is killed")
+def test_a_participant_is_killed(steps: Session, answered: Callable[..., None]) -> None:
+    worker = steps.start(WORKER, **STEPPED)
+    worker.wait_for_line("ready:")
+    stepper = steps.step(patience_s=4.0)
+    steps.wait_for_time(1.5)
+    worker.process.send_signal(signal.SIGKILL)
+    line = steps.reason(stepper)
+    assert "worker did not answer for 4 s" in line
+    answered(without_time(line))
+
+
+@pytest.mark.fault(AREA, "a node that time waits for is started anew")
+def test_a_participant_starts_anew(steps: Session, answered: Callable[..., None]) -> None:
+    worker = steps.start(WORKER, **STEPPED)
+    stepper = steps.step()
+    steps.wait_for_time(1.5)
+    steps.pause()
+    assert worker.interrupt() == 0
+    anew = steps.start(WORKER, **STEPPED)
+    anew.wait_for_line("ready:")
+    steps.wait(lambda: steps.trigger("reset").success, "the stepper to know the new one")
+    steps.pause(False)
+    line = steps.reason(stepper)
+    assert "worker left at " in line
+    assert "has started anew" in line
+    answered(without_time(line))
+
+
+@pytest.mark.fault(AREA, "a node of yours has no `use_sim_time`")
+def test_a_node_goes_by_another_clock(steps: Session, answered: Callable[..., None]) -> None:
+    steps.start(WORKER, **STEPPED)
+    steps.start(CONTROLLER)
+    stepper = steps.step(WORKER_ENTRY + CONTROLLER_ENTRY)
+    line = steps.reason(stepper)
+    assert "set use_sim_time on that node" in line
+    assert "/beats of controller is stamped" in line
+    answered(re.sub("[0-9]{9,}", "1700000000", line))
+
+
+@pytest.mark.fault(AREA, "a node of yours stops to publish")
+def test_a_node_falls_silent(steps: Session, answered: Callable[..., None]) -> None:
+    steps.start(WORKER, **STEPPED)
+    steps.start(CONTROLLER, silent_after=20, **SIMULATED).wait_for_line("ready:")
+    stepper = steps.step(WORKER_ENTRY + f"  controller:\n{REPLYING}", patience_s=5.0)
+    line = steps.reason(stepper)
+    assert "controller published nothing on /replies for 5 s" in line
+    answered(without_time(line))
+
+
+@pytest.mark.fault(AREA, "a node of yours is to answer what nobody publishes")
+def test_nobody_publishes_what_is_to_be_answered(
+    steps: Session, answered: Callable[..., None]
+) -> None:
+    steps.start(WORKER, **STEPPED)
+    steps.start(CONTROLLER, **SIMULATED)
+    entry = "  controller:\n    publishes:\n      replies: {for_each: images}\n"
+    steps.step(WORKER_ENTRY + entry)
+    answered(steps.wait_for_hindrance("of /images, which no participant publishes"))
+
+
+@pytest.mark.fault(AREA, "an unstamped topic is to come every so often")
+def test_an_unstamped_topic_has_no_time(steps: Session, answered: Callable[..., None]) -> None:
+    steps.start(CONTROLLER, **SIMULATED)
+    entry = "  controller:\n    publishes:\n      replies: {every_s: 0.05}\n"
+    steps.step(entry)
+    answered(steps.wait_for_hindrance("std_msgs/msg/Empty, which has no stamp: every_s needs one"))
+
+
+REFUSED = {
+    "`period_s` is 0": ({"period_s": 0.0}, "", "period_s is 0, expected"),
+    "`use_sim_time` on the stepper itself": (SIMULATED, "", "unset it on this node"),
+    "a file of no participants": ({}, "  []\n", "participants names no node"),
+    "a period between two steps": (
+        {},
+        "  controller:\n    publishes:\n      beats: {every_s: 0.025}\n",
+        "expected a whole number of steps",
+    ),
+}
+
+
+@pytest.mark.fault(AREA, "parameters that make no sense")
+def test_it_refuses_to_start(steps: Session, answered: Callable[..., None]) -> None:
+    started = [
+        (steps.step(participants or WORKER_ENTRY, **parameters), what, reason)
+        for what, (parameters, participants, reason) in REFUSED.items()
+    ]
+    for stepper, what, reason in started:
+        assert stepper.exit_status() == 2, stepper.log
+        line = steps.fatal(stepper)
+        assert reason in line
+        answered(re.sub("participants_[0-9]+", "participants", line), what=what)
