@@ -33,9 +33,9 @@ def failing_gel(sensor, request):
     def fail(*_):
         raise request.param
 
-    sensor._gel._gel.observer = fail
-    yield sensor._gel._gel
-    sensor._gel._gel.observer = None
+    sensor._gel.gel.observer = fail
+    yield sensor._gel.gel
+    sensor._gel.gel.observer = None
     sensor.reset()
 
 
@@ -49,7 +49,13 @@ def motion(depth_mm, stamp_ns):
 
 def statuses_of(counter, gel, now_s):
     condition = Condition(
-        is_enabled=True, silence_s=None, timeout_s=1.0, is_realtime=True, late=0, dropped=0
+        is_enabled=True,
+        silence_s=None,
+        timeout_s=1.0,
+        is_realtime=True,
+        late=0,
+        dropped=0,
+        profile={},
     )
     states = statuses(
         "node",
