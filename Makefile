@@ -55,7 +55,8 @@ demo-loop: setup
 test: setup
 	@rm -f $(FAULTS)
 	$(RUN) python -m pytest -n 2 --dist loadfile --faults=$(FAULTS) $(PYTEST_OPTIONS) test/unit test/physics
-	$(RUN) python -m pytest --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
+	$(RUN) python -m pytest -n 2 --dist loadfile -m "not timed" --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
+	$(RUN) python -m pytest -m timed --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
 
 faults: setup
 	@rm -f $(FAULTS)

@@ -18,5 +18,24 @@ for name in USER_SETTINGS:
     os.environ.pop(name, None)
 stay_local()
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="dotsim_ros_log_"))
+TIMED = {
+    "test_closed_loop",
+    "test_in_the_middle",
+    "test_on_demand",
+    "test_realtime",
+    "test_tactile_policy",
+    "test_tactile_policy_loop",
+    "test_xarm_adapter",
+    "test_xarm_sim",
+}
+"""Files whose nodes must keep times: they run alone, the others two at a time."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.stem in TIMED:
+            item.add_marker("timed")
+
+
 # For `harness`, which is no test.
 sys.path.insert(0, str(Path(__file__).parent))
