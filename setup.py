@@ -110,6 +110,7 @@ setup(
         "safetensors>=0.4",
         "scikit-image>=0.20",
         "scipy>=1.11",
+        "threadpoolctl>=3.1",
         "trimesh>=4.0",
         "warp-lang>=1.10",
     ],

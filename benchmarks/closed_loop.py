@@ -148,14 +148,26 @@ def worst_motion(
     return {name: found[name] for name in (*names, "force_n")} | {"exceeded": exceeded}
 
 
-def measure(policy: Path, path_name: str, minutes: float, sensor: str) -> dict[str, Any]:
+def measure(
+    policy: Path,
+    path_name: str,
+    minutes: float,
+    sensor: str,
+    sensor_parameters: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
     """Run the loop and return its figures.
+
+    Args:
+        policy: its folder.
+        path_name: to follow.
+        minutes: how long.
+        sensor, sensor_parameters: parameters of `tactile_sim`.
 
     Raises:
         OSError: it does not start.
     """
     path = reference_path(path_name)
-    setup = LoopSetup(policy_name(policy), sensor=sensor)
+    setup = LoopSetup(policy_name(policy), sensor=sensor, sensor_parameters=sensor_parameters or {})
     restarts: list[str] = []
     led_s: list[tuple[float, float]] = []
     with ClosedLoop(setup, topics=TOPICS) as loop:
@@ -198,6 +210,7 @@ def measure(policy: Path, path_name: str, minutes: float, sensor: str) -> dict[s
             "stops": loop.stops(),
             "latched": restarts,
             "told_by_the_policy": values,
+            "told_by_the_sensor": loop.observer.values(f"{SENSOR}: frames"),
             "cpu_percent": spent,
             "motion": worst_motion(recording, led_s, setup.limits()),
         }

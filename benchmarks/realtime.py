@@ -230,8 +230,14 @@ def measure_start_up() -> dict[str, float]:
     return figures
 
 
-def measure_node(seconds: float, rate_hz: float, sensor: str) -> dict[str, Any]:
+def measure_node(
+    seconds: float, rate_hz: float, sensor: str, parameters: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """Return rate, latency and the node's own figures under the motion.
+
+    Args:
+        seconds: how long.
+        rate_hz, sensor, parameters: parameters of the node.
 
     Raises:
         OSError: the node does not start.
@@ -247,7 +253,9 @@ def measure_node(seconds: float, rate_hz: float, sensor: str) -> dict[str, Any]:
     from dotsim_ros.nodes.common.processes import NodeProcess
 
     begun_s = time.monotonic()
-    process = NodeProcess("tactile_sim", {"rate_hz": rate_hz, "sensor": sensor})
+    process = NodeProcess(
+        "tactile_sim", {"rate_hz": rate_hz, "sensor": sensor, **(parameters or {})}
+    )
     try:
         process.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
         start_up_s = time.monotonic() - begun_s

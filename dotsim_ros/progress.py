@@ -19,3 +19,9 @@ class PrintedProgress:
         if done and (done == total or done % max(1, total // 10) == 0):
             left_s = (now_s - self._begun_s) / done * (total - done)
             print(f"{step}: {done}/{total}, {left_s:.0f} s left", file=sys.stderr, flush=True)
+
+
+def bar(share: float, note: str, *, width: int = 30) -> str:
+    """Return a bar that shows how much is done, and what else is to be said."""
+    done = round(width * min(1.0, max(0.0, share)))
+    return f"[{'#' * done}{'.' * (width - done)}] {note}"

@@ -14,6 +14,7 @@ from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
+from dotsim_ros.gel.solver_changes import SolverChanges
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
@@ -24,7 +25,7 @@ from dotsim_ros.optics.network.loading import completion_network
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import SensorSpecification, given_sensor
+from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 
 FRAME_S = 0.04
 """Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""
@@ -146,7 +147,9 @@ class TactileSensor:
         self.camera = FisheyeCamera.from_specification(specification.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.
         self._network = completion_network(specification, self.camera)
+        self._progress = progress
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
+        self._solvers = SolverChanges(self._gel, specification.solver)
         self._renderer = SkinRenderer(self.camera, self.skin, device=device)
         self._set_idle(idle_frame_of(specification, self.camera))
         self._noise = specification.noise
@@ -204,8 +207,7 @@ class TactileSensor:
     @property
     def remembers(self) -> bool:
         """Whether the gel goes on moving under an indenter that is held: it relaxes or swings."""
-        s = self.specification
-        return s.solver.method == "explicit" or s.solver.dynamic or bool(s.material.prony_shares)
+        return self.specification.remembers
 
     @property
     def idle_image(self) -> ImageArray:
@@ -245,9 +247,49 @@ class TactileSensor:
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""
-        self._gel.set_indenter(indenter)
+        self._solvers.set_indenter(indenter)
         self.indenter = indenter
         self._time_s = 0.0
+
+    def prepare_solver(self, solver: SolverSpecification) -> None:
+        """Make the gel that another solver needs, so that `set_solver` has not to wait for it.
+
+        Raises:
+            ValueError: the gel remembers more than its contact, so that no other can go on with
+                it, or the solver is none of this sensor's.
+        """
+        specification = replace(self.specification, solver=solver)
+        if self.remembers or specification.remembers:
+            raise ValueError(
+                "the solver of a gel that relaxes, swings or is solved explicitly cannot be "
+                "changed: what it remembers would be lost; make another sensor"
+            )
+        self._solvers.prepare(
+            solver,
+            lambda: make_gel(
+                specification, self.skin, self.indenter, device=self.device, progress=self._progress
+            ),
+        )
+
+    def set_solver(self, solver: SolverSpecification, *, largest_jump_m: float = np.inf) -> float:
+        """Go on with another solver from where the indenter is, with the friction that there is.
+
+        Args:
+            solver: the new one.
+            largest_jump_m: how far a marker of the skin may jump by the change of the grid.
+
+        Returns:
+            How far it jumped, in metres: 0 between solvers of one grid.
+
+        Raises:
+            SkinJumpError: it would jump farther; the solver stays as it was.
+            ValueError: as `prepare_solver`.
+        """
+        self.prepare_solver(solver)
+        jump_m = self._solvers.change(solver, largest_jump_m=largest_jump_m)
+        self._gel = self._solvers.gel
+        self.specification = replace(self.specification, solver=solver)
+        return jump_m
 
     def reset(self, *, noise_seed: int | None = None) -> None:
         """Return to rest; time begins anew, and with it the noise of the images.

@@ -514,6 +514,12 @@ class SensorSpecification:
             check_drawable(self.gel, self.pattern)
         self._check_memory()
 
+    @property
+    def remembers(self) -> bool:
+        """Whether the gel goes on moving under an indenter that is held: it relaxes or swings."""
+        solver = self.solver
+        return solver.method == "explicit" or solver.dynamic or bool(self.material.prony_shares)
+
     def _check_grid(self) -> None:
         lower, upper = self.gel.bounds_m
         extent = min(b - a for a, b in zip(lower, upper, strict=True))

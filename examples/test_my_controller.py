@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from dotsim_ros.nodes.loop.closed_loop import LoopFault
-from dotsim_ros.nodes.loop.controller_run import Controller, ControllerLoop, TimedFault
+from dotsim_ros.nodes.loop.closed_loop import LoopFault, TimedFault
+from dotsim_ros.nodes.loop.controller_run import Controller, ControllerLoop
 
 NODE = Path(__file__).with_name("my_controller.py")
 CONTROLLER = Controller("my_controller", [sys.executable, str(NODE)])

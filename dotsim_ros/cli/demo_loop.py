@@ -20,6 +20,8 @@ import sys
 import time
 from pathlib import Path
 
+from dotsim_ros.cli.arguments import positive
+
 POLICY = "densetact2_sphere"
 MOTIONS = ("line", "arc", "figure_eight", "press")
 CLOCKS = ("simulated", "realtime")
@@ -33,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("out/demo-loop"), help="folder (out/demo-loop)")
     add("--policy", default=POLICY, help=f"folder or name of the policy ({POLICY})")
     add("--path", choices=MOTIONS, default="figure_eight", help="path to follow (figure_eight)")
-    add("--laps", type=float, default=2.0, help="how many laps to make (2)")
+    add("--laps", type=positive, default=2.0, help="how many laps to make (2)")
     add("--clock", choices=CLOCKS, default=CLOCKS[0], help="how time passes (simulated)")
     add("--sensor", help="name or file of the sensor (the one that the policy was trained on)")
     add("--seed", type=int, default=0, help="seed of the start (0)")
@@ -53,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
     from dotsim_ros.page import write_page
+    from dotsim_ros.progress import bar
     from dotsim_ros.provenance import provenance
     from dotsim_ros.replacement import note_made, remove_made
     from dotsim_ros.tasks.control.loop_recording import LoopRecording
@@ -71,7 +74,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     def laps_are_made(recording: LoopRecording) -> bool:
         done = judge(recording, path, setup.limits()).get("laps", 0.0)
-        _say(f"{done:.2f} of {arguments.laps:g} laps")
+        made = float(np.ptp(recording.pose_s)) / (time.monotonic() - begun_s)
+        note = f"{done:.2f} of {arguments.laps:g} laps, {made:.2f} times real time"
+        print(bar(done / arguments.laps, note), file=sys.stderr, flush=True)
         return bool(done >= arguments.laps)
 
     with ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop:
@@ -80,7 +85,6 @@ def run(arguments: argparse.Namespace) -> int:
         longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
         begun_s = time.monotonic()
         observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
-        spent_s = time.monotonic() - begun_s
         statuses = loop.close()
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
@@ -93,7 +97,7 @@ def run(arguments: argparse.Namespace) -> int:
         "clock": arguments.clock,
         "frames_per_second": row.get("frame_rate_hz"),
         "bag_sha256": bag_sha256(bag),
-        "speed_factor": round(float(np.ptp(recording.pose_s)) / spent_s, 3),
+        "speed_factor": round(loop.led_speed_factor, 3),
     }
     image = path_image(path.name, [recording], name="path")
     page = trial_report(
@@ -113,7 +117,3 @@ def run(arguments: argparse.Namespace) -> int:
     for name in ("loop", "path.png", "report.html", "report.md", "report.json"):
         print(arguments.out / name)
     return 0
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)

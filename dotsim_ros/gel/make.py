@@ -99,15 +99,19 @@ def material_of(specification: MaterialSpecification) -> Material:
 
 
 class SingleImplicitGel:
-    """One environment of an implicit gel as a `Gel`."""
+    """One environment of an implicit gel as a `Gel`.
+
+    Attributes:
+        gel: the implicit one.
+    """
 
     def __init__(self, gel: ImplicitGel) -> None:
-        self._gel = gel
+        self.gel = gel
         self.reset, self.set_indenter = gel.reset, gel.set_indenter
         self.check_depth = gel.check_depth
 
     def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
-        state = self._gel.step([pose], dt_s)[0]
+        state = self.gel.step([pose], dt_s)[0]
         spent = state.timings_s
         contact = spent.pop("contact", 0.0)
         return GelFrame(

@@ -23,6 +23,7 @@ from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
 from dotsim_ros.specification import load_sensor
 
 ROOT = Path(__file__).parents[2]
@@ -105,6 +106,24 @@ def test_the_table_of_effects_is_up_to_date() -> None:
     assert script("effects_table").table() in text_of("effects.md"), (
         "run python .ci/effects_table.py"
     )
+
+
+def test_the_table_of_profiles_is_up_to_date() -> None:
+    figures = json.loads((DOCS / "results" / "profiles.json").read_text(encoding="utf-8"))
+    page = text_of("run.md")
+    assert script("profiles_table").page_with(figures, page) == page, (
+        "run python .ci/profiles_table.py"
+    )
+
+
+def test_no_profile_was_measured_to_be_off_by_more_than_is_documented() -> None:
+    figures = json.loads((DOCS / "results" / "profiles.json").read_text(encoding="utf-8"))
+    for name, profile in PROFILES.items():
+        assert figures["worst"][name]["skin_max_mm"] <= 1e3 * profile.skin_error_m
+        assert figures["worst"][name]["documented_mm"] == pytest.approx(1e3 * profile.skin_error_m)
+    for case in figures["cases"]:
+        for row in case["handovers"]:
+            assert row["largest_jump_mm"] <= 1e3 * PROFILES["fast"].skin_error_m
 
 
 def test_the_table_of_parameters_is_that_of_the_node() -> None:

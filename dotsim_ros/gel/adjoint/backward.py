@@ -221,7 +221,7 @@ class _Backward:
             return
         by_position = -adjoint.memory @ record.pose.rotation().T
         self._turn_indenter(substep.skin_before_m[record.marker], by_position)
-        if self.gel._remembers():
+        if self.gel.remembers:
             self.carried.skin[record.marker] = by_position
         else:
             sums.marker[record.marker] += by_position

@@ -108,7 +108,7 @@ class Recorder:
             gel.observer = None
         for trajectory, world in zip(self.trajectories, gel.worlds, strict=True):
             trajectory.step_end.append(len(trajectory.substeps))
-            trajectory.is_at_rest.append(not gel._remembers() and world.response is None)
+            trajectory.is_at_rest.append(not gel.remembers and world.response is None)
         return states
 
     def _observe(

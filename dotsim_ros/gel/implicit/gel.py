@@ -377,7 +377,9 @@ class ImplicitGel:
             return np.inf
         return float(self.contact.indenter.signed_distance(local[near]).min())
 
-    def _remembers(self) -> bool:
+    @property
+    def remembers(self) -> bool:
+        """Whether the gel goes on moving under an indenter that is held."""
         return self.solver.dynamic or bool(self.material.prony.shares)
 
     def _substep(
@@ -390,7 +392,7 @@ class ImplicitGel:
     ) -> tuple[int, bool]:
         """Advance one substep; return the iterations used and whether the tolerance was met."""
         touching = pose is not None and self._touches_rest(pose)
-        if not touching and not self._remembers():
+        if not touching and not self.remembers:
             self._come_to_rest(world)
             return 0, True
         inertia = self._prepare_memory(world, dt_s, environment)

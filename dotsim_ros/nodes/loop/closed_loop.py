@@ -7,7 +7,7 @@ The sensor, the policy and the arm are the executables that a user starts, with 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
@@ -108,6 +108,19 @@ class LoopFault(StrEnum):
     EMERGENCY_STOP = "emergency stop"
 
 
+@dataclass(frozen=True)
+class TimedFault:
+    """Something that fails.
+
+    Attributes:
+        at_s: when, in seconds since the loop is led.
+        fault: what.
+    """
+
+    at_s: float
+    fault: LoopFault
+
+
 class RefusedError(OSError):
     """A node refuses a request."""
 
@@ -125,6 +138,7 @@ class ClosedLoop:
         observer: receives messages and calls services.
         contact: of the ball on the dome.
         time: how the loop's time passes.
+        led_speed_factor: seconds of the loop's time for each real one, while the policy led last.
     """
 
     def __init__(
@@ -138,6 +152,7 @@ class ClosedLoop:
         self.setup = setup
         self.contact = contact or DomeContact()
         self.places = setup.places()
+        self.led_speed_factor = 1.0
         self._processes: dict[str, NodeProcess] = {}
         self._others: dict[str, Participant] = {}
         self._indenter = self.places.indenter(FAR_M)
@@ -184,11 +199,20 @@ class ClosedLoop:
         self.rest()
         self.calibrate_idle()
 
-    def start(self, path: str) -> None:
-        """Start all nodes at once, and show the policy the sensor at rest."""
-        self._launch(ARM, self.setup.arm_parameters)
-        self._launch_sensor()
-        self._launch_policy(path)
+    def start(self, path: str, *, order: Sequence[str] = (ARM, SENSOR, POLICY)) -> None:
+        """Start all nodes at once, and show the policy the sensor at rest.
+
+        Args:
+            path: that the policy follows.
+            order: of the starts.
+        """
+        launches = {
+            ARM: lambda: self._launch(ARM, self.setup.arm_parameters),
+            SENSOR: self._launch_sensor,
+            POLICY: lambda: self._launch_policy(path),
+        }
+        for executable in order:
+            launches[executable]()
         for executable in (ARM, SENSOR, POLICY):
             self._await(executable)
         self._expect()
@@ -381,6 +405,7 @@ class ClosedLoop:
         *,
         bag: Path | None = None,
         is_done: Callable[[LoopRecording], bool] | None = None,
+        faults: Sequence[TimedFault] = (),
     ) -> LoopRecording:
         """Return what the loop does from a place on, for a time or until it is latched; nothing
         where the policy refuses to lead, which the notes say.
@@ -390,6 +415,7 @@ class ClosedLoop:
             seconds: how long the policy leads.
             bag: folder for a bag of it by `tactile_record`; None for none.
             is_done: asked about once a second whether what was done so far is enough.
+            faults: what fails meanwhile, and stays so until `heal`.
         """
         self.rest()
         self.touch(start_m)
@@ -397,17 +423,22 @@ class ClosedLoop:
             self._launch(RECORDER, {"output": bag})
             self._await(RECORDER, "recording /")
             self._expect()
-            while not self._processes[RECORDER].has_logged("receiving /cmd_vel"):
-                self.time.go(RECORDER_POLL_S)
+            self.time.wait_for_line(
+                self._processes[RECORDER], "receiving /cmd_vel", START_TIMEOUT_S
+            )
         self.wait_diagnostics()
         before = self.stops()
         self.observer.forget()
+        enabled_s = 1e-9 * self.now_ns()
         try:
             self.enable()
         except RefusedError as error:
             state, reason, detail = "refused", "refused", str(error)
         else:
-            state, reason, detail = self._watch(seconds, is_done)
+            begun_ns, begun_s = self.now_ns(), time.monotonic()
+            state, reason, detail = self._watch(seconds, is_done, faults)
+            led_s = 1e-9 * (self.now_ns() - begun_ns)
+            self.led_speed_factor = led_s / (time.monotonic() - begun_s)
         self.disable()
         self.wait_diagnostics()
         after = self.stops()
@@ -422,11 +453,15 @@ class ClosedLoop:
                 "reason": reason,
                 "detail": detail,
                 "seconds": seconds,
+                "enabled_s": enabled_s,
             }
         )
 
     def _watch(
-        self, seconds: float, is_done: Callable[[LoopRecording], bool] | None
+        self,
+        seconds: float,
+        is_done: Callable[[LoopRecording], bool] | None,
+        faults: Sequence[TimedFault],
     ) -> tuple[str, str, str]:
         """Return state, reason and details after a time, or when the loop is latched or done."""
         asked = 0
@@ -441,7 +476,12 @@ class ClosedLoop:
             asked = count
             return is_done(self.recording({}))
 
-        self.time.watch(f"{POLICY}: control", seconds, is_over)
+        passed_s, part = 0.0, f"{POLICY}: control"
+        for each in sorted(faults, key=lambda fault: fault.at_s):
+            self.time.watch(part, each.at_s - passed_s, is_over)
+            self.inject(each.fault)
+            passed_s = each.at_s
+        self.time.watch(part, seconds - passed_s, is_over)
         state, reason = self.state()
         status = self.observer.diagnostics.get(f"{POLICY}: control")
         return state, reason, status.message if status is not None and state == "latched" else ""

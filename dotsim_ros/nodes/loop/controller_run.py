@@ -14,7 +14,7 @@ from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.evaluation.trajectory.trials import trial_start
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.common.transport import stay_local
-from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopFault, LoopSetup
+from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, TimedFault
 from dotsim_ros.nodes.loop.loop_time import SIMULATED
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.nodes.simulated_time.participants import Participant, Publication
@@ -47,19 +47,6 @@ class Controller:
         default_factory=lambda: {"cmd_vel": Publication(for_each="image_raw")}
     )
     parameters: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class TimedFault:
-    """Something that fails.
-
-    Attributes:
-        at_s: when, in simulated seconds since the run began.
-        fault: what.
-    """
-
-    at_s: float
-    fault: LoopFault
 
 
 @dataclass(frozen=True, eq=False)

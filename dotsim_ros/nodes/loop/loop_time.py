@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
+from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.observer import PATIENCE_S, LoopObserver
 from dotsim_ros.nodes.simulated_time.participants import Participant
 from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
@@ -22,15 +23,9 @@ class LoopTime(Protocol):
 
     Attributes:
         parameters: that the loop's nodes need for it.
-        speed_factor: simulated seconds for each real one.
     """
 
     parameters: Mapping[str, Any]
-
-    @property
-    def speed_factor(self) -> float:
-        """Return the simulated seconds for each real one."""
-        ...
 
     def expect(self, nodes: Mapping[str, Participant]) -> None:
         """Let these nodes take part from now on."""
@@ -49,6 +44,13 @@ class LoopTime(Protocol):
             OSError: it does not for too long.
         """
 
+    def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
+        """Wait until a node that has just begun to listen says that it hears; time goes on.
+
+        Raises:
+            OSError: it does not.
+        """
+
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """Let time pass, less where the diagnostics of a part of a node say that it is over."""
 
@@ -64,7 +66,6 @@ class RealTime:
     """
 
     parameters: Mapping[str, Any] = {}
-    speed_factor = 1.0
 
     def __init__(self, observer: LoopObserver) -> None:
         self._observer = observer
@@ -83,6 +84,10 @@ class RealTime:
     def wait(self, is_reached: Callable[[], Any], what: str) -> None:
         """See `LoopTime.wait`."""
         self._observer.wait(is_reached, what)
+
+    def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
+        """See `LoopTime.wait_for_line`."""
+        process.wait_for_line(text, timeout_s=timeout_s)
 
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """See `LoopTime.watch`."""
@@ -123,11 +128,6 @@ class SteppedTime:
         self._diagnostics_period_s = diagnostics_period_s
         self.stepper = Stepper(observer.beside, {}, settings)
 
-    @property
-    def speed_factor(self) -> float:
-        """Return the simulated seconds for each real one, of the last stretch."""
-        return self.stepper.speed_factor
-
     def expect(self, nodes: Mapping[str, Participant]) -> None:
         """See `LoopTime.expect`."""
         self.stepper.expect({**nodes, self._observer.node.get_name(): Participant()})
@@ -148,13 +148,18 @@ class SteppedTime:
                 raise OSError(f"waited {PATIENCE_S:g} s of simulated time for {what}")
             self.go(STEPPED_POLL_S)
 
+    def wait_for_line(self, process: NodeProcess, text: str, timeout_s: float) -> None:
+        """Nothing to wait for: no step begins before all are connected, and how many steps went by
+        until a line was read would depend on the machine."""
+
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """See `LoopTime.watch`."""
         end_ns = self.stepper.time_ns + round(seconds * NANOSECONDS_PER_SECOND)
         while (left_ns := end_ns - self.stepper.time_ns) > 0 and not is_over():
-            since_ns = self.stepper.time_ns
-            self.go(min(self._diagnostics_period_s, left_ns / NANOSECONDS_PER_SECOND))
-            if self.stepper.time_ns < end_ns:
+            since_ns, period_s = self.stepper.time_ns, self._diagnostics_period_s
+            self.go(min(period_s, left_ns / NANOSECONDS_PER_SECOND))
+            # In less than a period there may be none.
+            if self.stepper.time_ns - since_ns >= round(period_s * NANOSECONDS_PER_SECOND):
                 self._hear_after(part, since_ns)
 
     def hear_anew(self, part: str) -> None:

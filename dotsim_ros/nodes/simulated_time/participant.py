@@ -10,9 +10,9 @@ import uuid
 from collections.abc import Callable
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from std_msgs.msg import String
 
 from dotsim_ros.measured.bag import serialized_stamp_ns
 from dotsim_ros.nodes.simulated_time.protocol import (
@@ -61,8 +61,8 @@ class StepParticipant:
         self._held: list[tuple[int, str, int, Hear]] = []
         self._step: Step | None = None
         # Not the node's own methods: what the stepper says is not held back.
-        self._answers = Node.create_publisher(node, DiagnosticArray, ANSWER_TOPIC, PROTOCOL_QOS)
-        Node.create_subscription(node, DiagnosticArray, STEP_TOPIC, self._on_step, PROTOCOL_QOS)
+        self._answers = Node.create_publisher(node, String, ANSWER_TOPIC, PROTOCOL_QOS)
+        Node.create_subscription(node, String, STEP_TOPIC, self._on_step, PROTOCOL_QOS)
 
     def watch(self, publisher: CountingPublisher) -> None:
         """Tell the stepper of what this publisher sends."""
@@ -108,16 +108,14 @@ class StepParticipant:
             # one that has started again begin anew.
             before = self._sent.get(topic)
             if before is None or before.publisher != sent.publisher:
-                self._newest[topic] = sent.count
+                early = [number for _, held, number, _ in self._held if held == topic]
+                self._newest[topic] = max(sent.count, *early, 0)
             self._sent[topic] = sent
         self._take_step()
 
     def _take_step(self) -> None:
         step = self._step
-        if step is None or any(
-            topic in self._subscriptions and self._newest.get(topic, 0) < sent.count
-            for topic, sent in step.sent.items()
-        ):
+        if step is None or self._waits():
             return
         self._step = None
         for hear in self._due():
@@ -126,6 +124,14 @@ class StepParticipant:
         self._answers.publish(
             encode_answer(Answer(step.time_ns, Kind.DONE, self._name, self._life, self._changed()))
         )
+
+    def _waits(self) -> str:
+        """Return what was sent before the step and has not come, in words; empty for nothing."""
+        for topic, sent in self._step.sent.items() if self._step is not None else ():
+            newest = self._newest.get(topic, 0)
+            if topic in self._subscriptions and newest < sent.count:
+                return f"message {sent.count} of {topic}, {newest} came last"
+        return ""
 
     def _due(self) -> list[Hear]:
         """Return what was sent before this step, in order, and keep what others have sent in it."""
@@ -145,7 +151,6 @@ class StepParticipant:
         return changed
 
     def _answer_call(self, time_ns: int) -> None:
-        self._told = {topic: each.sent for topic, each in self._publishers.items()}
         self._answers.publish(
             encode_answer(
                 Answer(
@@ -153,7 +158,7 @@ class StepParticipant:
                     Kind.PRESENT,
                     self._name,
                     self._life,
-                    sent=self._told,
+                    sent={topic: each.sent for topic, each in self._publishers.items()},
                     readers={
                         topic: each.get_subscription_count()
                         for topic, each in self._publishers.items()
@@ -162,6 +167,7 @@ class StepParticipant:
                         topic: each.get_publisher_count()
                         for topic, each in self._subscriptions.items()
                     },
+                    waits=self._waits(),
                 )
             )
         )

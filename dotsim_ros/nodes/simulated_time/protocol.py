@@ -1,4 +1,4 @@
-"""What a stepper and its participants tell each other, as diagnostic_msgs/DiagnosticArray.
+"""What a stepper and its participants tell each other: JSON in a std_msgs/String.
 
 A step names the time to go to and how many messages of each topic have been sent so far: they
 belong to the steps before, and are heard before anything of this one is done. An answer says that
@@ -7,15 +7,16 @@ a participant is there or has gone to that time, and how many messages it has se
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
+from std_msgs.msg import String
 
-import msg_adapters
-from msg_adapters import Level, Status
+from dotsim_ros.documents import value_text
 
 STEP_TOPIC = "/simulated_time/step"
 ANSWER_TOPIC = "/simulated_time/answer"
@@ -73,6 +74,7 @@ class Answer:
         sent: messages by topic; for DONE those that have changed.
         readers: for PRESENT, how many readers each of its topics is connected to.
         read: for PRESENT, how many writers each topic that it reads is connected to.
+        waits: for PRESENT, what has not come that the step before needs, in words.
     """
 
     time_ns: int
@@ -82,66 +84,59 @@ class Answer:
     sent: Mapping[str, int] = field(default_factory=dict)
     readers: Mapping[str, int] = field(default_factory=dict)
     read: Mapping[str, int] = field(default_factory=dict)
+    waits: str = ""
 
 
-def encode_step(step: Step) -> Any:
+def encode_step(step: Step) -> String:
     """Return the message of a step."""
-    values = {topic: f"{sent.publisher} {sent.count}" for topic, sent in step.sent.items()}
-    return _encode([Status("stepper", Level.OK, step.kind, "", values)], step.time_ns)
+    sent = {topic: [each.publisher, each.count] for topic, each in step.sent.items()}
+    return _encode([step.time_ns, step.kind, sent])
 
 
-def decode_step(message: Any) -> Step:
+def decode_step(message: String) -> Step:
     """Return a step.
 
     Raises:
         ValueError: it is none.
     """
-    (status,) = _statuses(message, 1)
-    sent = {}
-    for topic, text in status.values.items():
-        publisher, _, count = text.rpartition(" ")
-        sent[topic] = Sent(publisher, int(count))
-    return Step(msg_adapters.message_stamp_ns(message), Kind(status.message), sent)
-
-
-def encode_answer(answer: Answer) -> Any:
-    """Return the message of an answer."""
-    parts = [answer.sent, answer.readers, answer.read]
-    if answer.kind is Kind.DONE:
-        parts = parts[:1]
-    statuses = [
-        Status(
-            answer.name, Level.OK, answer.kind, answer.life, {k: str(n) for k, n in each.items()}
+    try:
+        time_ns, kind, sent = json.loads(message.data)
+        return Step(
+            int(time_ns),
+            Kind(kind),
+            {topic: Sent(str(publisher), int(n)) for topic, (publisher, n) in sent.items()},
         )
-        for each in parts
-    ]
-    return _encode(statuses, answer.time_ns)
+    except (ValueError, TypeError, AttributeError) as error:
+        raise _strange(message, error) from None
 
 
-def decode_answer(message: Any) -> Answer:
+def encode_answer(answer: Answer) -> String:
+    """Return the message of an answer."""
+    parts: list[Any] = [dict(answer.sent)]
+    if answer.kind is Kind.PRESENT:
+        parts += [dict(answer.readers), dict(answer.read), answer.waits]
+    return _encode([answer.time_ns, answer.kind, answer.name, answer.life, *parts])
+
+
+def decode_answer(message: String) -> Answer:
     """Return an answer.
 
     Raises:
         ValueError: it is none.
     """
-    statuses = _statuses(message, 1, 3)
-    first = statuses[0]
-    counts = [{k: int(text) for k, text in each.values.items()} for each in statuses]
-    return Answer(
-        msg_adapters.message_stamp_ns(message),
-        Kind(first.message),
-        first.name,
-        first.hardware_id,
-        *counts,
+    try:
+        time_ns, kind, name, life, *parts = json.loads(message.data)
+        counts: list[Any] = [{str(topic): int(n) for topic, n in p.items()} for p in parts[:3]]
+        return Answer(int(time_ns), Kind(kind), str(name), str(life), *counts, *parts[3:])
+    except (ValueError, TypeError, AttributeError) as error:
+        raise _strange(message, error) from None
+
+
+def _encode(content: list[Any]) -> String:
+    return String(data=json.dumps(content, separators=(",", ":")))
+
+
+def _strange(message: String, error: Exception) -> ValueError:
+    return ValueError(
+        f"{value_text(message.data)} is no message between a stepper and its participants ({error})"
     )
-
-
-def _encode(statuses: list[Status], time_ns: int) -> Any:
-    return msg_adapters.encode_diagnostics(statuses, stamp_ns=time_ns)
-
-
-def _statuses(message: Any, *counts: int) -> list[Status]:
-    statuses = msg_adapters.decode_diagnostics(message)
-    if len(statuses) not in counts:
-        raise ValueError(f"a message of the stepper's holds {len(statuses)} parts")
-    return statuses

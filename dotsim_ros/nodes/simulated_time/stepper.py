@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from threading import Condition
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 
 import msg_adapters
 from dotsim_ros.nodes.simulated_time.participants import Participant, Publication
@@ -102,9 +102,9 @@ class Stepper:
         self._is_joined = self._is_cancelled = False
         self._looked_s = -math.inf
         # Not the node's own methods: these topics belong to no step.
-        self._steps = Node.create_publisher(node, DiagnosticArray, STEP_TOPIC, PROTOCOL_QOS)
+        self._steps = Node.create_publisher(node, String, STEP_TOPIC, PROTOCOL_QOS)
         self._clock = Node.create_publisher(node, Clock, CLOCK_TOPIC, CLOCK_QOS)
-        Node.create_subscription(node, DiagnosticArray, ANSWER_TOPIC, self._on_answer, PROTOCOL_QOS)
+        Node.create_subscription(node, String, ANSWER_TOPIC, self._on_answer, PROTOCOL_QOS)
         self.expect(participants)
 
     def expect(self, participants: Mapping[str, Participant]) -> None:
@@ -241,15 +241,26 @@ class Stepper:
                 if now_s - self._looked_s > LOOK_EVERY_S:
                     self._looked_s = now_s
                     self._look(late)
+                    if late:
+                        # What they answer says what they wait for.
+                        self._steps.publish(encode_step(Step(self.time_ns, Kind.CALL)))
                     self.waiting_for = late if now_s - begun_s > LOOK_EVERY_S else ""
                 if not late:
                     return
                 if now_s - begun_s > self.settings.patience_s:
                     raise SteppingError(
                         f"at {self._time_s:.3f} s of simulated time: {late} for "
-                        f"{now_s - begun_s:.0f} s"
+                        f"{now_s - begun_s:.0f} s{self._waits()}"
                     )
                 self._changed.wait(min(LOOK_EVERY_S, self.settings.patience_s))
+
+    def _waits(self) -> str:
+        waits = [
+            f"{name.lstrip('/')} waits for {each.waits}"
+            for name, each in self._present.items()
+            if each.waits
+        ]
+        return "".join(f"; {words}" for words in waits)
 
     @property
     def _time_s(self) -> float:

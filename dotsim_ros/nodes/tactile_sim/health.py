@@ -92,6 +92,7 @@ class Condition:
         is_realtime: the clock.
         late: frames that started late, or show the indenter on its way to the newest pose.
         dropped: frames that were left out.
+        profile: what is told of it.
     """
 
     is_enabled: bool
@@ -100,6 +101,7 @@ class Condition:
     is_realtime: bool
     late: int
     dropped: int
+    profile: Mapping[str, str]
 
 
 def statuses(
@@ -131,6 +133,7 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
         "rate_hz": f"{counter.rate_hz(now_s):.2f}",
         "dropped": str(condition.dropped),
         "late": str(condition.late),
+        **condition.profile,
         **{f"{part}_p95_ms": f"{value:.2f}" for part, value in counter.p95_ms().items()},
     }
     if not condition.is_enabled:

@@ -24,7 +24,6 @@ from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
-from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import FaultLog
@@ -37,6 +36,8 @@ from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuse
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of, make_profile_in_force
+from dotsim_ros.nodes.tactile_sim.profiles import resolve_profile
 from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
 from dotsim_ros.sensor import TactileSensor
@@ -44,16 +45,6 @@ from dotsim_ros.specification import NoiseSpecification, SensorSpecification, lo
 from msg_adapters import Status
 
 FRAMES_BROKEN = "the loop of frames failed"
-REALTIME_ITERATIONS = 2
-"""A frame that takes too long is late, has a longer way to go next time, and takes too long again:
-better one that misses the tolerance, which is reported."""
-REALTIME_TOLERANCE_M = 100.0e-6
-"""Newton's method ends where it expects to be right to a third of this. Against the converged gel a
-ball that slides along a figure eight at 5 mm/s is off by 0.1 mm of skin at most, and by 0.2 % of
-force on average; the next frame continues from there. It saves the second solve of most frames."""
-REALTIME_MOVE_M = LARGEST_SUBSTEP_M
-"""A frame that took long must not make the next one take longer. With two substeps a slide had two
-steady states, one frame of 50 ms and 0.5 mm or one of 100 ms and 1 mm, and stayed in the second."""
 
 
 class TactileSim(WorkingNode):
@@ -68,15 +59,30 @@ class TactileSim(WorkingNode):
         specification = load_sensor(self._settings.sensor)
         effects = self._load_effects(specification.name)
         self._effect_names = described(effects)
-        sensor = self._make_sensor(specification_with_effects(specification, effects))
+        profile = resolve_profile(
+            self._settings.profile,
+            is_lockstep=not self._is_realtime,
+            is_simulated_time=self.get_parameter("use_sim_time").value,
+        )
+        specification = specification_with_effects(specification, effects)
+        ladder = ladder_of(profile, specification, grid_spacing_m=self._settings.grid_spacing_m)
+        sensor = self._make_sensor(replace(specification, solver=ladder[0].solver))
         self._session = SensorSession(
             sensor,
             first_dt_s=1.0 / self._settings.rate_hz,
-            limit_m=REALTIME_MOVE_M if self._is_realtime else np.inf,
+            limit_m=ladder[0].profile.move_m,
             effects=effects,
         )
         self.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()
+        self._profile = make_profile_in_force(
+            ladder,
+            sensor,
+            self._session,
+            asked=self._settings.profile,
+            period_s=1.0 / self._settings.rate_hz,
+            tell=self.get_logger().info,
+        )
         half_exposed_s = 0.5 * self._settings.exposure_s
         self._latency = Latency(
             [half_exposed_s + delay_s for delay_s in self._settings.image_latency_s],
@@ -116,7 +122,8 @@ class TactileSim(WorkingNode):
             self.start_paced("frames", lambda: self._pace, self._realtime_frame, FRAMES_BROKEN)
         self.get_logger().info(
             f"ready: {self._settings.sensor}, {self._settings.indenter}, "
-            f"{self._settings.clock}, warmed up in {self._warm_up_s:.1f} s"
+            f"{self._settings.clock}, profile {self._profile.name}, "
+            f"warmed up in {self._warm_up_s:.1f} s"
         )
 
     def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
@@ -144,17 +151,6 @@ class TactileSim(WorkingNode):
                 specification.camera, idle_image=str(Path(self._settings.idle_image).absolute())
             )
             specification = replace(specification, camera=camera)
-        if self._settings.grid_spacing_m:
-            solver = replace(specification.solver, grid_spacing_m=self._settings.grid_spacing_m)
-            specification = replace(specification, solver=solver)
-        if self._is_realtime:
-            exact = specification.solver
-            solver = replace(
-                exact,
-                iterations=min(REALTIME_ITERATIONS, exact.iterations),
-                tolerance_m=max(REALTIME_TOLERANCE_M, exact.tolerance_m),
-            )
-            specification = replace(specification, solver=solver)
         # Drawn by the stamp as an image is published, after the effects: an image that stands still
         # has new noise, too.
         specification = replace(specification, noise=NoiseSpecification())
@@ -179,6 +175,7 @@ class TactileSim(WorkingNode):
         stamp_ns = self.time_ns()
         if stamp_ns == 0:
             return
+        begun_s = time.monotonic()
         with self._lock:
             if not self._is_enabled:
                 return
@@ -189,6 +186,7 @@ class TactileSim(WorkingNode):
                 partial(self._publish, stamp_ns),
                 FRAMES_BROKEN,
             )
+            self._profile.end_frame(begun_s, period_s=1.0 / self._settings.rate_hz)
 
     def _simulated(self, motion: MotionOrder | None) -> SensorMoment:
         """Return the next moment: of a motion, or of the gel that goes on."""
@@ -234,6 +232,7 @@ class TactileSim(WorkingNode):
                 is_realtime=self._is_realtime,
                 late=self._pace.late + self._session.behind,
                 dropped=self._pace.dropped,
+                profile=self._profile.values(),
             ),
             counter=self._counter,
             faults=self._faults,

@@ -11,6 +11,7 @@ from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
+from dotsim_ros.nodes.tactile_sim.profiles import BY_CLOCK, NAMES, resolve_profile
 from dotsim_ros.quantity import check_value, quantities_of
 from dotsim_ros.specification import NoiseSpecification, SolverSpecification
 
@@ -49,10 +50,19 @@ class TactileSimParameters:
         choices=(REALTIME, LOCKSTEP),
         read_only=True,
     )
+    profile: str = option(
+        BY_CLOCK,
+        "How accurately the gel is solved: exact (the sensor's own solver, any motion in a frame), "
+        "realtime, fast (a coarser grid), or auto (the finest that the machine affords); by_clock: "
+        "realtime, and in lockstep, which takes no other, exact. docs/run.md tells the errors.",
+        choices=NAMES,
+        read_only=True,
+    )
     grid_spacing_m: float = option(
         0.0,
-        "Spacing of the gel's grid in place of the sensor's own, for a rate that this machine does "
-        "not reach otherwise; 0: as in the sensor's file. docs/gel.md tells what it costs.",
+        "Spacing of the gel's grid in place of the sensor's own, in every profile, for a rate that "
+        "this machine does not reach otherwise; 0: as in the sensor's file. docs/gel.md tells what "
+        "it costs.",
         minimum=0.0,
         maximum=LARGEST_GRID_M,
         read_only=True,
@@ -195,6 +205,7 @@ class TactileSimParameters:
         if not re.fullmatch("cpu|cuda(:[0-9]{1,3})?", self.device):
             raise ValueError(f"device is {value_text(self.device)}, expected cpu, or cuda:0")
         self.start_pose()
+        resolve_profile(self.profile, is_lockstep=self.clock == LOCKSTEP)
         if self.grid_spacing_m != 0.0:
             spacing, name = self.grid_spacing_m, "grid_spacing_m"
             check_value(SolverSpecification, name, spacing, called=name)

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from dotsim_ros.gel.make import GelFrame
     from dotsim_ros.geometry.indenter import Indenter
     from dotsim_ros.sensor import Frame, TactileSensor
+    from dotsim_ros.specification import SolverSpecification
 
 WARM_UP_DEPTH_M = 0.0005
 
@@ -231,6 +232,24 @@ class SensorSession:
         """
         self._sensor.set_indenter(indenter)
         self.reset()
+
+    def change_solver(
+        self, solver: SolverSpecification, *, limit_m: float, largest_jump_m: float
+    ) -> float:
+        """Solve the next frames otherwise, from where the gel is; return how far the skin jumps.
+
+        Args:
+            solver: for the next frames.
+            limit_m: how far the indenter may move in contact in one of them.
+            largest_jump_m: as `TactileSensor.set_solver`.
+
+        Raises:
+            SkinJumpError: the skin would jump farther; solver and limit stay.
+            ValueError: the gel cannot hand over what it remembers.
+        """
+        jump_m = self._sensor.set_solver(solver, largest_jump_m=largest_jump_m)
+        self._limit_m = limit_m
+        return jump_m
 
     def is_touched(self) -> bool:
         """Return whether the last frame shows a contact."""
