@@ -160,7 +160,7 @@ def test_no_clock_ends_a_node(simulated_nodes: Nodes, name: str, answered: Any) 
     steady = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
     clocks = [Clock(clock=each.stamp) for each in hostile.headers("")]
     node = simulated_nodes[name]
-    node.attacker.send(Clock, "/clock", clocks)
+    node.attacker.send(Clock, "/clock", clocks, readers=len(simulated_nodes))
     (result,) = node.attacker.set("use_sim_time", [steady])
     assert not result.successful
     assert "fixed once the node runs" in result.reason
