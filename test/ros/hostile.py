@@ -154,11 +154,11 @@ class Attacker:
         """Return what the node holds in memory."""
         return int(self._process.memory_info().rss)
 
-    def send(self, kind: type, topic: str, messages: list[Any]) -> None:
-        """Publish messages once the node listens, and wait until it has had them all."""
+    def send(self, kind: type, topic: str, messages: list[Any], *, readers: int = 1) -> None:
+        """Publish messages once all readers listen, and wait until the node has had them all."""
         publisher = self.node.create_publisher(kind, topic, 100)
         end_s = time.monotonic() + ANSWER_S
-        while publisher.get_subscription_count() == 0:
+        while publisher.get_subscription_count() < readers:
             assert time.monotonic() < end_s, f"nobody listens to {topic}"
             time.sleep(0.01)
         for message in messages:

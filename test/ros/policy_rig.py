@@ -241,6 +241,13 @@ class Observer:
 class Rig(Observer):
     """Images at 25 Hz, an arm that obeys at once at 100 Hz, and a force.
 
+    Args:
+        namespace: of all names.
+        compressed: whether images are.
+        along_tool: whether commands are along the tool's axes.
+        has_forces: whether there is a force.
+        now_ns: the time that messages are stamped with.
+
     Attributes:
         crop: what the images show.
         has_images, has_poses, has_forces: cut a stream.
@@ -259,7 +266,9 @@ class Rig(Observer):
         compressed: bool = False,
         along_tool: bool = True,
         has_forces: bool = True,
+        now_ns: Callable[[], int] = time.time_ns,
     ) -> None:
+        self._now_ns = now_ns
         super().__init__(namespace)
         self.idle = idle_crop()
         self.crop = self.idle
@@ -318,7 +327,7 @@ class Rig(Observer):
     def _send_image(self) -> None:
         if not self.has_images:
             return
-        stamp_ns = time.time_ns() - round(1e9 * self.image_lag_s)
+        stamp_ns = self._now_ns() - round(1e9 * self.image_lag_s)
         known = {"stamp_ns": stamp_ns, "frame_id": self.image_frame}
         message = (
             msg_adapters.encode_compressed_image(self.crop, compression="png", **known)
@@ -330,7 +339,7 @@ class Rig(Observer):
             )
         )
         self.images.publish(message)
-        self.last_image_s = 1e-9 * time.time_ns()
+        self.last_image_s = 1e-9 * self._now_ns()
 
     def _send_pose(self) -> None:
         command = self.newest()
@@ -341,7 +350,7 @@ class Rig(Observer):
             duration_s=POSE_PERIOD_S,
             along=self._axes,
         )
-        stamp_ns = time.time_ns()
+        stamp_ns = self._now_ns()
         if self.has_forces:
             self.wrenches.publish(
                 msg_adapters.encode_wrench_stamped(
@@ -366,6 +375,7 @@ def policy_and_rig(
     *,
     compressed: bool = False,
     has_forces: bool = True,
+    now_ns: Callable[[], int] = time.time_ns,
     code: str = "",
     **parameters: Any,
 ) -> Iterator[tuple[Executable, Rig]]:
@@ -386,7 +396,13 @@ def policy_and_rig(
         MODULE, parameters=given, code=code, arguments=("-r", f"__ns:=/{namespace}")
     ) as executable:
         along_tool = given.get("command_frame", "link_tcp") == "link_tcp"
-        rig = Rig(namespace, compressed=compressed, along_tool=along_tool, has_forces=has_forces)
+        rig = Rig(
+            namespace,
+            compressed=compressed,
+            along_tool=along_tool,
+            has_forces=has_forces,
+            now_ns=now_ns,
+        )
         try:
             yield executable, rig
         finally:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,24 +58,42 @@ class Attacked:
 Nodes = dict[str, Attacked]
 
 
-@pytest.fixture(scope="module")
-def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
-    bag = tmp_path_factory.mktemp("hostile") / "bag"
+@contextmanager
+def attacked(given: dict[str, dict[str, Any]], suffix: str) -> Iterator[Nodes]:
+    """Run nodes with these parameters, each in a namespace of its own."""
     with ExitStack() as stack:
         started = {}
-        for name, parameters in PARAMETERS.items():
-            given = {**parameters, "output": bag} if name == "tactile_record" else parameters
+        for name, parameters in given.items():
             executable = Executable(
-                f"dotsim_ros.nodes.{name}.node", given, ("-r", f"__ns:=/{name}_of")
+                f"dotsim_ros.nodes.{name}.node", parameters, ("-r", f"__ns:=/{name}_{suffix}")
             )
             stack.callback(executable.end)
             started[name] = executable
         found = {}
         for name, executable in started.items():
             executable.wait_for_line(READY.get(name, "ready:"))
-            attacker = hostile.Attacker(f"/{name}_of", name, executable.process.pid)
+            attacker = hostile.Attacker(f"/{name}_{suffix}", name, executable.process.pid)
             stack.callback(attacker.close)
             found[name] = Attacked(name, executable, attacker)
+        yield found
+
+
+@pytest.fixture(scope="module")
+def nodes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Nodes]:
+    bag = tmp_path_factory.mktemp("hostile") / "bag"
+    recorder = {**PARAMETERS["tactile_record"], "output": bag}
+    with attacked({**PARAMETERS, "tactile_record": recorder}, "of") as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def simulated_nodes() -> Iterator[Nodes]:
+    given = {
+        name: {**parameters, "use_sim_time": "true"}
+        for name, parameters in PARAMETERS.items()
+        if name != "tactile_record"
+    }
+    with attacked(given, "simulated") as found:
         yield found
 
 
@@ -138,21 +156,20 @@ def test_no_message_ends_indenter_player(nodes: Nodes, answered: Any) -> None:
 
 @pytest.mark.fault("messages", "`/clock` is negative")
 @pytest.mark.parametrize("name", ["xarm_sim", "tactile_sim", "tactile_policy", "indenter_player"])
-def test_no_clock_ends_a_node(nodes: Nodes, name: str, answered: Any) -> None:
-    simulated = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=True)
+def test_no_clock_ends_a_node(simulated_nodes: Nodes, name: str, answered: Any) -> None:
     steady = ParameterValue(type=ParameterType.PARAMETER_BOOL, bool_value=False)
     clocks = [Clock(clock=each.stamp) for each in hostile.headers("")]
-    attacker = nodes[name].attacker
-    assert attacker.set("use_sim_time", [simulated])[0].successful
-    attacker.send(Clock, "/clock", clocks)
-    time.sleep(0.1)
-    assert attacker.set("use_sim_time", [steady])[0].successful
-    nodes[name].check()
+    node = simulated_nodes[name]
+    node.attacker.send(Clock, "/clock", clocks, readers=len(simulated_nodes))
+    (result,) = node.attacker.set("use_sim_time", [steady])
+    assert not result.successful
+    assert "fixed once the node runs" in result.reason
+    node.check()
     if name == "xarm_sim":
-        nodes[name].executable.wait_for_line("/clock is left out")
-        answered(hostile.lines_of(nodes[name].executable, "/clock is left out")[0])
+        node.executable.wait_for_line("/clock is left out")
+        answered(hostile.lines_of(node.executable, "/clock is left out")[0])
 
 
-def test_they_all_stop_as_ever(nodes: Nodes) -> None:
-    for name, node in nodes.items():
+def test_they_all_stop_as_ever(nodes: Nodes, simulated_nodes: Nodes) -> None:
+    for name, node in [*nodes.items(), *simulated_nodes.items()]:
         assert node.executable.interrupt() == 0, f"{name}: {node.executable.log[-3000:]}"

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from diagnostic_msgs.msg import DiagnosticArray
 from rosgraph_msgs.msg import Clock
+from std_msgs.msg import String
 from stepper_rig import (
     BEAT_S,
     CONTROLLER,
@@ -113,9 +113,9 @@ def test_what_is_no_message_of_the_protocol_is_left_out(steps: Session) -> None:
     steps.start(WORKER, **STEPPED)
     stepper = steps.begin(speed=1.0)
     for topic in ("answer", "step"):
-        publisher = steps.node.create_publisher(DiagnosticArray, f"/simulated_time/{topic}", 1)
+        publisher = steps.node.create_publisher(String, f"/simulated_time/{topic}", 1)
         steps.wait(publisher.get_subscription_count, "a reader")
-        publisher.publish(DiagnosticArray())
+        publisher.publish(String(data="[" * 5000))
     stepper.wait_for_line("a message on /simulated_time/answer is left out")
     steps.wait_for_time(1e-9 * steps.clock_ns[-1] + 0.2)
     assert stepper.interrupt() == 0

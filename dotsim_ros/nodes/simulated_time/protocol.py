@@ -23,6 +23,8 @@ ANSWER_TOPIC = "/simulated_time/answer"
 CLOCK_TOPIC = "/clock"
 PROTOCOL_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 NANOSECONDS_PER_SECOND = 1_000_000_000
+UNREADABLE = (ValueError, TypeError, AttributeError, RecursionError, OverflowError)
+"""What a text that is no message of the protocol may raise."""
 
 
 class Kind(StrEnum):
@@ -106,7 +108,7 @@ def decode_step(message: String) -> Step:
             Kind(kind),
             {topic: Sent(str(publisher), int(n)) for topic, (publisher, n) in sent.items()},
         )
-    except (ValueError, TypeError, AttributeError) as error:
+    except UNREADABLE as error:
         raise _strange(message, error) from None
 
 
@@ -128,7 +130,7 @@ def decode_answer(message: String) -> Answer:
         time_ns, kind, name, life, *parts = json.loads(message.data)
         counts: list[Any] = [{str(topic): int(n) for topic, n in p.items()} for p in parts[:3]]
         return Answer(int(time_ns), Kind(kind), str(name), str(life), *counts, *parts[3:])
-    except (ValueError, TypeError, AttributeError) as error:
+    except UNREADABLE as error:
         raise _strange(message, error) from None
 
 

@@ -94,6 +94,7 @@ class Stepper:
         self._changed = Condition()
         self._present: dict[str, Answer] = {}
         self._lives: dict[str, set[str]] = {}
+        self._joined: dict[str, str] = {}
         self._done: dict[str, int] = {}
         self._sent: dict[str, Sent] = {}
         self._news: dict[str, Sent] = {}
@@ -434,6 +435,7 @@ class Stepper:
         self._news = dict(self._sent)
         for watch in self._watches.values():
             watch.begin(self._asked(watch))
+        self._joined = {name: answer.life for name, answer in self._present.items()}
         self._done.clear()
         self._anew = ""
         self._is_joined = True
@@ -448,11 +450,11 @@ class Stepper:
         with self._changed:
             if name not in self._participants:
                 return
-            if answer.kind is Kind.PRESENT:
+            if self._is_joined and answer.life != self._joined.get(name, answer.life):
+                self._anew = name
+            elif answer.kind is Kind.PRESENT:
                 self._present[name] = answer
                 self._lives.setdefault(name, set()).add(answer.life)
-            elif self._is_joined and answer.life != self._present[name].life:
-                self._anew = name
             elif answer.time_ns == self.time_ns:
                 self._done[name] = answer.time_ns
                 for topic, count in answer.sent.items():

@@ -1,0 +1,71 @@
+"""A /clock that runs at any pace, whoever listens, and stands still on request."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import rclpy
+from rclpy.qos import HistoryPolicy, QoSProfile
+from rosgraph_msgs.msg import Clock
+
+import msg_adapters
+
+PERIOD_S = 0.005
+
+
+class FreeClock:
+    """Publishes simulated time.
+
+    Args:
+        speed: simulated seconds for each real one.
+        start_s: where it begins.
+
+    Attributes:
+        is_standing: whether it tells the same time again and again.
+    """
+
+    def __init__(self, *, speed: float, start_s: float = 100.0) -> None:
+        self.is_standing = False
+        self._now_ns = round(1e9 * start_s)
+        self._step_ns = round(1e9 * PERIOD_S * speed)
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context)
+        self.node = rclpy.create_node("free_clock", context=self._context)
+        self._publisher = self.node.create_publisher(
+            Clock, "/clock", QoSProfile(history=HistoryPolicy.KEEP_ALL)
+        )
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def now_ns(self) -> int:
+        """Return the time that was last told."""
+        return self._now_ns
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._stop.set()
+        self._thread.join()
+        self.node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def _run(self) -> None:
+        due_s = time.monotonic()
+        while not self._stop.wait(max(0.0, due_s - time.monotonic())):
+            due_s += PERIOD_S
+            if not self.is_standing:
+                self._now_ns += self._step_ns
+            self._publisher.publish(Clock(clock=msg_adapters.encode_stamp(self._now_ns)))
+
+
+@contextmanager
+def free_clock(*, speed: float) -> Iterator[FreeClock]:
+    """Let time run in the block."""
+    clock = FreeClock(speed=speed)
+    try:
+        yield clock
+    finally:
+        clock.close()
