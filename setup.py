@@ -125,6 +125,7 @@ setup(
     entry_points={
         "console_scripts": [
             "calibrate = dotsim_ros.cli.executables:calibrate",
+            "closed_loop = dotsim_ros.nodes.closed_loop.node:main",
             "dotsim_ros = dotsim_ros.cli.main:main",
             "find_gap = dotsim_ros.cli.executables:find_gap",
             "indenter_player = dotsim_ros.nodes.indenter_player.node:main",

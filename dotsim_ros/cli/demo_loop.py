@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--path", choices=MOTIONS, default="figure_eight", help="path to follow (figure_eight)")
     add("--laps", type=positive, default=2.0, help="how many laps to make (2)")
     add("--clock", choices=CLOCKS, default=CLOCKS[0], help="how time passes (simulated)")
+    add("--one-process", action="store_true", help="sensor, arm and policy in one process")
     add("--sensor", help="name or file of the sensor (the one that the policy was trained on)")
     add("--seed", type=int, default=0, help="seed of the start (0)")
     add("--json", type=Path, help="file to write the figures to")
@@ -70,7 +71,11 @@ def run(arguments: argparse.Namespace) -> int:
     path = reference_path(arguments.path, contact)
     bag: Path = arguments.out / "loop"
     remove_made(arguments.out, "loop")  # that of the demonstration before
-    setup = LoopSetup(policy_name(folder), sensor=arguments.sensor or card.sensor)
+    setup = LoopSetup(
+        policy_name(folder),
+        sensor=arguments.sensor or card.sensor,
+        one_process=arguments.one_process,
+    )
 
     def laps_are_made(recording: LoopRecording) -> bool:
         done = judge(recording, path, setup.limits()).get("laps", 0.0)

@@ -22,12 +22,13 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from dotsim_ros.nodes.common.health import FAULT_MEMORY_S
-from dotsim_ros.nodes.common.reasons import reason_of
-from dotsim_ros.nodes.simulated_time.participant import (
-    CountingPublisher,
-    StepParticipant,
-    stamp_of,
+from dotsim_ros.nodes.common.local_topics import (
+    LocalPublisher,
+    LocalSubscription,
+    composed_topics,
 )
+from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.simulated_time.participant import StepParticipant, stamp_of
 from msg_adapters import Level, Status
 from msg_adapters.stamps import MAXIMUM_SECONDS, NANOSECONDS_PER_SECOND
 
@@ -58,6 +59,7 @@ class GuardedNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         # Before the node: it makes services of its own.
         self.participant: StepParticipant | None = None
+        self._local = composed_topics()
         self._failure_lock = Lock()
         self._failure_count = 0
         self._failure_reason = ""
@@ -128,16 +130,21 @@ class GuardedNode(Node):
         # A copy, since what the user overrides for this topic is written into it.
         quality = copy(qos_profile)
         participant = self.participant if _is_stepped(topic, quality) else None
+        local = self._local if _is_stepped(topic, quality) else None
         if participant is not None:
             quality = _keeps_all(quality)
-            options["publisher_class"] = CountingPublisher
+        if participant is not None or local is not None:
+            options["publisher_class"] = LocalPublisher
         try:
             publisher = super().create_publisher(msg_type, topic, quality, **_with_check(options))
         except Exception as error:
             raise self._refusal(topic, error) from error
-        if participant is not None:
-            assert isinstance(publisher, CountingPublisher)
-            participant.watch(publisher)
+        if isinstance(publisher, LocalPublisher):
+            publisher.sends_all = participant is not None
+            if local is not None:
+                local.publish_here(publisher)
+            if participant is not None:
+                participant.watch(publisher)
         return publisher
 
     def create_subscription(
@@ -167,12 +174,25 @@ class GuardedNode(Node):
             hear = lambda message, information: take(message, information)  # noqa: E731
         else:
             hear = lambda message: take(message)  # noqa: E731
+        subscription: Any
         try:
             subscription = super().create_subscription(
                 msg_type, topic, hear, quality, **_with_check(options)
             )
         except Exception as error:
             raise self._refusal(topic, error) from error
+        if self._local is not None and _is_stepped(topic, quality):
+            if isinstance(quality, int):
+                quality = QoSProfile(depth=quality)
+            takes_all = participant is not None or wants_more
+            subscription = LocalSubscription(
+                self,
+                subscription.topic_name,
+                hear if takes_all else lambda message, _: hear(message),
+                quality,
+                subscription,
+            )
+            self._local.subscribe_here(subscription)
         if participant is not None:
             participant.read(subscription)
         return subscription

@@ -343,25 +343,32 @@ class _Interruption:
 
 
 def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = None) -> int:
-    """Start ROS, make the node, spin it until it is stopped, and take everything down.
+    """Run one node; see `run_nodes`."""
+    return run_nodes([factory], arguments=arguments)
+
+
+def run_nodes(
+    factories: Sequence[Callable[[], Node]], *, arguments: Sequence[str] | None = None
+) -> int:
+    """Start ROS, make the nodes, spin them until one is stopped, and take everything down.
 
     Stops on SIGINT (once or more), on SIGTERM, and when any thread calls `rclpy.try_shutdown()`,
     which is how a node ends itself. A callback that runs then runs to its end. `destroy_node` runs,
     after a signal, with the ROS context already shut down: it must not publish there.
 
     Args:
-        factory: makes the node; called after `rclpy.init`.
+        factories: make a node each; called after `rclpy.init`, and none begins before all are made.
         arguments: the command line, `sys.argv` by default.
 
     Returns:
-        The exit status: 0 (or the `exit_status` of a `WorkingNode`) after a stop; `REFUSED` where
-        its arguments were refused, or factory or `begin` the parameters or files, with one line
-        that says why; `BROKEN` where these failed for another reason, with one line that says how
-        to get its traceback.
+        The exit status: 0 (or the largest `exit_status` of a `WorkingNode`) after a stop; `REFUSED`
+        where its arguments were refused, or a factory or `begin` the parameters or files, with one
+        line that says why; `BROKEN` where these failed for another reason, with one line that says
+        how to get its traceback.
     """
     interruption = _Interruption()
     signal.signal(signal.SIGINT, interruption)
-    node: Node | None = None
+    nodes: list[Node] = []
     given = sys.argv[1:] if arguments is None else list(arguments)
     try:
         check_start(given)
@@ -372,17 +379,20 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
         # Before the node: it cannot be made any more once a signal has shut the context down.
         executor = SingleThreadedExecutor()
         try:
-            with interruption.allowed():
-                node = factory()
-            if isinstance(node, WorkingNode):
-                node.begin()
+            for factory in factories:
+                with interruption.allowed():
+                    nodes.append(factory())
+            for node in nodes:
+                executor.add_node(node)
+                if isinstance(node, WorkingNode):
+                    node.begin()
         except (ExternalShutdownException, KeyboardInterrupt):
             raise
         except Exception as error:
             if isinstance(error, RCLError) and not rclpy.ok():
                 raise
             return _refused(error)
-        rclpy.spin(node, executor)
+        executor.spin()
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     except RCLError:
@@ -390,12 +400,12 @@ def run_node(factory: Callable[[], Node], *, arguments: Sequence[str] | None = N
         if rclpy.ok():
             raise
     finally:
-        if node is not None:
+        for node in nodes:
             node.destroy_node()
         rclpy.try_shutdown()
         # From here on Python takes its handlers down, and the default one would kill the process.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return int(getattr(node, "exit_status", 0))
+    return max((int(getattr(node, "exit_status", 0)) for node in nodes), default=0)
 
 
 def _refused(error: Exception) -> int:

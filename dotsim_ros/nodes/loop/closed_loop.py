@@ -41,6 +41,8 @@ from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.policy.paths import DomeContact
 
 SENSOR, ARM, POLICY, RECORDER = "tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"
+COMPOSED = "closed_loop"
+"""The executable of arm, sensor and policy in one process."""
 START_TIMEOUT_S = 300.0
 """A first start compiles the gel's kernels and computes its tables."""
 DIAGNOSTICS_PERIOD_S = 0.2
@@ -66,6 +68,7 @@ class LoopSetup:
         policy_parameters, sensor_parameters, arm_parameters: of the nodes.
         policy_code: Python code to run in place of the policy's module.
         stepping: how simulated time goes.
+        one_process: arm, sensor and policy run in one process; then only `start` starts them.
     """
 
     policy: str
@@ -75,6 +78,7 @@ class LoopSetup:
     arm_parameters: Mapping[str, Any] = field(default_factory=dict)
     policy_code: str = ""
     stepping: StepperSettings = field(default_factory=StepperSettings)
+    one_process: bool = False
 
     def limits(self) -> SafetyLimits:
         """Return what the policy's node lets the arm do."""
@@ -206,6 +210,9 @@ class ClosedLoop:
             path: that the policy follows.
             order: of the starts.
         """
+        if self.setup.one_process:
+            self._start_composed(path)
+            return
         launches = {
             ARM: lambda: self._launch(ARM, self.setup.arm_parameters),
             SENSOR: self._launch_sensor,
@@ -215,6 +222,24 @@ class ClosedLoop:
             launches[executable]()
         for executable in (ARM, SENSOR, POLICY):
             self._await(executable)
+        self._expect()
+        self.rest()
+        self.calibrate_idle()
+
+    def _start_composed(self, path: str) -> None:
+        given = {
+            ARM: self.setup.arm_parameters,
+            SENSOR: self._sensor_parameters(),
+            POLICY: self._policy_parameters(path),
+        }
+        parameters = {
+            f"{node}:{name}": value
+            for node, values in given.items()
+            for name, value in values.items()
+        }
+        self._launch(COMPOSED, parameters, remap=("-r", f"{POLICY}:~/cmd_vel:=cmd_vel"))
+        for executable in given:
+            self._await(COMPOSED, f"[{executable}]: ready:")
         self._expect()
         self.rest()
         self.calibrate_idle()
@@ -258,18 +283,25 @@ class ClosedLoop:
         self.set_arm(fail_drop_feedback=False, fail_delay_s=0.0, fail_stop=False)
         self._trigger(f"{ARM}/reset")
 
-    def _launch_sensor(self) -> None:
-        self._launch(SENSOR, {"sensor": self.setup.sensor, **self.setup.sensor_parameters})
+    def _sensor_parameters(self) -> dict[str, Any]:
+        return {"sensor": self.setup.sensor, **self.setup.sensor_parameters}
 
-    def _launch_policy(self, path: str) -> None:
-        given = {
+    def _policy_parameters(self, path: str) -> dict[str, Any]:
+        return {
             "policy": self.setup.policy,
             "path": path,
             "diagnostics_period_s": DIAGNOSTICS_PERIOD_S,
             **self.setup.policy_parameters,
         }
+
+    def _launch_sensor(self) -> None:
+        self._launch(SENSOR, self._sensor_parameters())
+
+    def _launch_policy(self, path: str) -> None:
         remap = ("-r", "~/cmd_vel:=cmd_vel")
-        self._launch(POLICY, given, remap=remap, code=self.setup.policy_code)
+        self._launch(
+            POLICY, self._policy_parameters(path), remap=remap, code=self.setup.policy_code
+        )
 
     def _launch(
         self,
@@ -303,7 +335,12 @@ class ClosedLoop:
 
     def _expect(self) -> None:
         """Let the nodes that run take part in the loop's time."""
-        self.time.expect({**dict.fromkeys(self._processes, Participant()), **self._others})
+        nodes = [
+            node
+            for executable in self._processes
+            for node in ((ARM, SENSOR, POLICY) if executable == COMPOSED else (executable,))
+        ]
+        self.time.expect({**dict.fromkeys(nodes, Participant()), **self._others})
 
     def _await(self, executable: str, line: str = "ready:") -> None:
         """Wait until a node has said so."""
@@ -382,7 +419,7 @@ class ClosedLoop:
 
     def disable(self) -> None:
         """Stop the arm, where there is a policy."""
-        if POLICY in self._processes:
+        if POLICY in self._processes or COMPOSED in self._processes:
             self.observer.call(SetBool, f"{POLICY}/set_enabled", data=False)
 
     def state(self) -> tuple[str, str]:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 from rclpy.node import Node
-from rclpy.publisher import Publisher
 from std_msgs.msg import String
 
 from dotsim_ros.measured.bag import serialized_stamp_ns
@@ -30,15 +29,23 @@ from dotsim_ros.nodes.simulated_time.protocol import (
 Hear = Callable[[], None]
 
 
-class CountingPublisher(Publisher):
-    """A publisher that knows how many messages it has sent."""
+class CountedPublisher(Protocol):
+    """A publisher that knows how many messages it has sent.
 
-    sent = 0
+    Attributes:
+        sent: as many.
+    """
 
-    def publish(self, msg: Any) -> None:
-        """Send a message; see `rclpy.publisher.Publisher.publish`."""
-        super().publish(msg)
-        self.sent += 1
+    sent: int
+
+    @property
+    def topic_name(self) -> str:
+        """Return the topic, resolved."""
+        ...
+
+    def get_subscription_count(self) -> int:
+        """Return how many subscriptions hear this."""
+        ...
 
 
 class StepParticipant:
@@ -53,7 +60,7 @@ class StepParticipant:
         self._node, self._go = node, go
         self._life = uuid.uuid4().hex
         self._name = node.get_fully_qualified_name()
-        self._publishers: dict[str, CountingPublisher] = {}
+        self._publishers: dict[str, CountedPublisher] = {}
         self._told: dict[str, int] = {}
         self._subscriptions: dict[str, Any] = {}
         self._newest: dict[str, int] = {}
@@ -64,7 +71,7 @@ class StepParticipant:
         self._answers = Node.create_publisher(node, String, ANSWER_TOPIC, PROTOCOL_QOS)
         Node.create_subscription(node, String, STEP_TOPIC, self._on_step, PROTOCOL_QOS)
 
-    def watch(self, publisher: CountingPublisher) -> None:
+    def watch(self, publisher: CountedPublisher) -> None:
         """Tell the stepper of what this publisher sends."""
         self._publishers[publisher.topic_name] = publisher
 

@@ -1,0 +1,1 @@
+"""The nodes of the closed loop in one process."""
