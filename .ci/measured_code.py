@@ -27,6 +27,7 @@ STARTED = {
     ),
     "benchmarks/loop_faults.py": ("tactile_sim", "tactile_policy", "xarm_sim"),
     "benchmarks/realtime.py": ("tactile_sim",),
+    "benchmarks/simulated_loop.py": ("tactile_sim", "tactile_policy", "tactile_record", "xarm_sim"),
     "benchmarks/slow_machine.py": ("tactile_sim", "tactile_policy", "xarm_sim"),
     "benchmarks/soak.py": ("tactile_sim",),
     "evaluate trajectory": ("tactile_sim", "tactile_policy", "xarm_sim"),

@@ -13,8 +13,13 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.conditions import IfCondition
-from launch.substitutions import EqualsSubstitution, LaunchConfiguration
+from launch.conditions import IfCondition, UnlessCondition
+from launch.substitutions import (
+    AndSubstitution,
+    EqualsSubstitution,
+    LaunchConfiguration,
+    NotSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
@@ -26,10 +31,16 @@ def generate_launch_description() -> LaunchDescription:
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
     namespace = LaunchConfiguration("namespace")
     params_file = LaunchConfiguration("params_file")
-    simulate_sensor = LaunchConfiguration("simulate_sensor")
-    simulate_arm = LaunchConfiguration("simulate_arm")
+    one_process = LaunchConfiguration("one_process")
+    is_apart = NotSubstitution(one_process)
+    simulate_sensor = AndSubstitution(LaunchConfiguration("simulate_sensor"), is_apart)
+    simulate_arm = AndSubstitution(LaunchConfiguration("simulate_arm"), is_apart)
     is_simulated = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
     time = {"use_sim_time": is_simulated, "stepped": is_simulated}
+    policy = {
+        "policy": ParameterValue(LaunchConfiguration("policy"), value_type=str),
+        "path": ParameterValue(LaunchConfiguration("path"), value_type=str),
+    }
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
@@ -83,7 +94,22 @@ def generate_launch_description() -> LaunchDescription:
                 default_value="0",
                 description="simulated seconds for each real one; 0: as many as the machine gives",
             ),
+            DeclareLaunchArgument(
+                "one_process",
+                default_value="false",
+                choices=["true", "false"],
+                description="sensor, arm and policy in one process; both are simulated then",
+            ),
             OpaqueFunction(function=refuse_wrong_file),
+            Node(
+                package="dotsim_ros",
+                executable="closed_loop",
+                namespace=namespace,
+                parameters=[params_file, time, policy],
+                remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")],
+                condition=IfCondition(one_process),
+                output="screen",
+            ),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
@@ -104,15 +130,9 @@ def generate_launch_description() -> LaunchDescription:
                 package="dotsim_ros",
                 executable="tactile_policy",
                 namespace=namespace,
-                parameters=[
-                    params_file,
-                    time,
-                    {
-                        "policy": ParameterValue(LaunchConfiguration("policy"), value_type=str),
-                        "path": ParameterValue(LaunchConfiguration("path"), value_type=str),
-                    },
-                ],
+                parameters=[params_file, time, policy],
                 remappings=[("~/cmd_vel", "cmd_vel")],
+                condition=UnlessCondition(one_process),
                 output="screen",
             ),
             Node(

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+import sys
 import time
 from pathlib import Path
 
 from harness import PATIENCE_S, Executable, running
+
+from dotsim_ros.nodes.loop.closed_loop import LoopFault, TimedFault
+from dotsim_ros.nodes.loop.controller_run import Controller, ControllerLoop
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -34,3 +38,16 @@ def test_a_controller_keeps_a_force_that_a_subscriber_reads() -> None:
         finally:
             subscriber.end()
             controller.end()
+
+
+def test_a_controller_is_tested_in_simulated_time_as_the_example_says() -> None:
+    """The file itself is a pytest of a minute; here its controller is led for a shorter time."""
+    controller = Controller("my_controller", [sys.executable, str(EXAMPLES / "my_controller.py")])
+    with ControllerLoop(controller, path="line") as loop:
+        first = loop.run(3.0)
+        again = loop.run(3.0, faults=[TimedFault(2.0, LoopFault.POSE_CUT)])
+    assert first.path_error_m < 0.5e-3
+    assert 0.1 < first.largest_force_n < 6.0
+    assert first.laps > 0.1
+    assert not first.stops_s
+    assert again.stands_from_s < 2.4

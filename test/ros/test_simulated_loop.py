@@ -7,10 +7,12 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
+from harness import Executable
 
 pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
 
@@ -25,11 +27,14 @@ from dotsim_ros.nodes.loop.closed_loop import (
     LoopSetup,
     TimedFault,
 )
-from dotsim_ros.nodes.loop.loop_time import SIMULATED
+from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED
+from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
 PATH = "line"
 FAULT_S, WATCHED_S = 3.2, 0.6
+APART = (ARM, SENSOR, POLICY)
+COMPOSED_MODULE = "dotsim_ros.nodes.closed_loop.node"
 
 
 @contextmanager
@@ -48,35 +53,79 @@ def busy(cores: list[int]) -> Iterator[None]:
             rival.wait()
 
 
-def led(bag: Path, fault: LoopFault, order: tuple[str, ...]) -> tuple[str, dict[str, Any], float]:
-    """Lead a loop in which something fails; return the hash of its bag, its figures, and when the
-    commands became zero, by their stamps."""
+@dataclass(frozen=True)
+class Led:
+    """What became of a loop: its bag's hash and file, its figures, and when it was stopped."""
+
+    sha256: str
+    file: bytes
+    row: dict[str, Any]
+    stopped_s: float
+
+
+def led(folder: Path, *, order: tuple[str, ...] = APART, one_process: bool = False) -> Led:
+    """Lead a loop whose images are cut in the middle."""
     contact = DomeContact()
     path = reference_path(PATH, contact)
-    setup = LoopSetup("densetact2_sphere")
+    setup = LoopSetup("densetact2_sphere", one_process=one_process)
+    bag = folder / "loop"
     with ClosedLoop(setup, contact=contact, clock=SIMULATED) as loop:
         loop.start(path.name, order=order)
         start_m = trial_start(path, contact, seed=0, number=0)
-        faults = [TimedFault(FAULT_S, fault)]
+        faults = [TimedFault(FAULT_S, LoopFault.IMAGES_CUT)]
         recording = loop.trial(start_m, FAULT_S + WATCHED_S, bag=bag, faults=faults)
         assert set(loop.close().values()) == {0}
-    return bag_sha256(bag), judge(recording, path, setup.limits()), recording.led_s()[1]
-
-
-def test_the_same_messages_under_load_on_one_core_and_in_any_order(tmp_path: Path) -> None:
-    quiet, row, stopped_s = led(
-        tmp_path / "quiet" / "loop", LoopFault.IMAGES_CUT, (ARM, SENSOR, POLICY)
+    return Led(
+        bag_sha256(bag),
+        (bag / "loop.mcap").read_bytes(),
+        judge(recording, path, setup.limits()),
+        recording.led_s()[1],
     )
-    cores = sorted(os.sched_getaffinity(0))[:2]
-    with busy(cores):
-        other, _, other_s = led(
-            tmp_path / "busy" / "loop", LoopFault.IMAGES_CUT, (POLICY, SENSOR, ARM)
-        )
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory: pytest.TempPathFactory) -> Led:
+    """Return a loop that nothing disturbed."""
+    return led(tmp_path_factory.mktemp("quiet"))
+
+
+def test_a_policy_follows_its_path_until_the_images_are_cut(quiet: Led) -> None:
+    assert quiet.row["mean_error_mm"] < 1.0
+    assert quiet.row["frame_rate_hz"] == pytest.approx(25.0, abs=0.2)
+    assert quiet.row["stops"]["image_stale"] >= 1
+    assert not quiet.row["exceeded"]
+
+
+def test_the_same_under_load_on_one_core_and_in_another_order(quiet: Led, tmp_path: Path) -> None:
+    with busy(sorted(os.sched_getaffinity(0))[:2]):
+        other = led(tmp_path, order=(POLICY, SENSOR, ARM))
     assert other == quiet
-    assert other_s == stopped_s
-    files = [tmp_path / name / "loop" / "loop.mcap" for name in ("quiet", "busy")]
-    assert files[0].read_bytes() == files[1].read_bytes()
-    assert row["stops"] == {"image_stale": 1}
-    assert row["mean_error_mm"] < 1.0
-    assert row["frame_rate_hz"] == pytest.approx(25.0, abs=0.2)
-    assert not row["exceeded"]
+
+
+def test_the_same_in_one_process(quiet: Led, tmp_path: Path) -> None:
+    assert led(tmp_path, one_process=True) == quiet
+
+
+def test_one_process_in_real_time_is_heard_outside() -> None:
+    contact = DomeContact()
+    path = reference_path(PATH, contact)
+    setup = LoopSetup("densetact2_sphere", one_process=True)
+    with ClosedLoop(setup, contact=contact, clock=REALTIME) as loop:
+        loop.start(path.name)
+        recording = loop.trial(trial_start(path, contact, seed=0, number=0), 3.0)
+        assert {topic: loop.observer.count(topic) > 3 for topic in LOOP_TOPICS} == dict.fromkeys(
+            LOOP_TOPICS, True
+        )
+        assert not judge(recording, path, setup.limits())["exceeded"]
+        assert set(loop.close().values()) == {0}
+
+
+def test_one_process_that_cannot_start_says_why_and_starts_none() -> None:
+    node = Executable(COMPOSED_MODULE, {"tactile_policy:policy": "nowhere"})
+    try:
+        assert node.exit_status() == 2
+        assert "cannot start" in node.log
+        assert "nowhere" in node.log
+        assert "ready" not in node.log
+    finally:
+        node.end()

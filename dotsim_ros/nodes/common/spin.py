@@ -74,6 +74,9 @@ class WorkingNode(GuardedNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
+        # Threads of linear algebra wait for each other in a loop: beside other processes that made
+        # the gel ten times slower. And another number of them makes sums in another order.
+        threadpool_limits(limits=1)
         self.stopping = Event()
         is_simulated = bool(self.get_parameter("use_sim_time").value)
         self.is_stepped = bool(self.declare_parameter("stepped", False, STEPPED).value)
@@ -84,8 +87,6 @@ class WorkingNode(GuardedNode):
         if self.is_stepped:
             # The steps themselves tell the time, and to hear it twice costs a tenth of a core.
             self._time_source.detach_node()
-            # Sums are made in another order by another number of threads.
-            threadpool_limits(limits=1)
             self.participant = StepParticipant(self, self._step_to)
         elif is_simulated:
             self._follow_clock()
