@@ -39,7 +39,9 @@ LAUNCH_KEYWORDS = {
     ("launch.actions", "OpaqueFunction"): {"function", "args", "kwargs"},
     ("launch.conditions", "IfCondition"): set(),
     ("launch.conditions", "UnlessCondition"): set(),
+    ("launch.substitutions", "AndSubstitution"): set(),
     ("launch.substitutions", "EqualsSubstitution"): set(),
+    ("launch.substitutions", "NotSubstitution"): set(),
     ("launch.substitutions", "IfElseSubstitution"): {"if_value", "else_value"},
     ("launch.substitutions", "LaunchConfiguration"): {"default"},
     ("launch_ros.actions", "Node"): {
@@ -65,6 +67,8 @@ NODE_PARAMETERS = {
     "tactile_policy": TactilePolicyParameters,
     "indenter_player": PlayerParameters,
     "time_stepper": TimeStepperParameters,
+    # Its parameters that the launch file sets are those of the policy.
+    "closed_loop": TactilePolicyParameters,
 }
 TIME_PARAMETERS = {"use_sim_time", "stepped"}
 """What every node takes, beside its own."""
@@ -198,6 +202,10 @@ def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
         return [ast.literal_eval(value)]
     assert isinstance(value.func, ast.Name)
     if value.func.id == "EqualsSubstitution":
+        return [True, False]
+    if value.func.id in ("AndSubstitution", "NotSubstitution"):
+        for part in value.args:
+            assert set(parameter_values(tree, part)) == {True, False}
         return [True, False]
     read: Callable[[str], Any] = yaml.safe_load
     if value.func.id == "ParameterValue":
@@ -356,7 +364,7 @@ def test_launched_nodes_take_their_parameters(path: Path) -> None:
             entry = assigned(tree)[each.id] if isinstance(each, ast.Name) else each
             if not isinstance(entry, ast.Dict):
                 continue
-            if isinstance(each, ast.Name):
+            if isinstance(each, ast.Name) and each.id == "time":
                 assert {ast.literal_eval(key) for key in entry.keys if key} == TIME_PARAMETERS
                 chosen = [parameter_values(tree, value) for value in entry.values]
                 assert chosen == [[True, False]] * len(TIME_PARAMETERS)
@@ -399,4 +407,10 @@ def test_in_simulated_time_every_node_of_the_loop_but_the_stepper_is_stepped() -
             if isinstance(entry, ast.Name)
         ]
     }
-    assert stepped == {"tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"}
+    assert stepped == {
+        "closed_loop",
+        "tactile_sim",
+        "xarm_sim",
+        "tactile_policy",
+        "tactile_record",
+    }
