@@ -68,6 +68,15 @@ class GuardedNode(Node):
         super().__init__(name, **options)
         self.add_on_set_parameters_callback(_refuse_nameless)
 
+    @property
+    def is_simulated(self) -> bool:
+        """Return whether the node goes by simulated time."""
+        return False
+
+    def now_s(self) -> float:
+        """Return the time by which the node acts, on a clock that is never set."""
+        return time.monotonic()
+
     def time_ns(self) -> int:
         """Return the node's time; 0 where there is none, since /clock is silent or its time is none
         that messages could be stamped with."""

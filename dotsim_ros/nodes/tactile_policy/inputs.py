@@ -18,8 +18,8 @@ from sensor_msgs.msg import CompressedImage, Image
 import msg_adapters
 from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.reasons import reason_of
-from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.tactile_policy.parameters import (
     BASE_FRAME,
     RAW,
@@ -79,7 +79,7 @@ class PolicyInputs:
 
     def __init__(
         self,
-        node: WorkingNode,
+        node: GuardedNode,
         parameters: TactilePolicyParameters,
         *,
         latch: Callable[[Reason, str], None],

@@ -13,9 +13,9 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 import msg_adapters
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
 from dotsim_ros.nodes.common.reasons import LONGEST_REASON
-from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
     MotionGate,
@@ -53,7 +53,7 @@ class MotionInput:
 
     def __init__(
         self,
-        node: WorkingNode,
+        node: GuardedNode,
         parameters: TactileSimParameters,
         *,
         faults: FaultLog,
