@@ -38,6 +38,11 @@ class Desk:
     def time_ns(self) -> int:
         return self.now_ns
 
+    is_simulated = False
+
+    def now_s(self) -> float:
+        return time.monotonic()
+
     def get_logger(self) -> Any:
         return self
 
