@@ -32,7 +32,7 @@ from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
 PATH = "line"
-FAULT_S, WATCHED_S = 3.2, 0.6
+FAULT_S, WATCHED_S = 2.6, 0.4
 APART = (ARM, SENSOR, POLICY)
 COMPOSED_MODULE = "dotsim_ros.nodes.closed_loop.node"
 
