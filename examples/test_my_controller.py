@@ -1,4 +1,4 @@
-"""Test a controller in simulated time: the same result on any machine. Run it with pytest."""
+"""Test a controller, alike on any machine: pytest examples/test_my_controller.py"""
 
 import sys
 from collections.abc import Iterator

@@ -20,11 +20,10 @@ import sys
 import time
 from pathlib import Path
 
-from dotsim_ros.cli.arguments import positive
-
 POLICY = "densetact2_sphere"
 MOTIONS = ("line", "arc", "figure_eight", "press")
 CLOCKS = ("simulated", "realtime")
+MOST_LAPS = 1e4
 PATIENCE = 2.0
 """Times that a lap takes the expert, after which the policy is not waited for any more."""
 
@@ -35,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("out/demo-loop"), help="folder (out/demo-loop)")
     add("--policy", default=POLICY, help=f"folder or name of the policy ({POLICY})")
     add("--path", choices=MOTIONS, default="figure_eight", help="path to follow (figure_eight)")
-    add("--laps", type=positive, default=2.0, help="how many laps to make (2)")
+    add("--laps", type=float, default=2.0, help="how many laps to make (2)")
     add("--clock", choices=CLOCKS, default=CLOCKS[0], help="how time passes (simulated)")
     add("--one-process", action="store_true", help="sensor, arm and policy in one process")
     add("--sensor", help="name or file of the sensor (the one that the policy was trained on)")
@@ -64,6 +63,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
     from dotsim_ros.tasks.policy.rollout import APPROACH_S
 
+    if not (0.0 < arguments.laps < MOST_LAPS):
+        raise ValueError(f"--laps is {arguments.laps:g}, expected more than 0, under {MOST_LAPS:g}")
     stay_local()
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)

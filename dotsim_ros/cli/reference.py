@@ -15,10 +15,16 @@ example:
 from __future__ import annotations
 
 import argparse
+import math
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.cli.arguments import positive
+
+def _positive(text: str) -> float:
+    value = float(text)
+    if not (value > 0.0 and math.isfinite(value)):
+        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
+    return value
 
 
 def _tilt(text: str) -> float:
@@ -43,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("out/reference"), help="the data set (out/reference)")
     add(
         "--depth-mm",
-        type=positive,
+        type=_positive,
         default=1.0,
         help="depth of the tip below the skin at rest (1)",
     )
@@ -58,10 +64,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--azimuth-deg", type=float, default=0.0, help="azimuth of the place, from +x (0)")
     add("--shear-mm", type=float, default=0.0, help="drag along the indenter's +x at the end (0)")
     add("--friction", type=float, help="coefficient of friction (the sensor's)")
-    add("--spacing-mm", type=positive, help="element size at the press (1; 0.25 axisymmetric)")
+    add("--spacing-mm", type=_positive, help="element size at the press (1; 0.25 axisymmetric)")
     add("--axisymmetric", action="store_true", help="solve in two dimensions: at the apex alone")
     add("--threads", type=_count, default=1, help="threads of CalculiX (1)")
-    add("--time-limit-s", type=positive, help="time limit of each trajectory (none)")
+    add("--time-limit-s", type=_positive, help="time limit of each trajectory (none)")
     add("--keep", type=Path, help="folder for CalculiX's own files")
     add("--json", type=Path, help="write the table to this file")
     add("--seed", type=int, default=0, help="accepted; nothing here is random")

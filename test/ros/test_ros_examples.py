@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -40,9 +41,20 @@ def test_a_controller_keeps_a_force_that_a_subscriber_reads() -> None:
             controller.end()
 
 
-def test_a_controller_is_tested_in_simulated_time_as_the_example_says() -> None:
-    """The file itself is a pytest of a minute; here its controller is led for a shorter time."""
-    controller = Controller("my_controller", [sys.executable, str(EXAMPLES / "my_controller.py")])
+def test_the_example_of_a_test_is_one() -> None:
+    """It takes a minute: one part of it here, the rest for a shorter time below."""
+    file = EXAMPLES.joinpath("test_my_controller.py")
+    command = [sys.executable, "-m", "pytest", "-q", "-n0", "-p", "no:cacheprovider", str(file)]
+    done = subprocess.run(
+        [*command, "-k", "arm"], capture_output=True, text=True, timeout=200, check=False
+    )
+    assert done.returncode == 0, done.stdout
+    assert "1 passed, 3 deselected" in done.stdout
+
+
+def test_a_controller_is_tested_in_simulated_time() -> None:
+    node = EXAMPLES.joinpath("my_controller.py")
+    controller = Controller("my_controller", [sys.executable, str(node)])
     with ControllerLoop(controller, path="line") as loop:
         first = loop.run(3.0)
         again = loop.run(3.0, faults=[TimedFault(2.0, LoopFault.POSE_CUT)])

@@ -39,7 +39,7 @@ def number_before(unit: str, text: str) -> float:
 def test_an_example_is_short_listed_and_run_by_a_test(name: str) -> None:
     text = (EXAMPLES / name).read_text(encoding="utf-8")
     assert len(text.splitlines()) <= MOST_LINES
-    assert f"python examples/{name}" in text
+    assert re.search(rf"(python|pytest) examples/{name}", text)
     assert f"[`{name}`]({name})" in (EXAMPLES / "README.md").read_text(encoding="utf-8")
     assert any(f'("{name}"' in test.read_text(encoding="utf-8") for test in TESTS)
 
