@@ -10,7 +10,6 @@ from pathlib import Path
 
 from harness import PATIENCE_S, Executable, running
 
-from dotsim_ros.nodes.loop.closed_loop import LoopFault, TimedFault
 from dotsim_ros.nodes.loop.controller_run import Controller, ControllerLoop
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -56,10 +55,8 @@ def test_a_controller_is_tested_in_simulated_time() -> None:
     node = EXAMPLES.joinpath("my_controller.py")
     controller = Controller("my_controller", [sys.executable, str(node)])
     with ControllerLoop(controller, path="line") as loop:
-        first = loop.run(3.0)
-        again = loop.run(3.0, faults=[TimedFault(2.0, LoopFault.POSE_CUT)])
-    assert first.path_error_m < 0.5e-3
-    assert 0.1 < first.largest_force_n < 6.0
-    assert first.laps > 0.1
-    assert not first.stops_s
-    assert again.stands_from_s < 2.4
+        run = loop.run(2.0)
+    assert run.path_error_m < 0.5e-3
+    assert 0.1 < run.largest_force_n < 6.0
+    assert run.laps > 0.05
+    assert not run.stops_s
