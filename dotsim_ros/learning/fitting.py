@@ -83,6 +83,23 @@ def added_images(
     return np.ascontiguousarray(255.0 * torch.cat(parts).permute(0, 2, 3, 1).numpy())
 
 
+def check_width(width: int, widest: int | None = None) -> None:
+    """Refuse a width (px) of a network's images.
+
+    Args:
+        width: in pixels.
+        widest: the measured images' width; None while that is not known.
+
+    Raises:
+        ValueError: it is no multiple of 16 from 64 up to the widest.
+    """
+    if width < 64 or width % 16 or (widest is not None and width > widest):
+        raise ValueError(
+            f"size is {width}, expected the width of the network's images in pixels: a multiple "
+            f"of 16 from 64 to {'' if widest is None else f'{widest}, '}the width measured"
+        )
+
+
 def network_size(
     kind: str, camera: FisheyeCamera, size: int | None, device: torch.device
 ) -> tuple[int, int]:
@@ -101,11 +118,7 @@ def network_size(
     width = size
     if width is None:
         width = camera.width if device.type == "cuda" else min(camera.width, CPU_WIDTH[kind])
-    if not 64 <= width <= camera.width or width % 16:
-        raise ValueError(
-            f"size is {width}, expected the width of the network's images in pixels: a multiple "
-            f"of 16 from 64 to {camera.width}, the width measured"
-        )
+    check_width(width, camera.width)
     height = round(camera.height * width / camera.width)
     if height % 8:
         raise ValueError(

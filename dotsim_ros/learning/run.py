@@ -16,7 +16,7 @@ from dotsim_ros.arrays import ImageArray
 from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import parameter_path, whole_file, write_image, write_json
 from dotsim_ros.learning.export import write_network
-from dotsim_ros.learning.fitting import FittedNetwork, fit_network
+from dotsim_ros.learning.fitting import FittedNetwork, check_width, fit_network
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.learning.preview import write_preview
 from dotsim_ros.learning.training import TrainingProgress
@@ -125,6 +125,9 @@ def train_optics(
     Raises:
         ValueError: as `read_filmed_data` and `fit_network`.
     """
+    # What cannot be trained is refused before the gel is solved for every frame.
+    if request.size is not None:
+        check_width(request.size)
     filmed, data = read_presses(request, say)
     by_name = {press.name: press for press in data.presses}
     train = [by_name[name] for name in request.train]

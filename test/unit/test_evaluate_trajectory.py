@@ -327,9 +327,20 @@ def test_the_shifted_sensor_is_stiffer_darker_and_tilted(tmp_path: Path) -> None
     assert np.abs(image - 0.6 * bright).mean() > 2.0
     again = setting_of("shifted", tmp_path / "elsewhere", trained_on="densetact2")
     assert again.content == shifted.content
-    assert len({setting_of(n, tmp_path, trained_on="densetact2").content for n in SETTINGS}) == 3
+    assert len({setting_of(n, tmp_path, trained_on="densetact2").content for n in SETTINGS}) == 4
     with pytest.raises(ValueError, match="no setting 'real'"):
         setting_of("real", tmp_path, trained_on="densetact2")
+
+
+def test_the_stand_in_for_reality_differs_in_its_gel_alone(tmp_path: Path) -> None:
+    made = setting_of("reality", tmp_path, trained_on="densetact2")
+    own, other = load_sensor("sensor_a"), load_sensor(made.sensor)
+    assert other.camera == own.camera
+    assert other.material.prony_shares == (0.17,)
+    assert other.contact.friction_coefficient < 0.5 * own.contact.friction_coefficient
+    thickness_m = [each.gel.outer_radius_m - each.gel.core_radius_m for each in (own, other)]
+    assert thickness_m[1] == pytest.approx(0.896 * thickness_m[0])
+    assert made.grid_spacing_m == own.solver.grid_spacing_m
 
 
 def test_the_page_holds_every_setting_and_path(tmp_path: Path) -> None:

@@ -32,8 +32,13 @@ from dotsim_ros.tasks.policy.demonstration import within_bounds
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, ReferencePath, reference_path
 from dotsim_ros.tasks.policy.rollout import APPROACH_S
 
-SIMULATED, TRANSFERRED, SHIFTED = "simulated", "transferred", "shifted"
-SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED)
+SIMULATED, TRANSFERRED, SHIFTED, REALITY = "simulated", "transferred", "shifted", "reality"
+SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED, REALITY)
+RELAXING_SHARE, RELAXING_S, THINNER, SLIPPERIER = 0.17, 1.0, 0.104, 0.43
+"""What the gap finder said of five sets that finite elements made, each with one effect: a share of
+the stress that relaxes, a gel thinner by a share, and a friction that is a share of the twin's."""
+REALITY_SPACING_M = 2.4e-3
+"""Of the gel's grid: finer than the one of the loop."""
 STIFFER, DIMMED, TILT_DEG = 1.1, 0.6, 1.0
 CAMERA_NOISE_LEVELS = 1.2
 """Image noise of the camera of `sensor_a`, as its data set states it; differences of its five idle
@@ -60,12 +65,14 @@ class Setting:
         sensor: name or file of the sensor.
         noise_levels: standard deviation of the camera's noise, of 255.
         content: hash of what the sensor is made of.
+        grid_spacing_m: of its gel; None for the loop's.
     """
 
     name: str
     sensor: str
     noise_levels: float = 0.0
     content: str = ""
+    grid_spacing_m: float | None = None
 
 
 @dataclass(frozen=True)
@@ -132,7 +139,7 @@ class TrajectoryTrials:
 
 
 def setting_of(name: str, folder: Path, *, trained_on: str) -> Setting:
-    """Return a setting; the shifted sensor's files are written into a folder.
+    """Return a setting; files of sensors that are made are written into a folder.
 
     Args:
         name: one of SETTINGS.
@@ -151,6 +158,9 @@ def setting_of(name: str, folder: Path, *, trained_on: str) -> Setting:
     if name == SHIFTED:
         path = write_shifted(folder, trained_on)
         return Setting(name, str(path), content=_content(path))
+    if name == REALITY:
+        path = write_reality(folder)
+        return Setting(name, str(path), CAMERA_NOISE_LEVELS, _content(path), REALITY_SPACING_M)
     raise ValueError(f"there is no setting {name!r}; choose one of {', '.join(SETTINGS)}")
 
 
@@ -187,6 +197,20 @@ def write_shifted(folder: Path, source: str) -> Path:
         shutil.copyfile(description, idle_file.with_suffix(".yaml"))
     camera["idle_image"] = str(idle_file)
     path = folder / "shifted.yaml"
+    with whole_file(path) as part:
+        part.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
+    return path
+
+
+def write_reality(folder: Path) -> Path:
+    """Write `sensor_a` with a gel that relaxes, is thinner and slips more easily, and return its
+    file; camera and lights are its own, and so is the network that completes its image."""
+    document = read_yaml(sensor_path("sensor_a"))
+    document["material"] |= {"prony_shares": [RELAXING_SHARE], "prony_times_s": [RELAXING_S]}
+    gel, contact = document["gel"], document["contact"]
+    gel["core_radius_m"] += THINNER * (gel["outer_radius_m"] - gel["core_radius_m"])
+    contact["friction_coefficient"] *= SLIPPERIER
+    path = folder / "reality.yaml"
     with whole_file(path) as part:
         part.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     return path

@@ -43,12 +43,11 @@ class TrialLoop:
         try:
             if self._loop is None or setting != self._setting:
                 self._end()
+                parameters = {"image_noise_levels": setting.noise_levels}
+                if setting.grid_spacing_m is not None:
+                    parameters["grid_spacing_m"] = setting.grid_spacing_m
                 self._loop = ClosedLoop(
-                    LoopSetup(
-                        self._policy,
-                        sensor=setting.sensor,
-                        sensor_parameters={"image_noise_levels": setting.noise_levels},
-                    ),
+                    LoopSetup(self._policy, sensor=setting.sensor, sensor_parameters=parameters),
                     clock=self._clock,
                 )
                 self._loop.start(path)
