@@ -12,6 +12,7 @@ from dotsim_ros.gel.implicit.contact_problem import (
     ContactSolution,
     by_component,
     by_marker,
+    compliance_root,
     linear_contact,
     solve_contact,
 )
@@ -24,6 +25,7 @@ RADIUS_M = 4.0e-3
 AREA_M2 = 0.2e-6
 YOUNGS_PA = 3.0e5
 TOLERANCE_M = 1.0e-7
+NEGLIGIBLE_M_N = 1.0e-9
 
 
 def contact_of(
@@ -58,7 +60,7 @@ def solved(
     compliance = half_space_compliance(markers)
     none = np.zeros_like(markers)
     solution = solve_contact(
-        compliance,
+        compliance_root(compliance, NEGLIGIBLE_M_N),
         markers,
         none,
         Answers(
@@ -80,6 +82,33 @@ def pressed(depth_m: float, shift_m: float = 0.0) -> Pose:
 def test_components_and_markers_are_inverse() -> None:
     vectors = np.random.default_rng(0).normal(size=(7, 3))
     assert np.array_equal(by_marker(by_component(vectors)), vectors)
+
+
+def test_root_of_a_compliance_has_few_columns_and_leaves_little_out() -> None:
+    # Markers closer together than what moves them can bend.
+    markers = flat_markers(11, 0.2e-3)
+    gap = np.linalg.norm(markers[:, None] - markers[None], axis=2)
+    smooth = 2.0e-3 * np.exp(-0.5 * (gap / 0.5e-3) ** 2)
+    compliance = np.kron(np.diag([1.3, 1.3, 1.0]), smooth).astype(np.float32)
+    negligible = 1e-2 * float(compliance.diagonal().max())
+    root = compliance_root(compliance, negligible)
+    assert root.shape[:2] == (len(markers), 3)
+    assert root.shape[2] < 0.4 * len(compliance)
+    by_rows = root.transpose(1, 0, 2).reshape(len(compliance), -1)
+    left = compliance - by_rows @ by_rows.T
+    assert 0.0 < left.diagonal().max() <= negligible
+    # Of a positive matrix no entry is larger than the diagonal.
+    assert np.abs(left).max() <= 1.01 * negligible
+
+
+def test_a_compliance_that_is_indefinite_by_a_hair_has_a_root() -> None:
+    compliance = half_space_compliance(flat_markers())
+    value, vector = np.linalg.eigh(compliance.astype(np.float64))
+    value[0] = -1e-6 * value[-1]
+    indefinite = (vector * value @ vector.T).astype(np.float32)
+    root = compliance_root(indefinite, 1e-5 * float(value[-1]))
+    by_rows = root.transpose(1, 0, 2).reshape(len(compliance), -1)
+    assert np.abs(indefinite - by_rows @ by_rows.T).max() < 1e-4 * value[-1]
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.4])

@@ -100,6 +100,9 @@ class Contact:
         area_m2: (V,) rest area of the markers.
         youngs_modulus_pa: E, to which the stiffnesses are scaled.
         specification: friction and stiffness.
+
+    Attributes:
+        least_compliance_m_n: of a marker under pressure.
     """
 
     def __init__(
@@ -123,6 +126,7 @@ class Contact:
         law.onset = ONSET_M
         law.smoothing = SMOOTHING_M
         self.law = law
+        self.least_compliance_m_n = 1.0 / (law.stiffness * float(area_m2.max()))
         self._history: ContactHistory | None = None
         self._pose: Pose | None = None
         self._record(len(area_m2))

@@ -1,13 +1,16 @@
 """Frictional contact of a few markers on a gel that responds linearly to their forces.
 
 Once elasticity is linearised, the markers' positions are x = b + C (f - f0): b is where they would
-be under forces f0, C the compliance between them. The forces of the indenter, f = F(x), minimise
+be under forces f0, C the compliance between them. The markers lie closer together than the gel's
+splines can bend, so C has a fraction of its full rank: C = L L^T with few columns, found by pivoted
+Cholesky decomposition (Higham, "Accuracy and Stability of Numerical Algorithms", 2002, chapter 10).
+With z = L^T (f - f0), x = b + L z, and the forces of the indenter, f = F(x), minimise
 
-    E(f) = (f - f0) . C (f - f0) / 2 + f0 . C (f - f0) + psi(x)
+    E(z) = z . z / 2 + f0 . L z + psi(x)
 
 with the contact's energy psi at a lagged friction limit (Wriggers, "Computational Contact
-Mechanics", 2006, section 9.3.2). Newton's method on it involves the touching markers alone, so that
-markers may begin and cease to touch, stick and slip at little cost.
+Mechanics", 2006, section 9.3.2). Newton's method on it solves for z, so that markers may begin and
+cease to touch, stick and slip at little cost.
 """
 
 from __future__ import annotations
@@ -16,6 +19,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from dotsim_ros.arrays import AnyFloatArray, FloatArray
@@ -28,8 +32,6 @@ CORRECTIONS = 8
 DIVERGING = 20.0
 """It ends without success once the markers are this much farther from balance than at its start."""
 SMALLEST_SCALE = 1.0e-3
-SOFTENING = 1.0e-6
-"""Share of a marker's stiffness that is added in all directions, so that it has a Cholesky root."""
 
 
 @dataclass(frozen=True)
@@ -69,11 +71,35 @@ def by_marker(components: AnyFloatArray) -> FloatArray:
     return np.ascontiguousarray(components.reshape(3, -1).T, dtype=np.float64)
 
 
+def compliance_root(compliance: AnyFloatArray, negligible_m_n: float) -> AnyFloatArray:
+    """Return L (A, 3, k) with C = L L^T up to a compliance that does not matter.
+
+    Args:
+        compliance: (3 A, 3 A) C, m/N, rows and columns by component; what makes it indefinite by a
+            hair is left out.
+        negligible_m_n: no marker's own compliance differs by more.
+    """
+    root = pivoted_root(compliance, negligible_m_n)
+    return np.ascontiguousarray(root.reshape(3, -1, root.shape[1]).transpose(1, 0, 2))
+
+
+def pivoted_root(matrix: AnyFloatArray, negligible: float) -> AnyFloatArray:
+    """Return (n, k) whose product with its transpose is a positive matrix (n, n), up to a diagonal
+    that is negligible."""
+    (pstrf,) = linalg.get_lapack_funcs(("pstrf",), (matrix,))
+    # LAPACK reads the transpose, which is the same matrix.
+    factor, pivot, rank, _ = pstrf(matrix.T, tol=negligible, lower=1)
+    root: AnyFloatArray = np.empty((len(matrix), rank), dtype=matrix.dtype)
+    root[pivot - 1] = np.tril(factor[:, :rank])
+    return root
+
+
 @dataclass(frozen=True)
 class _ContactState:
-    """Change of the forces f - f0 (3 A,), what it causes, C (f - f0) (3 A,), how the indenter
-    answers there, and the energy, J."""
+    """z (k,), the forces' change f - f0 (A, 3) that it stands for, what it causes, L z (A, 3), how
+    the indenter answers there, and the energy, J."""
 
+    reduced: AnyFloatArray
     change: AnyFloatArray
     caused: AnyFloatArray
     response: ContactResponse
@@ -81,49 +107,77 @@ class _ContactState:
 
 
 class _ContactProblem:
-    """C, b, f0 and the indenter's answers."""
+    """L, b, f0 and the indenter's answers."""
 
     def __init__(
-        self, compliance: AnyFloatArray, base_m: FloatArray, force_n: FloatArray, answers: Answers
+        self, root: AnyFloatArray, base_m: FloatArray, force_n: FloatArray, answers: Answers
     ) -> None:
-        self.compliance, self.base_m, self.force_n = compliance, base_m, force_n
+        self.root, self.base_m, self.force_n = root, base_m, force_n
         self.answers = answers
-        self._force = force_n.T.ravel()
+        # (3 A, k), the same memory.
+        self._flat = root.reshape(-1, root.shape[-1])
         self.iterations = 0
 
-    def at(self, change: AnyFloatArray, caused: AnyFloatArray, lag: Lag | None) -> _ContactState:
-        """Return the state of changed forces; without a lag, with the pressure that there is."""
-        position: FloatArray = self.base_m + by_marker(caused)
+    def moved(self, reduced: AnyFloatArray) -> AnyFloatArray:
+        """Return L z (A, 3)."""
+        return (self._flat @ reduced).reshape(-1, 3)
+
+    def reduce(self, change: AnyFloatArray) -> AnyFloatArray:
+        """Return L^T f (k,) of forces (A, 3)."""
+        result: AnyFloatArray = change.ravel() @ self._flat
+        return result
+
+    def begin(self, change: FloatArray, lag: Lag) -> _ContactState:
+        """Return the state of forces that differ from f0 by (A, 3)."""
+        single = change.astype(self.root.dtype)
+        reduced = self.reduce(single)
+        return self.at(reduced, single, self.moved(reduced), lag)
+
+    def at(
+        self,
+        reduced: AnyFloatArray,
+        change: AnyFloatArray,
+        caused: AnyFloatArray,
+        lag: Lag | None,
+    ) -> _ContactState:
+        """Return the state of z; without a lag, with the pressure that there is."""
+        position: FloatArray = self.base_m + caused
         if lag is None:
             response = self.answers.present(position)
         else:
             response = self.answers.lagged(position, lag)
-        energy = float((0.5 * change + self._force) @ caused) + response.energy_j
-        return _ContactState(change, caused, response, energy)
+        energy = 0.5 * float(reduced @ reduced) + float(np.vdot(self.force_n, caused))
+        return _ContactState(reduced, change, caused, response, energy + response.energy_j)
 
     def answered(self, state: _ContactState) -> AnyFloatArray:
-        """Return the change of the forces (3 A,) that the indenter answers with."""
-        change = by_component(state.response.force_n - self.force_n)
-        return change.astype(self.compliance.dtype)
+        """Return the change of the forces (A, 3) that the indenter answers with."""
+        return (state.response.force_n - self.force_n).astype(self.root.dtype)
 
     def out_of_balance(self, state: _ContactState) -> AnyFloatArray:
-        """Return how far (3 A,) the markers would move if the indenter's answer acted on them."""
-        result: AnyFloatArray = state.caused - self.compliance @ self.answered(state)
-        return result
+        """Return the energy's derivative by z (k,): z - L^T (F - f0)."""
+        return state.reduced - self.reduce(self.answered(state))
+
+    def farthest(self, reduced: AnyFloatArray) -> float:
+        """Return how far z (k,) moves any marker at most."""
+        return float(np.abs(self._flat @ reduced).max())
 
     def descend(
         self, state: _ContactState, out_of_balance: AnyFloatArray, lag: Lag
     ) -> tuple[_ContactState, bool]:
         """Return the state after a Newton step that lowers the energy, and whether there is one."""
         self.iterations += 1
-        step = self.answered(state) - state.change
-        step += _newton_force(self.compliance, out_of_balance, state.response)
-        moved = self.compliance @ step
+        step, moved, force = _newton_step(self.root, out_of_balance, state.response)
+        change = self.answered(state) + force - state.change
         slope = float(out_of_balance @ step)
         scale = 1.0
         while scale >= SMALLEST_SCALE:
-            share = self.compliance.dtype.type(scale)
-            trial = self.at(state.change + share * step, state.caused + share * moved, lag)
+            share = self.root.dtype.type(scale)
+            trial = self.at(
+                state.reduced + share * step,
+                state.change + share * change,
+                state.caused + share * moved,
+                lag,
+            )
             # Single precision: a decrease below rounding is none.
             allowed = state.energy_j + 1e-4 * scale * slope + 1e-6 * abs(state.energy_j)
             if trial.energy_j <= allowed:
@@ -134,19 +188,18 @@ class _ContactProblem:
     def correct(self, state: _ContactState, out_of_balance: AnyFloatArray) -> _ContactState:
         """Return the state after a Newton step on Coulomb's law as it is."""
         self.iterations += 1
-        change = self.answered(state)
-        change += _coulomb_force(self.compliance, out_of_balance, state.response)
-        return self.at(change, self.compliance @ change, None)
+        step, moved, force = _coulomb_step(self.root, out_of_balance, state.response)
+        change = self.answered(state) + force
+        return self.at(state.reduced + step, change, state.caused + moved, None)
 
     def solution(self, state: _ContactState) -> ContactSolution:
         """Return what a state amounts to."""
         lag = Lag(state.response.pressure_pa, state.response.normal)
-        force = self.force_n + by_marker(state.change)
-        return ContactSolution(force, state.response, lag, self.iterations)
+        return ContactSolution(self.force_n + state.change, state.response, lag, self.iterations)
 
 
 def solve_contact(
-    compliance: AnyFloatArray,
+    root: AnyFloatArray,
     base_m: FloatArray,
     force_n: FloatArray,
     answers: Answers,
@@ -163,7 +216,7 @@ def solve_contact(
     the lag is renewed.
 
     Args:
-        compliance: (3 A, 3 A) C, m/N, rows and columns by component.
+        root: (A, 3, k) L, see `compliance_root`.
         base_m: (A, 3) b.
         force_n: (A, 3) f0.
         answers: the indenter's.
@@ -172,17 +225,16 @@ def solve_contact(
         passes: how often the limit is renewed at most.
         tolerance_m: how far the markers may be from where the indenter's answer would take them.
     """
-    problem = _ContactProblem(compliance, base_m, force_n, answers)
-    change = by_component(guess_n - force_n).astype(compliance.dtype)
-    state = problem.at(change, compliance @ change, lag)
+    problem = _ContactProblem(root, base_m, force_n, answers)
+    state = problem.begin(guess_n - force_n, lag)
     for _ in range(passes):
         state = _descended(problem, state, lag, CLOSE * tolerance_m)
-        known = problem.at(state.change, state.caused, None)
+        known = problem.at(state.reduced, state.change, state.caused, None)
         state, is_solved = _corrected(problem, known, tolerance_m)
         if is_solved:
             return problem.solution(state)
         lag = Lag(known.response.pressure_pa, known.response.normal)
-        state = problem.at(known.change, known.caused, lag)
+        state = problem.at(known.reduced, known.change, known.caused, lag)
     return problem.solution(state)
 
 
@@ -200,9 +252,15 @@ def linear_contact(
         force_n: (A, 3) f0.
         response: the indenter's answer to the markers where they are.
     """
+    count = len(force_n)
+    stiffness = np.zeros((3, count, 3, count), dtype=compliance.dtype)
+    every = np.arange(count)
+    stiffness[:, every, :, every] = response.stiffness
+    own = stiffness.reshape(3 * count, 3 * count)
     change = by_component(response.force_n - force_n).astype(compliance.dtype)
     out_of_balance = -by_component(free_m).astype(compliance.dtype) - compliance @ change
-    return force_n + by_marker(change + _newton_force(compliance, out_of_balance, response))
+    moved = linalg.solve(np.eye(3 * count) + compliance @ own, -out_of_balance, check_finite=False)
+    return force_n + by_marker(change - own @ moved)
 
 
 def _corrected(
@@ -212,7 +270,7 @@ def _corrected(
     first = np.inf
     for correction in range(CORRECTIONS):
         out_of_balance = problem.out_of_balance(state)
-        left = _largest(out_of_balance)
+        left = problem.farthest(out_of_balance)
         if left < tolerance_m:
             return state, True
         if correction == 0:
@@ -230,102 +288,64 @@ def _descended(
     has_descended = True
     while has_descended and problem.iterations < ITERATIONS:
         out_of_balance = problem.out_of_balance(state)
-        if _largest(out_of_balance) < close_m:
+        if problem.farthest(out_of_balance) < close_m:
             break
         state, has_descended = problem.descend(state, out_of_balance, lag)
     return state
 
 
-def _largest(components: AnyFloatArray) -> float:
-    return float(np.abs(components).max())
-
-
-def _newton_force(
-    compliance: AnyFloatArray, out_of_balance: AnyFloatArray, response: ContactResponse
-) -> AnyFloatArray:
-    """Return by how much (3 A,) the linearised contact answers otherwise after a Newton step.
-
-    With the touching markers' stiffness H = S S^T and r = C (f - F), they move by
-    -(1 + C H)^-1 r = -r + C S y where (1 + S^T C S) y = S^T r, and their force becomes F + S y.
-    """
-    hessian = response.stiffness
-    size = np.trace(hessian, axis1=1, axis2=2)
-    active = np.flatnonzero(size > 0.0)
-    count = len(hessian)
-    result = np.zeros_like(out_of_balance)
-    if len(active) == 0:
-        return result
-    softened = hessian[active] + SOFTENING * size[active, None, None] * np.eye(3)
-    root = np.linalg.cholesky(softened).astype(compliance.dtype)
-    dof = (np.arange(3)[:, None] * count + active).ravel()
-    own = compliance if len(active) == count else compliance[dof].take(dof, axis=1)
-    right = np.einsum("aik,ia->ka", root, out_of_balance[dof].reshape(3, -1)).ravel()
-    solved = _solve_positive(_congruent(own, root), right).reshape(3, -1)
-    result[dof] += np.einsum("aik,ka->ia", root, solved).ravel()
-    return result
-
-
-def _coulomb_force(
-    compliance: AnyFloatArray, out_of_balance: AnyFloatArray, response: ContactResponse
-) -> AnyFloatArray:
-    """Return by how much (3 A,) the contact answers otherwise after a Newton step, where its
-    stiffness H is not symmetric: the markers move by d, (1 + C H) d = -r, the change is -H d."""
-    active = np.flatnonzero(response.pressure_pa > 0.0)
-    count, touching = len(response.pressure_pa), len(active)
-    result = np.zeros_like(out_of_balance)
-    if touching == 0:
-        return result
-    own = response.stiffness[active].astype(compliance.dtype)
-    dof = (np.arange(3)[:, None] * count + active).ravel()
-    between = compliance if touching == count else compliance[dof].take(dof, axis=1)
-    matrix = np.empty_like(between)
-    for j in range(3):
-        columns = matrix[:, j * touching : (j + 1) * touching]
-        np.multiply(between[:, :touching], own[:, 0, j], out=columns)
-        for k in (1, 2):
-            columns += between[:, k * touching : (k + 1) * touching] * own[:, k, j]
-    matrix[np.diag_indices(3 * touching)] += 1.0
-    getrf, getrs = linalg.get_lapack_funcs(("getrf", "getrs"), (matrix,))
-    # LAPACK reads the transpose.
-    factor, pivots, info = getrf(matrix.T, overwrite_a=1)
-    if info != 0:
-        return result
-    moved, _ = getrs(factor, pivots, -out_of_balance[dof], trans=1)
-    result[dof] -= np.einsum("akj,ja->ka", own, moved.reshape(3, -1)).ravel()
-    return result
-
-
-def _congruent(compliance: AnyFloatArray, root: AnyFloatArray) -> AnyFloatArray:
-    """Return 1 + S^T C S for C (3 A, 3 A) by component and lower triangular blocks S (A, 3, 3)."""
-    count = len(root)
-    whole = compliance.reshape(3 * count, 3, count)
-    half = np.empty_like(whole)
-    for k in range(3):
-        half[:, k] = whole[:, k] * root[:, k, k]
-        for j in range(k + 1, 3):
-            half[:, k] += whole[:, j] * root[:, j, k]
-    rows = half.reshape(3, count, 3 * count)
-    matrix = np.empty_like(rows)
-    for k in range(3):
-        matrix[k] = rows[k] * root[:, k, k, None]
-        for j in range(k + 1, 3):
-            matrix[k] += rows[j] * root[:, j, k, None]
-    result = matrix.reshape(3 * count, 3 * count)
-    result[np.diag_indices(3 * count)] += 1.0
-    return result
-
-
-def _solve_positive(matrix: AnyFloatArray, right: AnyFloatArray) -> AnyFloatArray:
-    """Solve with a symmetric matrix (n, n).
-
-    It is positive definite, unless a gel is that is unstable where the indenter does not hold it,
-    or fading the refinement out has left the compliance indefinite by a hair.
-    """
+def _newton_step(
+    root: AnyFloatArray, out_of_balance: AnyFloatArray, response: ContactResponse
+) -> tuple[AnyFloatArray, AnyFloatArray, AnyFloatArray]:
+    """Return Newton's step of z (k,), how it moves the markers (A, 3), and by how much (A, 3) the
+    linearised contact answers otherwise: with the touching markers' stiffness H,
+    (1 + L^T H L) dz = -r, and -H L dz."""
+    active = np.flatnonzero(np.einsum("aii->a", response.stiffness) > 0.0)
+    own = response.stiffness[active].astype(root.dtype)
+    touching = np.ascontiguousarray(root[active])
+    size, columns = 3 * len(active), root.shape[-1]
+    loaded = np.matmul(own, touching).reshape(size, columns)
+    matrix = touching.reshape(size, columns).T @ loaded
+    matrix[np.diag_indices(columns)] += 1.0
     potrf, potrs = linalg.get_lapack_funcs(("potrf", "potrs"), (matrix,))
     # LAPACK reads the transpose, which is the same matrix, without a copy.
     factor, info = potrf(matrix.T, lower=1, clean=0)
-    if info != 0:
-        return np.asarray(linalg.solve(matrix, right, assume_a="sym", check_finite=False))
-    solved, _ = potrs(factor, right, lower=1)
-    result: AnyFloatArray = solved.ravel()
-    return result
+    if info == 0:
+        step, _ = potrs(factor, -out_of_balance, lower=1)
+    else:
+        step = linalg.solve(matrix, -out_of_balance, assume_a="sym", check_finite=False)
+    return _answered_step(root, step, active, loaded)
+
+
+def _coulomb_step(
+    root: AnyFloatArray, out_of_balance: AnyFloatArray, response: ContactResponse
+) -> tuple[AnyFloatArray, AnyFloatArray, AnyFloatArray]:
+    """Return the same for a stiffness H that is not symmetric."""
+    active = np.flatnonzero(response.pressure_pa > 0.0)
+    own = response.stiffness[active].astype(root.dtype)
+    touching = np.ascontiguousarray(root[active])
+    size, columns = 3 * len(active), root.shape[-1]
+    loaded = np.matmul(own, touching).reshape(size, columns)
+    matrix = touching.reshape(size, columns).T @ loaded
+    matrix[np.diag_indices(columns)] += 1.0
+    getrf, getrs = linalg.get_lapack_funcs(("getrf", "getrs"), (matrix,))
+    # LAPACK reads the transpose.
+    factor, pivots, info = getrf(matrix.T, overwrite_a=1)
+    step = -out_of_balance
+    if info == 0:
+        step, _ = getrs(factor, pivots, step, trans=1)
+    return _answered_step(root, step, active, loaded)
+
+
+def _answered_step(
+    root: AnyFloatArray,
+    step: AnyFloatArray,
+    active: NDArray[np.int64],
+    loaded: AnyFloatArray,
+) -> tuple[AnyFloatArray, AnyFloatArray, AnyFloatArray]:
+    """Return a step of z (k,), how it moves the markers (A, 3), and what those that touch answer,
+    for H L (3 a, k) of these."""
+    moved = (root.reshape(-1, root.shape[-1]) @ step).reshape(-1, 3)
+    force = np.zeros_like(moved)
+    force[active] = -(loaded @ step).reshape(-1, 3)
+    return step, moved, force

@@ -463,10 +463,7 @@ class ImplicitGel:
         clock = time.perf_counter()
         if world.history is None:
             world.history = fresh_history(world.skin_position_m, pose)
-        every = np.arange(self.skin.vertex_count, dtype=np.int32)
-        distance = self.contact.respond(
-            every, world.skin_position_m, pose, world.history, no_lag(self.skin.vertex_count)
-        ).distance_m
+        distance = self._distance_m(world, pose)
         free = ~self.skin.on_base
         world.close = np.flatnonzero(free & (distance < REGION_MARGIN_M))
         kept = free & (distance < PATCH_KEPT_M)
@@ -476,6 +473,21 @@ class ImplicitGel:
                 chosen, self.skin.rest_position_m, self.skin_weight, self.refinement
             )
         trace.add("contact", clock)
+
+    def _distance_m(self, world: World, pose: Pose) -> FloatArray:
+        """Return each marker's distance from the indenter (V,), infinite where that is larger than
+        any that matters."""
+        assert world.history is not None
+        lower, upper = self.contact.indenter.bounds_m()
+        middle = pose.apply(0.5 * (lower + upper))
+        reach_m = 0.5 * float(np.linalg.norm(upper - lower)) + PATCH_MARGIN_M
+        offset = world.skin_position_m - middle
+        near = np.flatnonzero(np.einsum("vi,vi->v", offset, offset) < reach_m**2).astype(np.int32)
+        distance = np.full(self.skin.vertex_count, np.inf)
+        distance[near] = self.contact.respond(
+            near, world.skin_position_m[near], pose, world.history, no_lag(len(near))
+        ).distance_m
+        return distance
 
     def elastic(
         self, displacement_m: FloatArray, inertia: Inertia | None, environment: int
@@ -527,7 +539,15 @@ class ImplicitGel:
                 return tangents.exact.factor(start_m, environment).solve(force_n)
             return local.solve_at_rest(force_n)
 
-        return EquilibriumProblem(world.patch, elastic, respond, respond_now, linearise, at_rest)
+        return EquilibriumProblem(
+            world.patch,
+            elastic,
+            respond,
+            respond_now,
+            linearise,
+            at_rest,
+            self.contact.least_compliance_m_n,
+        )
 
     def _region(
         self, world: World, near: NearMarkers, local: LocalTangent, environment: int

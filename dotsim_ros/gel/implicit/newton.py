@@ -19,6 +19,7 @@ from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactRespons
 from dotsim_ros.gel.implicit.contact_problem import (
     Answers,
     ContactSolution,
+    compliance_root,
     linear_contact,
     solve_contact,
 )
@@ -46,6 +47,9 @@ LARGEST_STEP_M = 0.3e-3
 SLOW_CONVERGENCE = 0.5
 """An iteration that moves farther than this share of the one before renews the linearisation."""
 
+NEGLIGIBLE_PER_M = 3.0e3
+"""Compliance of the gel that the contact leaves out, as a share of its own, by the tolerance."""
+
 Factor = ExactFactor | LocalFactor
 
 
@@ -56,6 +60,7 @@ class Point:
     Attributes:
         displacement_m: (N, 3) of the grid's nodes.
         force_n: (C, 3) of the indenter on the patch's markers, as the refinement feels it.
+        added_m: (C, 3) what the refinement adds to their displacement under these forces.
         position_m: (C, 3) of those markers.
         energy_j, gradient_n: of elasticity and inertia, and its derivative (N, 3).
         response: of the contact.
@@ -63,6 +68,7 @@ class Point:
 
     displacement_m: FloatArray
     force_n: FloatArray
+    added_m: FloatArray
     position_m: FloatArray
     energy_j: float
     gradient_n: FloatArray
@@ -82,6 +88,7 @@ class EquilibriumProblem:
         linearise: the factored stiffness near the listed markers: at the start of the substep, or
             at the displacements (N, 3) given.
         at_rest: the step (3 N,) that answers forces (3 N,) on a gel that nothing touches.
+        contact_compliance_m_n: the least of any marker against the indenter.
     """
 
     patch: Patch | None
@@ -90,16 +97,24 @@ class EquilibriumProblem:
     respond_now: Callable[[NDArray[np.int32], FloatArray], ContactResponse]
     linearise: Callable[[NearMarkers, FloatArray | None], Factor]
     at_rest: Callable[[FloatArray], FloatArray]
+    contact_compliance_m_n: float
 
     def at(self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag) -> Point:
         """Return the point of displacements (N, 3) and forces (C, 3) on the patch's markers."""
+        added = force_n if self.patch is None else self.patch.added_displacement(force_n)
+        return self.with_added(displacement_m, force_n, added, lag)
+
+    def with_added(
+        self, displacement_m: FloatArray, force_n: FloatArray, added_m: FloatArray, lag: Lag
+    ) -> Point:
+        """Return the same where what the refinement adds (C, 3) is known."""
         energy, gradient = self.elastic(displacement_m)
         if self.patch is None:
             empty = np.zeros((0, 3))
-            return Point(displacement_m, empty, empty, energy, gradient, NO_RESPONSE)
-        position = self.patch.position(displacement_m, force_n)
+            return Point(displacement_m, empty, empty, empty, energy, gradient, NO_RESPONSE)
+        position = self.patch.position(displacement_m, added_m)
         response = self.respond(self.patch.marker, position, lag)
-        return Point(displacement_m, force_n, position, energy, gradient, response)
+        return Point(displacement_m, force_n, added_m, position, energy, gradient, response)
 
 
 @dataclass
@@ -123,12 +138,14 @@ class Trace:
 
 @dataclass(frozen=True)
 class _NewtonStep:
-    """A step of the nodes (N, 3) and of the forces on the patch's markers (C, 3); where it takes
-    the markers (C, 3), how the indenter answers there under which lag; how far it moves any marker
-    that took part; the energy's slope along it."""
+    """A step of the nodes (N, 3), of the forces on the patch's markers (C, 3), and of what the
+    refinement adds under them (C, 3); where it takes the markers (C, 3), how the indenter answers
+    there under which lag; how far it moves any marker that took part; the energy's slope along
+    it."""
 
     displacement_m: FloatArray
     force_n: FloatArray
+    added_m: FloatArray
     position_m: FloatArray
     response: ContactResponse
     lag: Lag
@@ -166,7 +183,7 @@ class EquilibriumSearch:
         self.contraction = contraction
         self.near: NearMarkers | None = None
         self.factor: Factor | None = None
-        self.compliance: NDArray[np.floating] | None = None
+        self.root: NDArray[np.floating] | None = None
         self.is_careful = self.is_slow = False
 
     def run(
@@ -179,7 +196,9 @@ class EquilibriumSearch:
             force_n: (C, 3) of the patch's markers, to begin with.
             lag: the first limit of friction on the patch's markers.
         """
-        point = self._at(displacement_m, force_n, lag)
+        clock = time.perf_counter()
+        point = self.problem.at(displacement_m, force_n, lag)
+        self.trace.add("force", clock)
         last_m = np.inf
         for iteration in range(1, self.solver.iterations + 1):
             step = self._step(point, lag)
@@ -206,18 +225,9 @@ class EquilibriumSearch:
             point = trial
         return self._ended(point), self.solver.iterations, False
 
-    def _at(self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag) -> Point:
-        clock = time.perf_counter()
-        point = self.problem.at(displacement_m, force_n, lag)
-        self.trace.add("force", clock)
-        return point
-
     def _energy_j(self, point: Point, response: ContactResponse) -> float:
-        patch = self.problem.patch
-        if patch is None:
-            return point.energy_j
-        added = patch.added_displacement(point.force_n)
-        return point.energy_j + response.energy_j + 0.5 * float(np.vdot(point.force_n, added))
+        added_j = 0.5 * float(np.vdot(point.force_n, point.added_m))
+        return point.energy_j + response.energy_j + added_j
 
     def _step(self, point: Point, lag: Lag) -> _NewtonStep:
         """Return the step to the equilibrium of the linearised gel with the true contact."""
@@ -251,22 +261,24 @@ class EquilibriumSearch:
         position, response = point.position_m, NO_RESPONSE
         if patch is not None:
             position = patch.position(
-                point.displacement_m + displacement, np.zeros_like(point.force_n)
+                point.displacement_m + displacement, np.zeros_like(point.added_m)
             )
             response = self.problem.respond(patch.marker, position, lag)
-        return _NewtonStep(displacement, -point.force_n, position, response, lag, largest, slope)
+        return _NewtonStep(
+            displacement, -point.force_n, -point.added_m, position, response, lag, largest, slope
+        )
 
     def _loaded_step(
         self, point: Point, lag: Lag, patch: Patch, rows: NDArray[np.int64], guess_n: FloatArray
     ) -> _NewtonStep:
         """Return the step if the listed rows of the patch may touch."""
         clock = time.perf_counter()
-        near, factor, compliance = self._linear(point, patch, rows)
+        near, factor = self._linear(point, patch, rows)
         balance = patch.weight.T @ point.force_n - point.gradient_n
         free = self._free(factor, balance.ravel())
         self.trace.add("solve", clock)
         clock = time.perf_counter()
-        solution = self._contact(near, compliance, point, free, lag, guess_n)
+        solution = self._contact(near, factor, point, free, lag, guess_n)
         self.trace.contact_iterations += solution.iterations
         self.trace.add("touch", clock)
         clock = time.perf_counter()
@@ -287,28 +299,25 @@ class EquilibriumSearch:
         response = self.problem.respond(patch.marker, position, renewed)
         self.trace.add("solve", clock)
         largest = float(np.abs(moved[rows]).max())
-        return _NewtonStep(displacement, force, position, response, renewed, largest, slope)
+        return _NewtonStep(displacement, force, added, position, response, renewed, largest, slope)
 
     def _linear(
         self, point: Point, patch: Patch, rows: NDArray[np.int64]
-    ) -> tuple[NearMarkers, Factor, NDArray[np.floating]]:
+    ) -> tuple[NearMarkers, Factor]:
         if self.near is None or len(rows) != len(self.near.rows):
-            self.near, self.compliance = NearMarkers(patch, rows), None
+            self.near, self.root = NearMarkers(patch, rows), None
             if isinstance(self.factor, LocalFactor) and np.any(
                 self.factor.region.number[self.near.node] < 0
             ):
                 self.factor = None
         if self.factor is None:
-            self.factor = self._linearise(self.near, point)
-            self.compliance = None
-        if self.compliance is None:
-            self.compliance = self.near.compliance(self.factor.between(self.near.node))
-        return self.near, self.factor, self.compliance
+            self.factor, self.root = self._linearise(self.near, point), None
+        return self.near, self.factor
 
     def _contact(
         self,
         near: NearMarkers,
-        compliance: NDArray[np.floating],
+        factor: Factor,
         point: Point,
         free_m: FloatArray,
         lag: Lag,
@@ -321,15 +330,21 @@ class EquilibriumSearch:
         if self.is_careful:
             now = Lag(point.response.pressure_pa[rows], point.response.normal[rows])
             response = respond(near.marker, point.position_m[rows], now)
+            compliance = near.compliance(factor.between(near.node))
             linear = linear_contact(compliance, free, force, response)
             return ContactSolution(linear, response, now, 1)
         answers = Answers(
             lambda position, limit: respond(near.marker, position, limit),
             lambda position: respond_now(near.marker, position),
         )
+        if self.root is None:
+            self.root = compliance_root(
+                near.compliance(factor.between(near.node)),
+                NEGLIGIBLE_PER_M * self.solver.tolerance_m * self.problem.contact_compliance_m_n,
+            )
         tolerance = min(CONTACT_SHARE * self.solver.tolerance_m, LARGEST_CONTACT_TOLERANCE_M)
         return solve_contact(
-            compliance,
+            self.root,
             point.position_m[rows] + free,
             force,
             answers,
@@ -353,6 +368,7 @@ class EquilibriumSearch:
         return Point(
             point.displacement_m + step.displacement_m,
             point.force_n + step.force_n,
+            point.added_m + step.added_m,
             step.position_m,
             point.energy_j,
             point.gradient_n,
@@ -370,11 +386,14 @@ class EquilibriumSearch:
         if self.is_careful:
             scale = min(1.0, LARGEST_STEP_M / step.largest_m)
         while True:
-            trial = self._at(
+            clock = time.perf_counter()
+            trial = self.problem.with_added(
                 point.displacement_m + scale * step.displacement_m,
                 point.force_n + scale * step.force_n,
+                point.added_m + scale * step.added_m,
                 step.lag,
             )
+            self.trace.add("force", clock)
             allowed = energy + 1e-4 * scale * min(step.slope_j, 0.0) + 1e-9 * abs(energy)
             if self._energy_j(trial, trial.response) <= allowed or scale < SMALLEST_SCALE:
                 return trial, scale
@@ -395,10 +414,10 @@ class EquilibriumSearch:
     def _relinearise(self, point: Point) -> None:
         self.is_slow = True
         if self.near is not None:
-            self.factor, self.compliance = self._linearise(self.near, point), None
+            self.factor, self.root = self._linearise(self.near, point), None
 
     def _be_careful(self) -> None:
         """From now on linearise the contact too, at the present state: a deep press can leave the
         gel unstable but for the indenter that holds it."""
         self.is_careful = self.is_slow = True
-        self.near = self.factor = self.compliance = None
+        self.near = self.factor = self.root = None

@@ -42,11 +42,9 @@ class Patch:
         moved: FloatArray = self.fine_weight @ by_marker(flat)
         return moved
 
-    def position(self, displacement_m: FloatArray, force_n: FloatArray) -> FloatArray:
-        """Return the markers (C, 3) at displacements (N, 3) of the grid under forces (C, 3)."""
-        position: FloatArray = (
-            self.rest_position_m + self.weight @ displacement_m + self.added_displacement(force_n)
-        )
+    def position(self, displacement_m: FloatArray, added_m: FloatArray) -> FloatArray:
+        """Return the markers (C, 3) at displacements (N, 3) of the grid, with (C, 3) added."""
+        position: FloatArray = self.rest_position_m + self.weight @ displacement_m + added_m
         return position
 
 
