@@ -19,6 +19,9 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
+# Two at a time, a file each, in the order in which they are named: long files must not come last.
+TWO := -n 2 --dist loadfile --no-loadscope-reorder
+
 # What the tests saw of bad input and faults, for docs/faults.md.
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
@@ -54,8 +57,8 @@ demo-loop: setup
 
 test: setup
 	@rm -f $(FAULTS)
-	$(RUN) python -m pytest -n 2 --dist loadfile --faults=$(FAULTS) $(PYTEST_OPTIONS) test/unit test/physics
-	$(RUN) python -m pytest -n 2 --dist loadfile -m "not timed" --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
+	$(RUN) python -m pytest $(TWO) --faults=$(FAULTS) $(PYTEST_OPTIONS) test/physics test/unit
+	$(RUN) python -m pytest $(TWO) -m "not timed" --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
 	$(RUN) python -m pytest -m timed --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
 
 faults: setup

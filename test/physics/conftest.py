@@ -1,9 +1,6 @@
-"""Tables that are computed once for all tests, in a cache of the session's own."""
+"""Gels that are made once for all tests."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from gel_cases import FRICTIONLESS, YOUNGS_PA, pad_gel, pad_skin
@@ -11,15 +8,6 @@ from gel_cases import FRICTIONLESS, YOUNGS_PA, pad_gel, pad_skin
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
-
-
-@pytest.fixture(scope="session")
-def cache_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """An empty cache folder that the tests of a session share."""
-    folder = tmp_path_factory.mktemp("cache")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DOTSIM_ROS_CACHE", str(folder))
-        yield folder
 
 
 def _refined_pad(poisson_ratio: float) -> ImplicitGel:
@@ -33,6 +21,9 @@ def _refined_pad(poisson_ratio: float) -> ImplicitGel:
 
 
 @pytest.fixture(scope="session")
-def refined_pads(cache_folder: Path) -> dict[float, ImplicitGel]:
+def refined_pads(tmp_path_factory: pytest.TempPathFactory) -> dict[float, ImplicitGel]:
     """Refined pads under a sphere of 20 mm, by Poisson's ratio; reset them before use."""
-    return {ratio: _refined_pad(ratio) for ratio in (0.3, 0.49)}
+    # In a cache of their own, so that they are computed; what follows finds the user's.
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DOTSIM_ROS_CACHE", str(tmp_path_factory.mktemp("cache")))
+        return {ratio: _refined_pad(ratio) for ratio in (0.3, 0.49)}

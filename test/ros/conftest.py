@@ -20,18 +20,20 @@ stay_local()
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="dotsim_ros_log_"))
 TIMED = {
     "test_closed_loop",
-    "test_in_the_middle",
-    "test_on_demand",
     "test_realtime",
     "test_tactile_policy",
     "test_tactile_policy_loop",
-    "test_xarm_adapter",
     "test_xarm_sim",
 }
 """Files whose nodes must keep times: they run alone, the others two at a time."""
 
 
+LONG = ("test_simulated_loop", "test_effects_overlay", "test_time_stepper", "test_ros_examples")
+"""Files that begin first, so that the end does not wait for one of them."""
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.path.stem not in LONG)
     for item in items:
         if item.path.stem in TIMED:
             item.add_marker("timed")
