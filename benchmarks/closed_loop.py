@@ -128,6 +128,9 @@ def ways(loop: ClosedLoop) -> dict[str, Any]:
     return {
         "pose_to_frame": spread_ms((frame_s - shown_s)[~np.isnan(shown_s)]),
         "frame_to_sent": spread_ms(frame_sent_s - frame_s),
+        "frame_to_sent_percentiles_s": np.percentile(frame_sent_s - frame_s, np.arange(101))
+        .round(4)
+        .tolist(),
         "frame_to_command": spread_ms(command_s - frame_s[answered]),
         "pose_to_command": spread_ms(whole[~lags]),
         "commands_counted": int(np.sum(~lags)),
@@ -253,7 +256,7 @@ def page(figures: Mapping[str, Any]) -> str:
     inference = figures["told_by_the_policy"]["inference"]
     control = figures["told_by_the_policy"]["control"]
     reported = {
-        "inference, p50, p95, max": f"{inference.get('time_p50_p95_max_ms', '-')} ms",
+        "inference, p50, p95, p99, max": f"{inference.get('time_p50_p95_p99_max_ms', '-')} ms",
         "latency from image to command, p50, p99": (
             f"{inference.get('image_age_at_command_p50_p99_ms', '-')} ms"
         ),

@@ -86,7 +86,9 @@ def _inference(inference: InferenceLoop, control: ControlLoop, now_s: float) -> 
         "rate_hz": f"{inference.rate.rate_hz(now_s):.2f}",
         "commands": str(inference.taken),
         "cycles_without_image": str(inference.without_image),
-        "time_p50_p95_max_ms": _milliseconds(*inference.spent_s.percentiles(50.0, 95.0, 100.0)),
+        "time_p50_p95_p99_max_ms": _milliseconds(
+            *inference.spent_s.percentiles(50.0, 95.0, 99.0, 100.0)
+        ),
         "image_age_at_command_p50_p99_ms": _milliseconds(*stamp_s),
         "image_age_since_arrival_p50_p99_ms": _milliseconds(*arrival_s),
         "image_distance": f"{inference.distance:.2f}",
