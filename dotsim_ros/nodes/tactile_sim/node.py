@@ -73,6 +73,11 @@ class TactileSim(WorkingNode):
             limit_m=ladder[0].profile.move_m,
             effects=effects,
         )
+        if self._settings.device != "cpu":
+            self.get_logger().warning(
+                f"device {self._settings.device} is experimental: nothing has been shown to run "
+                "there; benchmarks/device_check.py compares it with the CPU"
+            )
         self.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()
         self._profile = make_profile_in_force(

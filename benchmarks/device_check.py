@@ -1,0 +1,194 @@
+"""Does a device compute what the CPU computes? Every kernel that can run there, in one command.
+
+    python benchmarks/device_check.py --device cuda:0 --json device_check.json
+
+A coarse sensor whose gel relaxes presses and slides, its images are drawn, the loss of a press is
+differentiated, and a few frames of the explicit method are run, on the CPU and on the device. The
+largest difference of each result is printed as a share of its own range. A result of a single
+precision sum may differ in another order of its terms; more than TOLERANCE is a fault. Kernels of
+the package that the device did not run are listed: some work on a CPU by design.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from dotsim_ros.files import write_json
+from dotsim_ros.gel.adjoint.backward import trajectory_gradient
+from dotsim_ros.gel.adjoint.gradient import LossGradient
+from dotsim_ros.gel.adjoint.recorder import Recorder
+from dotsim_ros.gel.body import Dome
+from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S, ExplicitGel, ExplicitSettings
+from dotsim_ros.gel.make import make_gel_batch
+from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.provenance import provenance
+from dotsim_ros.sensor import TactileSensor
+from dotsim_ros.specification import SensorSpecification, load_sensor
+
+TOLERANCE = 2e-3
+RADIUS_M, SPACING_M, SKIN_M = 0.01575, 4.8e-3, 1.0e-3
+WAYS_M = ((0.0, 0.001), (0.0, -0.0008), (0.0, -0.0014), (0.0006, -0.0014))
+"""Of the ball's tip: aside, and above the apex."""
+Results = dict[str, NDArray[Any]]
+
+
+def poses() -> list[Pose]:
+    """Return a press and a slide."""
+    return [Pose(np.array([x, 0.0, RADIUS_M + above])) for x, above in WAYS_M]
+
+
+def coarse(**material: Any) -> SensorSpecification:
+    """Return the shipped sensor with a coarse gel, skin and camera."""
+    own = load_sensor("densetact2")
+    return replace(
+        own,
+        gel=replace(own.gel, skin_spacing_m=SKIN_M),
+        material=replace(own.material, **material),
+        solver=replace(own.solver, grid_spacing_m=SPACING_M, refined=False),
+    )
+
+
+def sensor_results(device: str) -> Results:
+    """Return what a relaxing sensor publishes at the end of a slide."""
+    sensor = TactileSensor(
+        coarse(prony_shares=(0.2,), prony_times_s=(0.5,)), indenter=sphere(0.004), device=device
+    )
+    for pose in poses():
+        frame = sensor.step(pose, 0.04)
+    return {
+        "skin, m": frame.skin_position_m,
+        "force, N": frame.wrench.force_n,
+        "depth, m": np.nan_to_num(frame.depth_m),
+        "normals": np.nan_to_num(frame.normal),
+        "image": frame.image.astype(np.float64),
+    }
+
+
+def gradient_results(device: str) -> Results:
+    """Return the derivatives of the last normal force."""
+    specification = coarse()
+    gel = make_gel_batch(specification, indenter=sphere(0.004), environment_count=1, device=device)
+    recorder = Recorder(gel)
+    none = np.zeros_like(gel.skin.rest_position_m)
+    losses = []
+    for pose in poses():
+        recorder.step([pose], 0.04)
+        losses.append(LossGradient(none, np.zeros(3), np.zeros(3)))
+    losses[-1] = LossGradient(none, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+    found = trajectory_gradient(gel, recorder.trajectories[0], losses)
+    return {
+        "dF/d(law)": np.array(list(found.by_law(gel.material.law).values())),
+        "dF/d(friction)": np.array([found.friction_coefficient]),
+    }
+
+
+def explicit_results(device: str) -> Results:
+    """Return the skin after two frames of the explicit method."""
+    gel = ExplicitGel(
+        Dome(RADIUS_M, 0.006),
+        dome_skin(RADIUS_M, SKIN_M),
+        material=NeoHookean(27_575.0, 0.303),
+        density_kg_m3=1070.0,
+        friction_coefficient=0.4,
+        indenter=sphere(0.004),
+        settings=ExplicitSettings(spacing_m=2.4e-3, substeps_per_frame=100, softness=30.0),
+        device=device,
+    )
+    for depth_m in (0.0, 2e-4, 4e-4):
+        state = gel.step(Pose(np.array([0.0, 0.0, RADIUS_M - depth_m])), PAPER_FRAME_S)
+    return {"skin, m": state.skin_position_m, "force, N": state.force_n}
+
+
+CASES: dict[str, Callable[[str], Results]] = {
+    "sensor": sensor_results,
+    "adjoint": gradient_results,
+    "explicit": explicit_results,
+}
+
+
+@contextmanager
+def noted_launches(ran: set[str], device: str) -> Iterator[None]:
+    """Note the kernels that are launched on a device, or recorded to be."""
+    launch = wp.launch
+
+    def noted(kernel: Any, *arguments: Any, **named: Any) -> Any:
+        if wp.get_device(named.get("device")) == wp.get_device(device):
+            ran.add(f"{kernel.func.__module__}.{kernel.func.__name__}")
+        return launch(kernel, *arguments, **named)
+
+    wp.launch = noted
+    try:
+        yield
+    finally:
+        wp.launch = launch
+
+
+def difference(found: NDArray[Any], expected: NDArray[Any]) -> float:
+    """Return the largest difference as a share of the range of what is expected."""
+    if found.shape != expected.shape or not np.all(np.isfinite(found)):
+        return float("inf")
+    size = float(np.abs(expected).max(initial=0.0)) or 1.0
+    return float(np.abs(found - expected).max(initial=0.0)) / size
+
+
+def main() -> int:
+    """Compare, print, write; return 1 where something differs."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--device", default="cuda:0", help="to check against the CPU (cuda:0)")
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), help="which")
+    parser.add_argument("--json", type=Path, help="file to write the figures to")
+    arguments = parser.parse_args()
+    known = [str(device) for device in wp.get_devices()]
+    if arguments.device not in known:
+        print(
+            f"there is no device {arguments.device} here; choose from {', '.join(known)}",
+            file=sys.stderr,
+        )
+        return 2
+    rows: list[dict[str, Any]] = []
+    on_cpu: set[str] = set()
+    ran: set[str] = set()
+    for case in arguments.cases:
+        with noted_launches(on_cpu, "cpu"):
+            expected = CASES[case]("cpu")
+        begun_s = time.perf_counter()
+        try:
+            with noted_launches(ran, arguments.device):
+                found = CASES[case](arguments.device)
+        except Exception as error:
+            rows.append({"case": case, "failed": f"{type(error).__name__}: {error}"})
+            print(f"{case}: FAILED: {rows[-1]['failed']}")
+            continue
+        seconds = time.perf_counter() - begun_s
+        for name, values in expected.items():
+            share = difference(found[name], values)
+            rows.append({"case": case, "result": name, "difference": share})
+            verdict = "" if share <= TOLERANCE else "  DIFFERS"
+            print(f"{case}: {name:<16} differs by {share:.1e} of its range{verdict}")
+        print(f"{case}: {seconds:.1f} s on {arguments.device}")
+    missing = sorted(on_cpu - ran)
+    print(f"{len(ran)} kernels ran on {arguments.device}: {', '.join(sorted(ran))}")
+    print(f"{len(missing)} ran on the CPU alone: {', '.join(missing) or 'none'}")
+    if arguments.json is not None:
+        figures = {"device": arguments.device, "rows": rows, "ran": sorted(ran), "not_run": missing}
+        write_json(arguments.json, figures | {"provenance": provenance()})
+    is_right = all(row.get("difference", np.inf) <= TOLERANCE for row in rows)
+    return 0 if is_right and rows else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
