@@ -158,30 +158,35 @@ class ElasticBody:
 
     def force(self, displacement_m: Array) -> tuple[Array, Array]:
         """Return energies (E,) and their gradients (E, N, 3) for displacements (E, N, 3)."""
-        self.displacement.assign(displacement_m)
-        self.force_buffer.zero_()
+        each = [self.force_in(e, here) for e, here in enumerate(displacement_m)]
+        return np.array([energy for energy, _ in each]), np.stack([force for _, force in each])
+
+    def force_in(self, environment: int, displacement_m: Array) -> tuple[float, Array]:
+        """Return the energy of one environment and its gradient (N, 3) at displacements (N, 3)."""
+        here = slice(environment, environment + 1)
+        self.displacement[environment].assign(displacement_m)
+        buffer = self.force_buffer[here]
+        buffer.zero_()
+        energies = self.energy_buffer[here]
         wp.launch(
             self.kernels.internal_force,
-            dim=(self.environment_count, self.discretization.particle_count),
+            dim=(1, self.discretization.particle_count),
             inputs=[
                 self.all_particles,
                 self.node_index,
                 self.weight_gradient,
                 self.volume,
-                self.coefficients,
-                self.fast_share,
-                self.history_stress,
-                self.displacement,
+                self.coefficients[here],
+                self.fast_share[here],
+                self.history_stress[here],
+                self.displacement[here],
             ],
-            outputs=[self.force_buffer, self.energy_buffer],
+            outputs=[buffer, energies],
             device=self.device,
         )
-        force = self.force_buffer.numpy().copy()
-        energy = self.energy_buffer.numpy().sum(axis=1)
-        for e in range(self.environment_count):
-            linear = self.linear @ displacement_m[e]
-            force[e] += linear
-            energy[e] += 0.5 * np.vdot(displacement_m[e], linear)
+        linear = self.linear @ displacement_m
+        force = buffer.numpy()[0] + linear
+        energy = float(energies.numpy().sum()) + 0.5 * float(np.vdot(displacement_m, linear))
         return energy, force
 
     def cell_stiffness(

@@ -494,10 +494,7 @@ class ImplicitGel:
     ) -> tuple[float, FloatArray]:
         """Return the energy of elasticity and inertia, J, and its gradient (N, 3) at displacements
         (N, 3)."""
-        batch = np.zeros((self.environment_count, *displacement_m.shape))
-        batch[environment] = displacement_m
-        energies, gradients = self.body.force(batch)
-        energy, gradient = float(energies[environment]), gradients[environment]
+        energy, gradient = self.body.force_in(environment, displacement_m)
         if inertia is not None:
             push = inertia.stiffness @ (displacement_m - inertia.predicted_m)
             gradient = gradient + push
