@@ -13,6 +13,7 @@ from dotsim_ros.tasks.arm.command import (
     ANGULAR,
     LINEAR,
     CommandInterpolator,
+    CommandPredictor,
     approached,
     brake_time_s,
     in_base_axes,
@@ -118,3 +119,48 @@ def test_a_reset_line_begins_at_rest():
     line.put(np.full(6, 1.0), 0.0)
     line.reset()
     assert not line.at(1.0).any()
+
+
+def turning(angle_rad):
+    """Return a command of 5 mm/s in a direction."""
+    return np.array([5e-3 * np.cos(angle_rad), 5e-3 * np.sin(angle_rad), 0, 0, 0, 0])
+
+
+def test_a_predicted_command_points_where_the_policy_will_later():
+    predictor = CommandPredictor(0.08, 0.04)
+    # Images that arrive unevenly; the policy turns by 0.1 rad from one to the next.
+    for number, late_s in enumerate([0.0, 0.008, -0.006, 0.004, 0.0, 0.007, -0.005, 0.0]):
+        command = predictor.put(turning(0.1 * number), 0.04 * number + late_s)
+    angle_rad = np.arctan2(command[1], command[0])
+    assert angle_rad == pytest.approx(0.1 * number + 0.2, abs=0.03)
+    assert np.linalg.norm(command) <= 5e-3 * (1 + 1e-12)
+
+
+def circle_error_m(lead_s, delay_s=0.08, radius_m=2e-3):
+    """Return how far from a circle a tool ends up whose policy sees it late."""
+    predictor = CommandPredictor(lead_s, 0.04)
+    way = [np.array([radius_m, 0.0])] * 9
+    for cycle in range(100):
+        seen = way[-1 - round(delay_s / 0.01)]
+        outward = seen / np.linalg.norm(seen)
+        along = np.array([-outward[1], outward[0]])
+        wanted = 5e-3 * along + 3.0 * (radius_m - np.linalg.norm(seen)) * outward
+        command = predictor.put(np.append(wanted, np.zeros(4)), 0.04 * cycle)
+        way += [way[-1] + 0.01 * (tick + 1) * command[:2] for tick in range(4)]
+    return abs(np.linalg.norm(way[-1]) - radius_m)
+
+
+def test_prediction_keeps_a_late_tool_on_a_circle():
+    assert circle_error_m(0.1) < 0.3 * circle_error_m(0.0)
+
+
+def test_nothing_is_predicted_over_a_gap_without_a_lead_or_of_old_images():
+    predictor = CommandPredictor(0.08, 0.04)
+    predictor.put(turning(0.0), 0.0)
+    for image_s in (0.3, 0.3, 0.2):
+        np.testing.assert_array_equal(predictor.put(turning(0.5), image_s), turning(0.5))
+    as_they_are = CommandPredictor(0.0, 0.04)
+    for number in range(3):
+        np.testing.assert_array_equal(
+            as_they_are.put(turning(number), 0.04 * number), turning(number)
+        )

@@ -68,6 +68,14 @@ class TactilePolicyParameters:
         maximum=CONTROL_RATE_HZ,
         read_only=True,
     )
+    command_lead_s: float = option(
+        0.0,
+        "How long after its image a command takes effect: the commands are extrapolated by as "
+        "much. 0: they are published as they are.",
+        minimum=0.0,
+        maximum=0.2,
+        read_only=True,
+    )
     maximum_linear_m_s: float = option(
         0.05, "Speed limit of the tool.", minimum=1e-4, maximum=1.0, read_only=True
     )
@@ -252,6 +260,7 @@ class TactilePolicyParameters:
             along_tool=self.command_frame == TOOL_FRAME,
             interpolates=self.command_rate_hz == CONTROL_RATE_HZ,
             period_s=1.0 / POLICY_RATE_HZ,
+            lead_s=self.command_lead_s,
             righting_gain_per_s=self.orientation_gain_per_s if self.hold_orientation else 0.0,
             righting_limit_rad_s=self.orientation_limit_rad_s,
         )

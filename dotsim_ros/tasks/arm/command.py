@@ -130,6 +130,52 @@ def brake_time_s(twist: Twist, *, linear_m_s2: float, angular_rad_s2: float) -> 
     )
 
 
+RATE_SHARE = 0.5
+"""How much of what a policy's commands have changed by counts as their rate at once."""
+LONGEST_GAP_PERIODS = 3
+"""Between images that are farther apart nobody knows how the commands went."""
+
+
+class CommandPredictor:
+    """Says what a policy will command a little later, from how its commands have been turning.
+
+    A command answers an image, and takes effect only once that was exposed, sent and looked at. By
+    then the tool has gone on, and on a curved path the command points outwards. The line through
+    the newest commands (a first-order hold) makes up for it.
+
+    Args:
+        lead_s: how much later; 0 changes nothing.
+        period_s: between images.
+    """
+
+    def __init__(self, lead_s: float, period_s: float) -> None:
+        self._lead_s, self._period_s = lead_s, period_s
+        self._command, self._image_s, self._rate = zero_twist(), -np.inf, zero_twist()
+
+    def put(self, command: Twist, image_s: float) -> Twist:
+        """Return what to command; each of its speeds is at most that of the last two commands.
+
+        Args:
+            command: (6,) that answers an image.
+            image_s: when that came.
+        """
+        before, gap_s = self._command, image_s - self._image_s
+        self._command, self._image_s = command.copy(), image_s
+        # Images are made at an even rate, whenever they arrive.
+        periods = max(1, round(min(gap_s, 1.0) / self._period_s))
+        if self._lead_s == 0.0 or gap_s <= 0.0 or periods > LONGEST_GAP_PERIODS:
+            self._rate = zero_twist()
+            return command
+        rate = (command - before) / (periods * self._period_s)
+        self._rate = self._rate + RATE_SHARE * (rate - self._rate)
+        both = np.stack([command, before])
+        return within_speed(
+            command + self._lead_s * self._rate,
+            linear_m_s=float(np.linalg.norm(both[:, LINEAR], axis=1).max()),
+            angular_rad_s=float(np.linalg.norm(both[:, ANGULAR], axis=1).max()),
+        )
+
+
 class CommandInterpolator:
     """Goes from each command to the next on a straight line, never beyond.
 

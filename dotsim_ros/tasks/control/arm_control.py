@@ -14,6 +14,7 @@ from dotsim_ros.tasks.arm.command import (
     ANGULAR,
     LINEAR,
     CommandInterpolator,
+    CommandPredictor,
     Twist,
     approached,
     in_base_axes,
@@ -36,6 +37,7 @@ class ControlSettings:
         along_tool: the axes of the commands are those of the tool, else those of the base.
         interpolates: go from each of the policy's commands to the next on a line.
         period_s: between the policy's commands.
+        lead_s: how much later than its image a command takes effect; see `CommandPredictor`.
         righting_gain_per_s: rate back to the orientation at which the loop was enabled, for each
             radian; 0: the policy alone turns the tool.
         righting_limit_rad_s: the fastest of that.
@@ -44,6 +46,7 @@ class ControlSettings:
     along_tool: bool = True
     interpolates: bool = True
     period_s: float = 0.04
+    lead_s: float = 0.0
     righting_gain_per_s: float = 2.0
     righting_limit_rad_s: float = 0.1
 
@@ -79,6 +82,7 @@ class ArmControl:
         self._lock = RLock()
         self._supervisor = Supervisor(limits)
         self._interpolator = CommandInterpolator(settings.period_s)
+        self._predictor = CommandPredictor(settings.lead_s, settings.period_s)
         self._policy_command, self._policy_s = zero_twist(), -np.inf
         self._twist, self._tick_s = zero_twist(), -np.inf
 
@@ -124,6 +128,7 @@ class ArmControl:
                 return False
             if now_s - image_s > self.limits.stop_within_s:
                 return False
+            command = self._predictor.put(command, image_s)
             self._policy_command, self._policy_s = command, now_s
             self._interpolator.put(command, now_s)
             return True
