@@ -12,6 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import msg_adapters
+from dotsim_ros.evaluation.trajectory import trials
 from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
 from dotsim_ros.evaluation.trajectory.page import (
     drawn_places,
@@ -266,6 +267,19 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
     assert len(asked) == 11
     run(plan_of(policy="another"))
     assert len(asked) == 19
+
+
+def test_a_trial_under_other_parameters_of_the_loop_is_another_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = plan_of()
+    before = plan.file_of(plan.settings[0], "line", 0)
+    assert before == plan.file_of(plan.settings[0], "line", 0)
+    changed = tmp_path / "closed_loop.yaml"
+    text = parameter_path("closed_loop.yaml").read_text()
+    changed.write_text(text.replace("command_lead_s: 0.05", "command_lead_s: 0.0"))
+    monkeypatch.setattr(trials, "parameter_path", lambda name: tmp_path / name)
+    assert before != plan.file_of(plan.settings[0], "line", 0)
 
 
 def test_a_loop_that_does_not_start_is_tried_again_and_then_told(tmp_path: Path) -> None:

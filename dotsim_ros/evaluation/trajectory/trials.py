@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key, tell_broken
 from dotsim_ros.documents import read_yaml
-from dotsim_ros.files import given_path, whole_file, write_image
+from dotsim_ros.files import given_path, parameter_path, whole_file, write_image
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics.idle import description_of, resample
 from dotsim_ros.optics.pattern import idle_frame_of
@@ -52,8 +52,13 @@ DECIDED_BY = (
     "dotsim_ros.sensor",
     "dotsim_ros.tasks.arm.simulated",
     "dotsim_ros.tasks.policy.network",
+    "dotsim_ros.tasks.control.arm_control",
+    "dotsim_ros.nodes.tactile_policy.loops",
+    "dotsim_ros.nodes.simulated_time.schedule",
 )
 """The code, with all that it imports, that decides what a trial does."""
+PARAMETERS = "closed_loop.yaml"
+"""The parameters of the loop, which decide it, too."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,9 @@ class TrialPlan:
     def file_of(self, setting: Setting, path: str, number: int) -> str:
         """Return the name of the file that keeps a trial."""
         what = (self.policy, setting.content, path, number, self.seed, self.seconds, self.clock)
-        key = content_key(DECIDED_BY, what, setting.noise_levels)
+        key = content_key(
+            DECIDED_BY, what, setting.noise_levels, parameter_path(PARAMETERS).read_bytes()
+        )
         return f"{setting.name}-{path}-{number}-{key}.npz"
 
 
