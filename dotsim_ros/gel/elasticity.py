@@ -138,9 +138,7 @@ class ElasticBody:
 
     def set_history(self, fast_share: float, history_stress_pa: Array, environment: int) -> None:
         """Set what relaxation leaves of the fast stress, and the stress (P, 3, 3) it remembers."""
-        share = self.fast_share.numpy().copy()
-        share[environment] = fast_share
-        self.fast_share.assign(share)
+        self.fast_share[environment : environment + 1].fill_(fast_share)
         self.history_stress[environment].assign(history_stress_pa.astype(self.dtype))
 
     def material_stress(self, displacement_m: Array, environment: int) -> Array:
