@@ -6,12 +6,13 @@ The reference is the same model on a grid of 1.2 mm, with the whole stiffness fa
 iteration and solved until no marker moves by more than 1 um: about ten minutes an indenter. It is
 kept beside the tables that are computed once, so that a second run needs seconds. Penetration of
 the reference itself is printed too: a sharp edge sinks in whatever the solver does.
+
+Each indenter presses straight in, and then slides at 10 mm/s at one depth.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.files import cache_directory, write_json
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of, skin_of
@@ -28,11 +30,22 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
 
-INDENTERS = ("sphere_4mm", "flat_punch", "box_edge")
+INDENTERS = ("sphere_4mm", "flat_punch", "box_edge", "cone", "box_face")
 STEP_M = 0.25e-3
-DEPTHS_M = (0.5e-3, 1.0e-3, 1.5e-3, 2.0e-3, 2.5e-3)
+DEPTHS_M = (0.5e-3, 1.0e-3, 1.5e-3, 2.0e-3, 2.5e-3, 3.0e-3)
+SLIDE_DEPTH_M = 1.5e-3
+SLIDE_STEP_M = 0.4e-3
+"""In a frame at 10 mm/s."""
+MOTIONS = ("press", "slide")
+SLIDES_M = (0.8e-3, 1.6e-3, 2.4e-3)
 DIRECTION = (0.3, 0.15, 1.0)
 FRAME_S = 0.04
+DECIDED_BY = (
+    "dotsim_ros.gel.elasticity",
+    "dotsim_ros.gel.implicit.contact",
+    "dotsim_ros.geometry.skin_mesh",
+)
+"""What decides a reference that is solved to the end: the physics, not the way to it."""
 
 
 @dataclass(frozen=True)
@@ -80,46 +93,63 @@ def make(specification: SensorSpecification, method: Method, indenter: str) -> I
     )
 
 
-def presses(
-    gel: ImplicitGel, outer_radius_m: float, name: str
+def motions(outer_radius_m: float) -> dict[str, tuple[list[Pose], dict[int, float]]]:
+    """Return the poses of each motion, and the length in metres that those to be judged stand for,
+    by their number: depth of a press, way of a slide."""
+    depths = np.arange(STEP_M, DEPTHS_M[-1] + 1e-9, STEP_M)
+    down = [press_pose(outer_radius_m, float(depth_m)) for depth_m in depths]
+    judged = {int(np.argmin(np.abs(depths - depth_m))): depth_m for depth_m in DEPTHS_M}
+    first = [
+        press_pose(outer_radius_m, float(depth_m))
+        for depth_m in np.arange(STEP_M, SLIDE_DEPTH_M + 1e-9, STEP_M)
+    ]
+    # Across the axis, along the indenter's own y: over the edge of a box, not along it.
+    aside = first[-1].rotation()[:, 1]
+    ways = np.arange(SLIDE_STEP_M, SLIDES_M[-1] + 1e-9, SLIDE_STEP_M)
+    along = [
+        Pose(first[-1].position_m + way_m * aside, first[-1].quaternion_xyzw) for way_m in ways
+    ]
+    slid = {len(first) + int(np.argmin(np.abs(ways - way_m))): way_m for way_m in SLIDES_M}
+    return {"press": (down, judged), "slide": (first + along, slid)}
+
+
+def moved(
+    gel: ImplicitGel, poses: list[Pose], judged: dict[int, float], name: str
 ) -> tuple[dict[float, GelState], list[float]]:
-    """Press step by step; return the states at DEPTHS_M and the seconds of every step."""
+    """Go through a motion; return the judged states by their length, and the steps' seconds."""
+    gel.reset()
     states, seconds = {}, []
-    for depth_m in np.arange(STEP_M, DEPTHS_M[-1] + 1e-9, STEP_M):
+    for number, pose in enumerate(poses):
         begun = time.perf_counter()
-        state = gel.step([press_pose(outer_radius_m, float(depth_m))], FRAME_S)[0]
+        state = gel.step([pose], FRAME_S)[0]
         seconds.append(time.perf_counter() - begun)
-        for wanted in DEPTHS_M:
-            if abs(depth_m - wanted) < 1e-9:
-                states[wanted] = state
+        if number in judged:
+            states[judged[number]] = state
         if gel.exact:
-            print(f"  {name} {1e3 * depth_m:.2f} mm: {seconds[-1]:.0f} s", flush=True)
+            print(f"  {name}, step {number + 1}: {seconds[-1]:.0f} s", flush=True)
     return states, seconds
 
 
 def reference(
-    specification: SensorSpecification, indenter: str
+    specification: SensorSpecification, indenter: str, motion: str
 ) -> dict[float, dict[str, NDArray[np.float64]]]:
-    """Return skin, wrench, penetration and convergence of the reference at every depth."""
-    described = repr((specification, indenter, STEP_M, DEPTHS_M, DIRECTION, REFERENCE))
-    key = hashlib.sha256(described.encode()).hexdigest()[:16]
+    """Return skin, wrench, penetration and convergence of the reference at every judged length."""
+    poses, judged = motions(specification.gel.outer_radius_m)[motion]
+    key = content_key(DECIDED_BY, specification, load_indenter(indenter), poses, judged)
     path = cache_directory() / f"accuracy-{key}.npz"
-    if not path.exists():
+    stored = load_arrays(path)
+    if stored is None:
         gel = make(specification, REFERENCE, indenter)
-        states, _ = presses(gel, specification.gel.outer_radius_m, indenter)
-        arrays = {}
-        for depth_m, state in states.items():
-            arrays[f"{depth_m}/skin"] = state.skin_position_m
-            arrays[f"{depth_m}/force"] = state.wrench.force_n
-            arrays[f"{depth_m}/penetration"] = np.array(state.max_penetration_m)
-            arrays[f"{depth_m}/converged"] = np.array(state.converged)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(".part.npz")
-        np.savez(part, **arrays)
-        part.replace(path)
-    with np.load(path) as stored:
-        parts = ("skin", "force", "penetration", "converged")
-        return {d: {part: stored[f"{d}/{part}"] for part in parts} for d in DEPTHS_M}
+        states, _ = moved(gel, poses, judged, f"{indenter}, {motion}")
+        stored = {}
+        for length_m, state in states.items():
+            stored[f"{length_m}/skin"] = state.skin_position_m
+            stored[f"{length_m}/force"] = state.wrench.force_n
+            stored[f"{length_m}/penetration"] = np.array(state.max_penetration_m)
+            stored[f"{length_m}/converged"] = np.array(state.converged)
+        store_arrays(path, stored)
+    parts = ("skin", "force", "penetration", "converged")
+    return {d: {part: stored[f"{d}/{part}"] for part in parts} for d in judged.values()}
 
 
 def compare(
@@ -144,27 +174,30 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, help="write the figures here")
     parser.add_argument("--indenters", nargs="+", default=INDENTERS, help="names or files")
+    parser.add_argument("--motions", nargs="+", default=MOTIONS, choices=MOTIONS, help="which")
     arguments = parser.parse_args()
     specification = load_sensor("densetact2")
     rows: list[dict[str, Any]] = []
     for indenter in arguments.indenters:
-        truth = reference(specification, indenter)
-        for method in METHODS:
-            gel = make(specification, method, indenter)
-            states, seconds = presses(gel, specification.gel.outer_radius_m, indenter)
-            for depth_m, state in states.items():
-                row = {
-                    "indenter": indenter,
-                    "method": method.name,
-                    "depth_mm": round(1e3 * depth_m, 2),
-                    **compare(state, truth[depth_m], seconds),
-                    "reference_penetration_um": round(
-                        1e6 * float(truth[depth_m]["penetration"]), 1
-                    ),
-                    "reference_converged": bool(truth[depth_m]["converged"]),
-                }
-                rows.append(row)
-                print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
+        for motion in arguments.motions:
+            poses, judged = motions(specification.gel.outer_radius_m)[motion]
+            truth = reference(specification, indenter, motion)
+            for method in METHODS:
+                gel = make(specification, method, indenter)
+                states, seconds = moved(gel, poses, judged, indenter)
+                for length_m, state in states.items():
+                    true = truth[length_m]
+                    row = {
+                        "indenter": indenter,
+                        "method": method.name,
+                        "motion": motion,
+                        "depth_mm" if motion == "press" else "way_mm": round(1e3 * length_m, 2),
+                        **compare(state, true, seconds),
+                        "reference_penetration_um": round(1e6 * float(true["penetration"]), 1),
+                        "reference_converged": bool(true["converged"]),
+                    }
+                    rows.append(row)
+                    print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
     if arguments.json is not None:
         write_json(arguments.json, {**provenance(), "rows": rows})
 
