@@ -269,6 +269,15 @@ def test_a_stamp_that_is_no_time_costs_no_message(tmp_path, answered):
     answered(line.partition("]: ")[2])
 
 
+@pytest.fixture
+def heeded_hangup():
+    """Let processes that a test starts heed SIGHUP, which nohup has those ignore that it starts."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("heeded_hangup")
 def test_closed_terminal_ends_a_recording_well(tmp_path):
     path = tmp_path / "bag"
     with sending() as source, recording(output=path, topics="['wrench']") as recorder:
