@@ -99,10 +99,7 @@ def motions(outer_radius_m: float) -> dict[str, tuple[list[Pose], dict[int, floa
     depths = np.arange(STEP_M, DEPTHS_M[-1] + 1e-9, STEP_M)
     down = [press_pose(outer_radius_m, float(depth_m)) for depth_m in depths]
     judged = {int(np.argmin(np.abs(depths - depth_m))): depth_m for depth_m in DEPTHS_M}
-    first = [
-        press_pose(outer_radius_m, float(depth_m))
-        for depth_m in np.arange(STEP_M, SLIDE_DEPTH_M + 1e-9, STEP_M)
-    ]
+    first = down[: round(SLIDE_DEPTH_M / STEP_M)]
     # Across the axis, along the indenter's own y: over the edge of a box, not along it.
     aside = first[-1].rotation()[:, 1]
     ways = np.arange(SLIDE_STEP_M, SLIDES_M[-1] + 1e-9, SLIDE_STEP_M)
@@ -131,16 +128,19 @@ def moved(
 
 
 def reference(
-    specification: SensorSpecification, indenter: str, motion: str
+    specification: SensorSpecification,
+    indenter: str,
+    poses: list[Pose],
+    judged: dict[int, float],
 ) -> dict[float, dict[str, NDArray[np.float64]]]:
     """Return skin, wrench, penetration and convergence of the reference at every judged length."""
-    poses, judged = motions(specification.gel.outer_radius_m)[motion]
-    key = content_key(DECIDED_BY, specification, load_indenter(indenter), poses, judged)
+    shape = load_indenter(indenter)
+    key = content_key(DECIDED_BY, specification, shape, poses, judged, REFERENCE, FRAME_S)
     path = cache_directory() / f"accuracy-{key}.npz"
     stored = load_arrays(path)
     if stored is None:
         gel = make(specification, REFERENCE, indenter)
-        states, _ = moved(gel, poses, judged, f"{indenter}, {motion}")
+        states, _ = moved(gel, poses, judged, indenter)
         stored = {}
         for length_m, state in states.items():
             stored[f"{length_m}/skin"] = state.skin_position_m
@@ -181,7 +181,7 @@ def main() -> None:
     for indenter in arguments.indenters:
         for motion in arguments.motions:
             poses, judged = motions(specification.gel.outer_radius_m)[motion]
-            truth = reference(specification, indenter, motion)
+            truth = reference(specification, indenter, poses, judged)
             for method in METHODS:
                 gel = make(specification, method, indenter)
                 states, seconds = moved(gel, poses, judged, indenter)
