@@ -8,7 +8,6 @@ previous iteration, so that every iteration has an energy.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -131,13 +130,6 @@ class Contact:
         self._history: ContactHistory | None = None
         self._pose: Pose | None = None
         self._record(len(area_m2))
-
-    def twin(self) -> Contact:
-        """Return the same contact with buffers of its own, for another thread."""
-        other = copy.copy(self)
-        other._history = other._pose = None
-        other._record(len(self.area))
-        return other
 
     def respond(
         self,

@@ -7,12 +7,9 @@ Newton's method with a line search (Nocedal and Wright, "Numerical Optimization"
 from __future__ import annotations
 
 import math
-import os
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,9 +112,8 @@ class Change:
 
 @dataclass
 class World:
-    """One environment's memory between steps, and its contact, whose buffers are its own."""
+    """One environment's memory between steps."""
 
-    contact: Contact
     displacement_m: FloatArray
     velocity_m_s: FloatArray
     marker_force_n: FloatArray
@@ -219,7 +215,6 @@ class ImplicitGel:
                     progress=progress,
                 )
         # By the duration of the substep that inertia is for; 0 without inertia.
-        self._tangents_lock = Lock()
         self._tangents = {0.0: Tangents(ExactTangent(self._single, self._mass * 0.0), local)}
         self._shape = shape
         lower, upper = shape.bounds_m()
@@ -228,7 +223,6 @@ class ImplicitGel:
         base = np.linspace(lower, upper, count)
         plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
         self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
-        self._pool = _pool(environment_count)
         self.trace = Trace()
         self.observer: Observer | None = None
         self.set_indenter(indenter)
@@ -244,20 +238,18 @@ class ImplicitGel:
             device=self.device,
         )
         self._inner_point_m = inner_point_m
-        contacts = [self.contact, *(self.contact.twin() for _ in range(1, self.environment_count))]
-        self.worlds = [self._fresh_world(contact) for contact in contacts]
         self.reset()
 
     def reset(self) -> None:
         """Return every environment to rest."""
-        self.worlds = [self._fresh_world(world.contact) for world in self.worlds]
+        self.worlds = [self._fresh_world() for _ in range(self.environment_count)]
         for environment in range(self.environment_count):
             self._relaxation[environment] = Relaxation(self.material.prony)
 
-    def _fresh_world(self, contact: Contact) -> World:
+    def _fresh_world(self) -> World:
         shape = (self.discretization.node_count, 3)
         rest = self.skin.rest_position_m
-        return World(contact, np.zeros(shape), np.zeros(shape), np.zeros_like(rest), rest.copy())
+        return World(np.zeros(shape), np.zeros(shape), np.zeros_like(rest), rest.copy())
 
     def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
         """Move the indenter of every environment to its pose (None: away) and find the gel.
@@ -276,13 +268,7 @@ class ImplicitGel:
         if not dt_s > 0.0:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
         paths = [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
-        every = range(self.environment_count)
-        if self._pool is None or self.observer is not None:
-            found = [self._step_world(e, paths[e], dt_s) for e in every]
-        else:
-            found = list(self._pool.map(lambda e: self._step_world(e, paths[e], dt_s), every))
-        self.trace = found[0][1]
-        return [state for state, _ in found]
+        return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
 
     def check_depth(self, pose: Pose) -> None:
         """Refuse a pose that presses too deep, without moving there.
@@ -298,10 +284,9 @@ class ImplicitGel:
                 f"{CORE_CLEARANCE_M * 1e3:.1f} mm; press less deep"
             )
 
-    def _step_world(
-        self, environment: int, path: Sequence[Pose | None], dt_s: float
-    ) -> tuple[GelState, Trace]:
-        world, trace = self.worlds[environment], Trace()
+    def _step_world(self, environment: int, path: Sequence[Pose | None], dt_s: float) -> GelState:
+        world = self.worlds[environment]
+        trace = self.trace = Trace()
         iterations, converged = 0, True
         for waypoint in path:
             used, reached = self._substep(world, waypoint, dt_s / len(path), environment, trace)
@@ -314,7 +299,7 @@ class ImplicitGel:
             wrench = wrench_on_indenter(world.skin_position_m[patch.marker], response.force_n)
             penetration = max(0.0, -float(response.distance_m.min(initial=np.inf)))
             count = int(np.count_nonzero(response.pressure_pa))
-        state = GelState(
+        return GelState(
             world.displacement_m.copy(),
             world.skin_position_m.copy(),
             wrench,
@@ -324,7 +309,6 @@ class ImplicitGel:
             converged,
             trace.timings_s,
         )
-        return state, trace
 
     def _path(self, world: World, pose: Pose | None) -> list[Pose | None]:
         """Return the poses of the substeps: short moves, and from outside if the first one is in
@@ -464,16 +448,15 @@ class ImplicitGel:
         """Make the linear solves of substeps with inertia (N, N), unless there are those of this
         duration. They are of a gel without a past, so that they serve every environment and do not
         depend on when they were made."""
-        with self._tangents_lock:
-            if dt_s in self._tangents:
-                return
-            used = {world.inertia_step_s for world in self.worlds}
-            self._tangents = {k: v for k, v in self._tangents.items() if k in used}
-            local = None
-            if not self.exact:
-                self._set_relaxation(Relaxation(self.material.prony), dt_s, environment)
-                local = LocalTangent(self._single, stiffness, environment)
-            self._tangents[dt_s] = Tangents(ExactTangent(self._single, stiffness), local)
+        if dt_s in self._tangents:
+            return
+        used = {world.inertia_step_s for world in self.worlds}
+        self._tangents = {k: v for k, v in self._tangents.items() if k in used}
+        local = None
+        if not self.exact:
+            self._set_relaxation(Relaxation(self.material.prony), dt_s, environment)
+            local = LocalTangent(self._single, stiffness, environment)
+        self._tangents[dt_s] = Tangents(ExactTangent(self._single, stiffness), local)
 
     def _prepare_contact(self, world: World, pose: Pose, trace: Trace) -> None:
         """Find the markers that may touch, and renew patch and region where they do not do."""
@@ -501,7 +484,7 @@ class ImplicitGel:
         offset = world.skin_position_m - middle
         near = np.flatnonzero(np.einsum("vi,vi->v", offset, offset) < reach_m**2).astype(np.int32)
         distance = np.full(self.skin.vertex_count, np.inf)
-        distance[near] = world.contact.respond(
+        distance[near] = self.contact.respond(
             near, world.skin_position_m[near], pose, world.history, no_lag(len(near))
         ).distance_m
         return distance
@@ -532,12 +515,12 @@ class ImplicitGel:
         def respond(marker: IndexArray, position_m: FloatArray, lag: Lag) -> ContactResponse:
             assert pose is not None
             assert world.history is not None
-            return world.contact.respond(marker, position_m, pose, world.history, lag)
+            return self.contact.respond(marker, position_m, pose, world.history, lag)
 
         def respond_now(marker: IndexArray, position_m: FloatArray) -> ContactResponse:
             assert pose is not None
             assert world.history is not None
-            return world.contact.respond_now(marker, position_m, pose, world.history)
+            return self.contact.respond_now(marker, position_m, pose, world.history)
 
         start_m = world.displacement_m
 
@@ -660,15 +643,6 @@ class ImplicitGel:
             )
         world.marker_force_n = marker_force
         world.history = history
-
-
-def _pool(environment_count: int) -> ThreadPoolExecutor | None:
-    """Return threads for environments, as many as cores may be used; None where one is enough.
-
-    What takes time are kernels and linear algebra, which let other threads run meanwhile.
-    """
-    count = min(environment_count, len(os.sched_getaffinity(0)))
-    return ThreadPoolExecutor(count, thread_name_prefix="environment") if count > 1 else None
 
 
 def _forget_traces(force_n: FloatArray) -> None:

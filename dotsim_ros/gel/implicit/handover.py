@@ -104,7 +104,6 @@ class Handover:
         )
         displacement_m = self.fitted(before.displacement_m)
         return World(
-            self._target.contact,
             displacement_m,
             np.zeros_like(displacement_m),
             before.marker_force_n.copy(),
