@@ -80,7 +80,8 @@ def compliance_root(compliance: AnyFloatArray, negligible_m_n: float) -> AnyFloa
         negligible_m_n: no marker's own compliance differs by more.
     """
     root = pivoted_root(compliance, negligible_m_n)
-    return np.ascontiguousarray(root.reshape(3, -1, root.shape[1]).transpose(1, 0, 2))
+    count, columns = len(root) // 3, root.shape[1]
+    return np.ascontiguousarray(root.reshape(3, count, columns).transpose(1, 0, 2))
 
 
 def pivoted_root(matrix: AnyFloatArray, negligible: float) -> AnyFloatArray:

@@ -59,10 +59,18 @@ PATCH_MARGIN_M = 2.2e-3
 """Markers closer to the indenter than this are in a new patch..."""
 PATCH_KEPT_M = 1.0e-3
 """...which is kept while it holds all that are closer than this."""
-REGION_RADIUS_M = 3.5e-3
+REGION_RADIUS_M = 2.4e-3
 """Cells closer than this to a marker in contact are assembled anew..."""
 REGION_MARGIN_M = 0.8e-3
-"""...or to one this close to the indenter."""
+"""...or to one this close to the indenter..."""
+REGION_GRADIENT = 0.2
+"""...and cells that are strained or turned, by the norm of their displacement's gradient. Where
+cells keep the stiffness that they have at rest, Newton's method diverges once theirs is twice that:
+at 0.4, it does so in presses of 3 mm."""
+REGION_GRADIENT_KEPT = 0.25
+"""A region is kept while no cell outside is strained by more..."""
+SLOW_REGION_GRADIENT = 0.1
+"""...and, once a search converges slowly, by more than this."""
 SNAP = 1.5
 """Gel that moves by more than this multiple of the indenter's motion has snapped through."""
 CORE_CLEARANCE_M = 1.5e-3
@@ -524,12 +532,27 @@ class ImplicitGel:
 
         start_m = world.displacement_m
 
+        wide: GridRegion | None = None
+
         def linearise(near: NearMarkers, at_m: FloatArray | None) -> Factor:
             # At the last equilibrium the stiffness is positive definite; at a guess it need not be.
+            nonlocal wide
             displacement = start_m if at_m is None else at_m
             if local is None:
                 return tangents.exact.factor(displacement, environment)
-            region = self._region(world, near, local, environment)
+            gradient = local.cell_gradient(displacement)
+            if at_m is None:
+                limits = (REGION_GRADIENT, REGION_GRADIENT_KEPT)
+                region = self._region(
+                    world, world.region, near, local, gradient, limits, environment
+                )
+                world.region = region
+            else:
+                # For this substep alone: it makes each of them slower.
+                limits = (SLOW_REGION_GRADIENT, SLOW_REGION_GRADIENT)
+                region = wide = self._region(
+                    world, wide, near, local, gradient, limits, environment
+                )
             return local.factor(region, local.assemble(region, displacement, environment))
 
         def at_rest(force_n: FloatArray) -> FloatArray:
@@ -548,17 +571,29 @@ class ImplicitGel:
         )
 
     def _region(
-        self, world: World, near: NearMarkers, local: LocalTangent, environment: int
+        self,
+        world: World,
+        kept: GridRegion | None,
+        near: NearMarkers,
+        local: LocalTangent,
+        gradient: FloatArray,
+        limits: tuple[float, float],
+        environment: int,
     ) -> GridRegion:
-        """Return the region around the near markers: the last one while it holds them."""
-        if world.region is None or np.any(world.region.number[near.node] < 0):
-            centre = self.skin.rest_position_m[np.union1d(near.marker, world.close)]
-            gap = np.min(
-                np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
-            )
-            cell = np.flatnonzero(gap < REGION_RADIUS_M).astype(np.int32)
-            world.region = local.region(cell, near.node, environment)
-        return world.region
+        """Return the region around the near markers and the cells whose gradients (C,) are above
+        the first limit: the one kept, while it holds the markers and what is above the second."""
+        if (
+            kept is not None
+            and not np.any(kept.number[near.node] < 0)
+            and np.delete(gradient, kept.cell).max(initial=0.0) <= limits[1]
+        ):
+            return kept
+        centre = self.skin.rest_position_m[np.union1d(near.marker, world.close)]
+        gap = np.min(
+            np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
+        )
+        cell = np.flatnonzero((gap < REGION_RADIUS_M) | (gradient > limits[0])).astype(np.int32)
+        return local.region(cell, near.node, environment)
 
     def _start(self, world: World, pose: Pose | None) -> tuple[FloatArray, FloatArray, Lag]:
         """Return displacements (N, 3), forces on the patch's markers (C, 3) and their lag if all

@@ -44,6 +44,9 @@ FAR_SHARE = 0.2
 """Forces out of balance far away below this share of those near the contact move nothing there."""
 LARGEST_STEP_M = 0.3e-3
 """A step from where the gel may be unstable goes no farther."""
+ROUGH_ITERATIONS = 12
+"""Iterations of a substep that had to be cut short, or that went farther than the one before: so
+many are not counted. A search that ends among them may end with ten times the force."""
 SLOW_CONVERGENCE = 0.5
 """An iteration that moves farther than this share of the one before renews the linearisation."""
 
@@ -200,7 +203,9 @@ class EquilibriumSearch:
         point = self.problem.at(displacement_m, force_n, lag)
         self.trace.add("force", clock)
         last_m = np.inf
-        for iteration in range(1, self.solver.iterations + 1):
+        iteration, allowed = 0, self.solver.iterations
+        while iteration < allowed:
+            iteration += 1
             step = self._step(point, lag)
             if step.slope_j >= 0.0 and not self.is_careful:
                 self._be_careful()
@@ -219,11 +224,14 @@ class EquilibriumSearch:
                     return self._ended(point), iteration, False
                 self._be_careful()
                 continue
-            if self.is_careful or step.largest_m > SLOW_CONVERGENCE * last_m:
+            if scale < 1.0 or step.largest_m > last_m:
+                allowed = min(allowed + 1, self.solver.iterations + ROUGH_ITERATIONS)
+            is_slow = self.is_careful or step.largest_m > SLOW_CONVERGENCE * last_m
+            if is_slow and iteration < allowed:
                 self._relinearise(trial)
             last_m = step.largest_m if scale == 1.0 else np.inf
             point = trial
-        return self._ended(point), self.solver.iterations, False
+        return self._ended(point), iteration, False
 
     def _energy_j(self, point: Point, response: ContactResponse) -> float:
         added_j = 0.5 * float(np.vdot(point.force_n, point.added_m))

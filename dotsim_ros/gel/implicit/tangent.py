@@ -216,6 +216,14 @@ class LocalTangent:
             np.asfortranarray(stiffness.toarray().astype(np.float32))
         )
         self.cell_centre_m = discretization.node_position_m[body.cells.node].mean(axis=1)
+        self._mean_gradient = _mean_gradient(body)
+
+    def cell_gradient(self, displacement_m: FloatArray) -> FloatArray:
+        """Return the norm (C,) of each cell's mean displacement gradient at displacements (N, 3):
+        how far from that of rest its stiffness is."""
+        gradient = (self._mean_gradient @ displacement_m).reshape(-1, 9)
+        size: FloatArray = np.sqrt(np.einsum("ci,ci->c", gradient, gradient))
+        return size
 
     def solve_at_rest(self, right: FloatArray) -> FloatArray:
         """Return the step (3 N,) with the stiffness of rest and no contact."""
@@ -270,3 +278,15 @@ class LocalTangent:
             return result
 
         return LocalFactor(self.compliance, region, factor_shifted(factor))
+
+
+def _mean_gradient(body: ElasticBody) -> sparse.csr_matrix:
+    """Return (3 C, N): row 3 c + j gives the mean derivative by x_j over cell c's particles."""
+    cells = body.cells
+    count = len(cells.node)
+    gradient = cells.gradient.reshape(count, 8, 3, 27).sum(axis=1)
+    gradient /= (cells.particle >= 0).sum(axis=1)[:, None, None]
+    row = np.repeat(np.arange(3 * count), 27)
+    column = np.repeat(cells.node[:, None], 3, axis=1).ravel()
+    shape = (3 * count, body.discretization.node_count)
+    return sparse.csr_matrix((gradient.ravel(), (row, column)), shape=shape)
