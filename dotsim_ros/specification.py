@@ -208,7 +208,7 @@ class ContactSpecification:
 
     friction_coefficient: float = quantity(0.4, low=0.0, high=5.0, help="mu of Coulomb's law.")
     stiffness: float = quantity(
-        60.0,
+        120.0,
         low=0.0,
         high=1e5,
         excludes_low=True,
@@ -216,7 +216,7 @@ class ContactSpecification:
         "penetration is the pressure divided by it.",
     )
     tangential_ratio: float = quantity(
-        0.5,
+        0.25,
         low=0.0,
         high=100.0,
         excludes_low=True,

@@ -61,8 +61,8 @@ def calibrate(
             priors are centred.
         out: file (.yaml) to write the calibrated sensor to, with the report in a folder beside it:
             `report_folder(out)`. None writes nothing.
-        fit: of "E", "nu" (or "bulk_modulus"), "friction", "c20", "c30", "thickness", and "offset",
-            which is of the indenter, six numbers a press.
+        fit: of "E", "nu" (or "bulk_modulus"), "friction", "contact_stiffness", "c20", "c30",
+            "thickness", and "offset", which is of the indenter, six numbers a press.
         losses: of "points" (vertex to vertex), "chamfer" (without correspondence) and "force"; by
             default points and force, chamfer and force where the data set has no skin_mesh.npz.
         hold_out: trajectories to judge on, drawn by the seed; 0 for none; by default nine of more

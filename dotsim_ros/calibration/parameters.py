@@ -81,6 +81,9 @@ PARAMETERS = {
         # nu = 1/2 - E / (6 K): the same coordinate by another name.
         _poisson("bulk_modulus", "Pa"),
         GelParameter("friction", "friction", "", 0.5, (0.02, 3.0), 0.1, _log, _exp),
+        GelParameter(
+            "contact_stiffness", "contact_stiffness", "E/1.2 mm", 1.0, (2.0, 1e3), 0.2, _log, _exp
+        ),
         GelParameter("c20", "c20_ratio", "of C10", 0.2, (-0.3, 2.0), 0.05, _same, _same),
         GelParameter("c30", "c30_ratio", "of C10", 0.1, (-0.1, 2.0), 0.05, _same, _same),
         GelParameter("thickness", "thickness_m", "m", 0.3e-3, (1e-3, 0.1), 0.1e-3, _same, _same),

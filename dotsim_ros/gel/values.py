@@ -17,6 +17,7 @@ class GelValues:
         youngs_modulus_pa: at small strain.
         poisson_ratio: at small strain.
         friction: coefficient of the contact.
+        contact_stiffness: of the contact, in units of E over 1.2 mm.
         c20_ratio, c30_ratio: Yeoh's C20 and C30 over C10; both 0 for a neo-Hookean gel.
         thickness_m: from the core's surface, or the pad's base, to the free surface.
     """
@@ -24,6 +25,7 @@ class GelValues:
     youngs_modulus_pa: float
     poisson_ratio: float
     friction: float
+    contact_stiffness: float
     c20_ratio: float
     c30_ratio: float
     thickness_m: float
@@ -50,6 +52,7 @@ def values_of(specification: SensorSpecification) -> GelValues:
         youngs_modulus_pa=youngs,
         poisson_ratio=0.5 - youngs / (6.0 * bulk),
         friction=s.contact.friction_coefficient,
+        contact_stiffness=s.contact.stiffness,
         c20_ratio=c20 / c10,
         c30_ratio=c30 / c10,
         thickness_m=thickness,
@@ -97,5 +100,9 @@ def specification_with(
         specification,
         gel=gel,
         material=material,
-        contact=replace(specification.contact, friction_coefficient=v.friction),
+        contact=replace(
+            specification.contact,
+            friction_coefficient=v.friction,
+            stiffness=v.contact_stiffness,
+        ),
     )

@@ -85,7 +85,8 @@ def test_every_marker_obeys_coulomb(coefficient: float, indenter: Indenter) -> N
         pressing, holding = contact_forces(gel)
         assert np.all(holding <= coefficient * pressing + 0.01 * coefficient * pressing.max())
         mobilised.append(holding.sum() / pressing.sum() / coefficient)
-    assert mobilised[0] < 0.98
+    # Straight in, or as it begins to move, some of them stick.
+    assert min(mobilised[:2]) < 0.98
     assert np.array(mobilised[-3:]) == pytest.approx(1.0, abs=0.01)
 
 

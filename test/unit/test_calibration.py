@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,12 +54,18 @@ def problem_of(*names: str, with_offset: bool = False) -> FitProblem:
 
 
 def test_values_of_a_sensor_come_back_from_its_file(tmp_path: Path) -> None:
-    values = replace(values_of(SENSOR), youngs_modulus_pa=2e5, c20_ratio=0.1, thickness_m=9e-3)
+    values = replace(
+        values_of(SENSOR),
+        youngs_modulus_pa=2e5,
+        contact_stiffness=30.0,
+        c20_ratio=0.1,
+        thickness_m=9e-3,
+    )
     path = tmp_path / "a.yaml"
     write_sensor(path, specification_with(SENSOR, values), "one\ntwo")
     read = values_of(load_sensor(path))
-    for name in ("youngs_modulus_pa", "poisson_ratio", "friction", "c20_ratio", "thickness_m"):
-        assert getattr(read, name) == pytest.approx(getattr(values, name), rel=1e-9)
+    for name, value in asdict(values).items():
+        assert getattr(read, name) == pytest.approx(value, rel=1e-9)
     assert path.read_text().startswith("# one\n# two\n")
 
 
@@ -70,7 +76,7 @@ def test_a_gel_without_stiffening_stays_neo_hookean() -> None:
 
 
 def test_coordinates_are_inverted_within_the_bounds() -> None:
-    parameters = chosen_parameters(["E", "nu", "friction", "c30", "thickness"])
+    parameters = chosen_parameters(["E", "nu", "friction", "contact_stiffness", "c30", "thickness"])
     values = values_of(SENSOR)
     point = coordinates(parameters, values)
     back = with_coordinates(values, parameters, point)
@@ -79,6 +85,7 @@ def test_coordinates_are_inverted_within_the_bounds() -> None:
     assert far.youngs_modulus_pa == 1e8
     assert far.poisson_ratio == 0.2
     assert far.friction == 3.0
+    assert far.contact_stiffness == 1e3
 
 
 def test_bulk_modulus_is_poissons_ratio_by_another_name() -> None:

@@ -44,6 +44,7 @@ VALUES = GelValues(
     youngs_modulus_pa=3e5,
     poisson_ratio=0.48,
     friction=0.4,
+    contact_stiffness=120.0,
     c20_ratio=0.1,
     c30_ratio=0.0,
     thickness_m=9.75e-3,

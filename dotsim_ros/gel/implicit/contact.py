@@ -23,7 +23,7 @@ from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.specification import ContactSpecification
 
 REFERENCE_SPACING_M = 1.2e-3
-ONSET_M = 10.0e-6
+ONSET_M = 5.0e-6
 """Distance at which the pressure begins; about half the penetration under a usual pressure, so
 that gap and penetration share the error of the penalty."""
 SMOOTHING_M = 4.0e-6
