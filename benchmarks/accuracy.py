@@ -1,6 +1,7 @@
 """Error of the fast gel against its cost, for grids of 2.4, 1.8 and 1.2 mm.
 
-python benchmarks/accuracy.py --json docs/results/accuracy.json
+python benchmarks/accuracy.py --json docs/results/accuracy.json \
+    --figure docs/images/gel_error_cost.png
 
 The reference is the same model on a grid of 1.2 mm, solved until no marker moves by more than 1 um.
 Its compliance at rest is inverted once, which takes some ten minutes and 6 GB; then a motion of an
@@ -25,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
-from dotsim_ros.files import cache_directory, write_json
+from dotsim_ros.files import cache_directory, whole_file, write_json
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
@@ -182,9 +183,47 @@ def compare(
     }
 
 
+def draw(rows: list[dict[str, Any]], path: Path) -> None:
+    """Draw the largest error of each shape and method against the time of a step."""
+    import matplotlib.pyplot as plt
+
+    figure, (skin, force) = plt.subplots(1, 2, figsize=(11, 4.5), sharex=True)
+    methods = list(dict.fromkeys(row["method"] for row in rows))
+    indenters = list(dict.fromkeys(row["indenter"] for row in rows))
+    colours = dict(zip(indenters, plt.colormaps["tab10"].colors, strict=False))
+    for indenter in indenters:
+        worst = []
+        for method in methods:
+            mine = [r for r in rows if (r["indenter"], r["method"]) == (indenter, method)]
+            cost_ms = float(np.median([row["step_p50_ms"] for row in mine]))
+            errors = (max(r["skin_max_um"] for r in mine), max(r["force_error"] for r in mine))
+            worst.append((cost_ms, *errors))
+        cost, skin_um, share = np.array(worst).T
+        for axis, error in ((skin, skin_um), (force, 100.0 * share)):
+            axis.plot(cost, error, color=colours[indenter], alpha=0.4)
+            for x, y, marker in zip(cost, error, "osD^", strict=False):
+                axis.plot(x, y, marker, color=colours[indenter])
+    skin.axhline(60.0, color="grey", linestyle=":")
+    force.axhline(2.0, color="grey", linestyle=":")
+    skin.set(ylabel="largest error of the skin, um", xscale="log", yscale="log")
+    force.set(ylabel="largest error of the force, %", xscale="log", yscale="log")
+    for axis in (skin, force):
+        axis.set_xlabel("time of a step, ms (median)")
+    lines = [plt.Line2D([], [], color=colours[name], label=name) for name in indenters]
+    lines += [
+        plt.Line2D([], [], color="black", marker=marker, linestyle="", label=method)
+        for method, marker in zip(methods, "osD^", strict=False)
+    ]
+    figure.legend(handles=lines, loc="outside lower center", ncols=5, fontsize=8)
+    figure.tight_layout(rect=(0.0, 0.12, 1.0, 1.0))
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=110, format="png")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--json", type=Path, help="write the figures here")
+    parser.add_argument("--figure", type=Path, help="draw error against cost here (PNG)")
     parser.add_argument("--indenters", nargs="+", default=INDENTERS, help="names or files")
     parser.add_argument("--motions", nargs="+", default=MOTIONS, choices=MOTIONS, help="which")
     arguments = parser.parse_args()
@@ -213,6 +252,8 @@ def main() -> None:
                     print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
     if arguments.json is not None:
         write_json(arguments.json, {**provenance(), "rows": rows})
+    if arguments.figure is not None:
+        draw(rows, arguments.figure)
 
 
 if __name__ == "__main__":

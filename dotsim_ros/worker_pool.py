@@ -19,7 +19,7 @@ from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
 
-class _Worker(SpawnProcess):
+class Worker(SpawnProcess):
     """A process that the terminal's Ctrl-C does not reach: who started it ends it."""
 
     def start(self) -> None:
@@ -31,10 +31,10 @@ class _Worker(SpawnProcess):
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-class _Context(SpawnContext):
+class WorkerContext(SpawnContext):
     """Spawns: forked children would share the threads and locks of Warp."""
 
-    Process = _Worker
+    Process = Worker
 
 
 def _begin(starter: Connection, initialize: Callable[..., None], given: tuple[Any, ...]) -> None:
@@ -70,7 +70,10 @@ def open_worker_pool(
     theirs, ours = multiprocessing.Pipe(duplex=False)
     try:
         with ProcessPoolExecutor(
-            count, mp_context=_Context(), initializer=_begin, initargs=(theirs, initialize, given)
+            count,
+            mp_context=WorkerContext(),
+            initializer=_begin,
+            initargs=(theirs, initialize, given),
         ) as pool:
             try:
                 yield pool

@@ -268,14 +268,22 @@ class ImplicitGel:
 
         Raises:
             PressTooDeepError: a pose, or the way to it, brings the indenter too close to what the
-                gel is bonded to.
+                gel is bonded to; no environment has moved.
             ValueError: as many poses as environments are needed, and a positive duration.
         """
+        return self.follow(self.plan(poses, dt_s), dt_s)
+
+    def plan(self, poses: Sequence[Pose | None], dt_s: float) -> list[list[Pose | None]]:
+        """Return the poses of the substeps on the way to a pose in every environment, and move
+        nothing; arguments and errors are those of `step`."""
         if len(poses) != self.environment_count:
             raise ValueError(f"{len(poses)} poses for {self.environment_count} environments")
         if not dt_s > 0.0:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
-        paths = [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
+        return [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
+
+    def follow(self, paths: Sequence[Sequence[Pose | None]], dt_s: float) -> list[GelState]:
+        """Move along paths that `plan` has found for the same duration."""
         return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
 
     def check_depth(self, pose: Pose) -> None:

@@ -291,7 +291,7 @@ class EquilibriumSearch:
         self.trace.add("touch", clock)
         clock = time.perf_counter()
         change = solution.force_n - point.force_n[rows]
-        load = (near.weight.T @ change).ravel()
+        load = near.load(change, len(point.gradient_n)).ravel()
         displacement = (free + factor.solve_loads(load)).reshape(-1, 3)
         force = np.zeros_like(point.force_n)
         force[rows] = change
@@ -333,7 +333,7 @@ class EquilibriumSearch:
     ) -> ContactSolution:
         """Return the contact of the linear gel that would move freely by (3 N,)."""
         rows, respond, respond_now = near.rows, self.problem.respond, self.problem.respond_now
-        free = near.weight @ free_m.reshape(-1, 3)
+        free = near.displacement(free_m.reshape(-1, 3))
         force = point.force_n[rows]
         if self.is_careful:
             now = Lag(point.response.pressure_pa[rows], point.response.normal[rows])

@@ -21,16 +21,22 @@ class Patch:
         marker: (C,) numbers of the markers.
         rest_position_m: (C, 3).
         weight: (C, N) weights of the grid's nodes.
+        node: (n,) nodes of the grid beside the markers.
+        node_weight: (C, n) their weights once more, dense.
         fine_node: (F,) nodes of the refinement beside the markers.
         fine_weight: (C, F) weights of those.
+        fine_node_weight: (C, F) the same, dense.
         added_compliance: (3 F, 3 F) of the refinement by component, m/N; empty without one.
     """
 
     marker: IndexArray
     rest_position_m: FloatArray
     weight: sparse.csr_matrix
+    node: IndexArray
+    node_weight: FloatArray
     fine_node: IndexArray
     fine_weight: sparse.csr_matrix
+    fine_node_weight: Float32Array
     added_compliance: Float32Array
 
     def added_displacement(self, force_n: FloatArray) -> FloatArray:
@@ -66,8 +72,18 @@ def make_patch(
             shape=(len(marker), len(nodes)),
         )
         compliance = refinement.by_component(nodes)
+    weight = skin_weight[marker]
+    node = np.unique(weight.indices).astype(np.int32)
     return Patch(
-        marker, skin_position_m[marker], skin_weight[marker], nodes, fine_weight, compliance
+        marker,
+        skin_position_m[marker],
+        weight,
+        node,
+        weight[:, node].toarray(),
+        nodes,
+        fine_weight,
+        fine_weight.toarray().astype(np.float32),
+        compliance,
     )
 
 
@@ -88,25 +104,26 @@ class NearMarkers:
     Attributes:
         rows: as given.
         marker: (A,) their numbers.
-        weight: (A, N) their weights on the grid.
         node: (n,) grid nodes beside them.
+        weight: (A, n) their weights on these.
     """
 
     def __init__(self, patch: Patch, rows: NDArray[np.int64]) -> None:
         self.rows = rows
         self.marker = patch.marker[rows]
-        self.weight = patch.weight[rows]
-        self.node = np.unique(self.weight.indices).astype(np.int32)
-        self._dense = self.weight[:, self.node].toarray().astype(np.float32)
+        weight = patch.node_weight[rows]
+        beside = np.flatnonzero(weight.any(axis=0))
+        self.node = patch.node[beside]
+        self.weight: FloatArray = weight[:, beside]
         count = len(rows)
         self._added = np.zeros((3 * count, 3 * count), dtype=np.float32)
         if len(patch.fine_node):
-            fine_rows = patch.fine_weight[rows]
-            fine = np.unique(fine_rows.indices)
+            fine_weight = patch.fine_node_weight[rows]
+            fine = np.flatnonzero(fine_weight.any(axis=0))
             dof = (np.arange(3)[:, None] * len(patch.fine_node) + fine).ravel()
             _add_between(
                 self._added,
-                fine_rows[:, fine].toarray().astype(np.float32),
+                np.ascontiguousarray(fine_weight[:, fine]),
                 patch.added_compliance[dof].take(dof, axis=1),
             )
 
@@ -117,8 +134,19 @@ class NearMarkers:
             of_nodes: (3 n, 3 n) of the grid between the nodes beside them, node by node.
         """
         result = self._added.astype(of_nodes.dtype)
-        _add_between(result, self._dense.astype(of_nodes.dtype), _component_order(of_nodes))
+        _add_between(result, self.weight.astype(of_nodes.dtype), _component_order(of_nodes))
         return result
+
+    def displacement(self, of_nodes_m: FloatArray) -> FloatArray:
+        """Return the markers' displacement (A, 3) on the grid under (N, 3) of its nodes."""
+        moved: FloatArray = self.weight @ of_nodes_m[self.node]
+        return moved
+
+    def load(self, force_n: FloatArray, node_count: int) -> FloatArray:
+        """Return the forces (N, 3) on the grid's nodes under (A, 3) on the markers."""
+        load = np.zeros((node_count, 3))
+        load[self.node] = self.weight.T @ force_n
+        return load
 
 
 def _add_between(result: AnyFloatArray, weight: AnyFloatArray, between: AnyFloatArray) -> None:
