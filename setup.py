@@ -37,6 +37,11 @@ LEARNING = [
     "torch>=2.9",
     "torchvision>=0.24",
 ]
+# worlds of rigid bodies around the sensor
+ENVIRONMENTS = [
+    "gymnasium>=1.0",
+    "mujoco>=3.2",
+]
 # what the gap finder is judged on
 RENDERING = [
     "mitsuba>=3.8",
@@ -116,9 +121,10 @@ setup(
     ],
     extras_require={
         "ros": ROS,
+        "environments": ENVIRONMENTS,
         "learning": LEARNING,
         "rendering": RENDERING,
-        "test": [*TEST, *RENDERING],
+        "test": [*TEST, *RENDERING, *ENVIRONMENTS],
         "dev": DEVELOPMENT,
         "docs": DOCUMENTATION,
     },

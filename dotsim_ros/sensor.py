@@ -315,6 +315,15 @@ class TactileSensor:
         assert placed is not None
         self._gel.check_depth(placed)
 
+    def wrench_stiffness(self) -> FloatArray:
+        """Return minus the derivative (6, 6) of the wrench on the indenter by its twist at the last
+        pose, both about the base frame's origin: as `wrench_stiffness.wrench_stiffness` has it.
+
+        Raises:
+            ValueError: the gel is the explicit one, which has none.
+        """
+        return self._gel.wrench_stiffness()
+
     def press(self, pose: Pose | ApexPose | None, dt_s: float = FRAME_S) -> GelFrame:
         """Move the indenter to a pose in the base frame (None: away) and return the gel.
 

@@ -61,6 +61,9 @@ class Gel(Protocol):
     def check_depth(self, pose: Pose) -> None:
         """Refuse a pose that presses too deep by ValueError, without moving there."""
 
+    def wrench_stiffness(self) -> FloatArray:
+        """Return minus the derivative (6, 6) of the wrench on the indenter by its twist."""
+
 
 def body_of(specification: GelSpecification) -> Body:
     """Return the gel's shape."""
@@ -110,6 +113,9 @@ class SingleImplicitGel:
         self.reset, self.set_indenter = gel.reset, gel.set_indenter
         self.check_depth = gel.check_depth
 
+    def wrench_stiffness(self) -> FloatArray:
+        return self.gel.wrench_stiffness(0)
+
     def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
         state = self.gel.step([pose], dt_s)[0]
         spent = state.timings_s
@@ -132,6 +138,17 @@ class SingleExplicitGel:
 
     def check_depth(self, pose: Pose) -> None:
         """Refuse nothing: the explicit gel has no depth that it cannot take."""
+
+    def wrench_stiffness(self) -> FloatArray:
+        """Raise, since nothing is linearised here.
+
+        Raises:
+            ValueError: always.
+        """
+        raise ValueError(
+            "solver.method is 'explicit', expected 'implicit': the explicit gel has no stiffness "
+            "to couple with other dynamics"
+        )
 
     def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
         start = time.perf_counter()

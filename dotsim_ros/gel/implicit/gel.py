@@ -41,6 +41,7 @@ from dotsim_ros.gel.implicit.patch import NearMarkers, Patch, make_patch
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.relaxation import Relaxation
 from dotsim_ros.gel.implicit.tangent import ExactTangent, GridRegion, LocalTangent
+from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
 from dotsim_ros.gel.material import Material
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
@@ -118,6 +119,15 @@ class Change:
     skin_m: float
 
 
+@dataclass(frozen=True)
+class LinearContact:
+    """The linear gel of a substep as its contact saw it: the markers (A,) that might touch, sorted,
+    and the root (A, 3, k) of the compliance between them."""
+
+    marker: IndexArray
+    root: NDArray[np.floating]
+
+
 @dataclass
 class World:
     """One environment's memory between steps."""
@@ -134,6 +144,7 @@ class World:
     region: GridRegion | None = None
     contraction: float = CONTRACTION
     response: ContactResponse | None = None
+    linear: LinearContact | None = None
     inertia_step_s: float = 0.0
 
 
@@ -393,6 +404,19 @@ class ImplicitGel:
             return np.inf
         return float(self.contact.indenter.signed_distance(local[near]).min())
 
+    def wrench_stiffness(self, environment: int) -> FloatArray:
+        """Return minus the derivative (6, 6) of the wrench on the indenter by its twist, both about
+        the base frame's origin, while the gel answers linearly: zero without contact."""
+        world = self.worlds[environment]
+        if world.linear is None or world.patch is None or world.response is None:
+            return np.zeros((6, 6))
+        marker, root = world.linear.marker, world.linear.root
+        known = np.isin(marker, world.patch.marker)
+        rows = np.searchsorted(world.patch.marker, marker[known])
+        return wrench_stiffness(
+            world.skin_position_m[marker[known]], root[known], world.response.stiffness[rows]
+        )
+
     @property
     def remembers(self) -> bool:
         """Whether the gel goes on moving under an indenter that is held."""
@@ -421,6 +445,9 @@ class ImplicitGel:
         search = EquilibriumSearch(problem, self.solver, trace, contraction=world.contraction)
         unknowns = self._start(world, pose)
         point, iterations, converged = search.run(*unknowns)
+        # A search that finds nothing to descend to needs no root; the last one is still good.
+        if search.near is not None and search.root is not None:
+            world.linear = LinearContact(search.near.marker, search.root)
         # One quick convergence is no promise.
         world.contraction = max(search.contraction, 0.8 * world.contraction)
         if self.observer is not None:
@@ -441,6 +468,7 @@ class ImplicitGel:
         """Forget the contact."""
         world.marker_force_n = np.zeros_like(world.marker_force_n)
         world.history = world.last_change = world.patch = world.response = world.region = None
+        world.linear = None
         world.contraction = CONTRACTION
 
     def _prepare_memory(self, world: World, dt_s: float, environment: int) -> Inertia | None:

@@ -1,0 +1,1 @@
+"""The sensor in worlds of rigid bodies, and tasks for learning in them."""
