@@ -247,7 +247,8 @@ def test_every_node_with_a_main_is_an_executable() -> None:
 def test_what_is_imported_is_required() -> None:
     ros = ros_depends("exec_depend")
     foreign = {NAMES_ELSEWHERE.get(name, name) for name in imported_modules() - ros}
-    assert foreign - requirements() - extra("LEARNING") - extra("RENDERING") == set()
+    extras = extra("LEARNING") | extra("RENDERING") | extra("ENVIRONMENTS")
+    assert foreign - requirements() - extras == set()
 
 
 def test_what_is_required_is_imported() -> None:

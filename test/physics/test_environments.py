@@ -1,0 +1,115 @@
+"""The environments for learning: Gymnasium's rules, repeatable episodes, and bad actions."""
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import dotsim_ros.tasks.environments  # noqa: F401
+from dotsim_ros.tasks.environments.box_yaw import MOVES, BoxYawEnvironment, BoxYawTask
+
+
+@pytest.fixture(scope="module")
+def environment() -> BoxYawEnvironment:
+    return BoxYawEnvironment(observation="depth", image_size_px=(32, 24), render_mode="rgb_array")
+
+
+def tangential(environment: BoxYawEnvironment) -> np.int64:
+    """Return the move that best follows a circle around the box, to the left."""
+    x, y = environment.data.mocap_pos[0, :2]
+    lengths = np.maximum(np.linalg.norm(MOVES, axis=1), 0.1)
+    return np.int64(np.argmax(MOVES @ np.array([-y, x]) / lengths))
+
+
+def test_gymnasium_finds_nothing_wrong() -> None:
+    made = gymnasium.make("DenseTactBoxYaw-v0", observation="image", image_size_px=(32, 32))
+    check_env(made.unwrapped, skip_render_check=True)
+
+
+@pytest.mark.parametrize("kind", ["image", "depth", "skin", "wrench"])
+def test_every_observation_is_in_its_space(kind: str) -> None:
+    environment = BoxYawEnvironment(observation=kind, image_size_px=(48, 48))
+    seen, _ = environment.reset(seed=0)
+    touched, *_ = environment.step(np.int64(3))
+    for found in (seen, touched):
+        assert environment.observation_space.contains(found)
+    assert not np.array_equal(seen, touched)
+
+
+def test_the_box_turns_where_the_finger_goes_around_it(environment: BoxYawEnvironment) -> None:
+    environment.reset(seed=1)
+    total, there, ended = 0.0, False, False
+    while not ended:
+        _, reward, there, late, info = environment.step(tangential(environment))
+        total, ended = total + reward, there or late
+    assert there
+    assert info["is_success"]
+    assert info["yaw_deg"] == pytest.approx(10.0, abs=2.0)
+    assert total > 1.5
+
+
+def test_staying_costs_and_turns_nothing(environment: BoxYawEnvironment) -> None:
+    _, before = environment.reset(seed=1)
+    rewards = [environment.step(np.int64(0))[1] for _ in range(4)]
+    assert np.mean(rewards) == pytest.approx(-environment.task.idle_penalty, abs=0.02)
+    assert abs(np.rad2deg(environment.yaw_rad) - before["yaw_deg"]) < 0.5
+
+
+def test_one_seed_gives_one_episode(environment: BoxYawEnvironment) -> None:
+    episodes = []
+    for seed in (3, 3, 4):
+        seen = [environment.reset(seed=seed)[0]]
+        seen += [environment.step(np.int64(action))[0] for action in (1, 6, 4)]
+        episodes.append(np.stack(seen))
+    assert np.array_equal(episodes[0], episodes[1])
+    assert not np.array_equal(episodes[0], episodes[2])
+
+
+@pytest.mark.parametrize("action", [np.nan, 9, -1, np.array([0.5])])
+def test_an_impossible_action_moves_nothing(environment: BoxYawEnvironment, action: object) -> None:
+    environment.reset(seed=0)
+    before = environment.data.qpos.copy(), environment.data.mocap_pos.copy()
+    with pytest.raises(ValueError, match="expected a whole number from 0 to 8"):
+        environment.step(action)  # type: ignore[arg-type]
+    assert np.array_equal(environment.data.qpos, before[0])
+    assert np.array_equal(environment.data.mocap_pos, before[1])
+
+
+def test_a_box_pushed_through_the_gel_ends_the_episode_with_the_reason() -> None:
+    environment = BoxYawEnvironment(observation="wrench", task=BoxYawTask(speed_m_s=0.0))
+    environment.reset(seed=0)
+    environment.data.mocap_pos[0, 2] -= 12.0e-3
+    _, _, there, truncated, info = environment.step(np.int64(0))
+    assert truncated
+    assert not there
+    assert "press less deep" in info["reason"]
+    environment.reset(seed=0)
+
+
+def test_a_step_before_a_reset_is_refused() -> None:
+    environment = BoxYawEnvironment(observation="wrench")
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        environment.step(np.int64(0))
+
+
+def test_an_unknown_observation_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected one of image, depth, skin, wrench"):
+        BoxYawEnvironment(observation="touch")
+    with pytest.raises(ValueError, match="at least 16 pixels"):
+        BoxYawEnvironment(image_size_px=(8, 64))
+
+
+def test_processes_give_the_same_as_one_world() -> None:
+    options = {"observation": "wrench"}
+    alone = gymnasium.make("DenseTactBoxYaw-v0", **options)
+    together = gymnasium.make_vec(
+        "DenseTactBoxYaw-v0", num_envs=2, vectorization_mode="async", **options
+    )
+    try:
+        first, _ = together.reset(seed=[5, 6])
+        second, *_ = together.step(np.array([3, 4]))
+    finally:
+        together.close()
+    for index, (seed, action) in enumerate(((5, 3), (6, 4))):
+        assert np.array_equal(alone.reset(seed=seed)[0], first[index])
+        assert np.array_equal(alone.step(np.int64(action))[0], second[index])
