@@ -6,7 +6,13 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import dotsim_ros.tasks.environments  # noqa: F401
+from dotsim_ros.tasks.environments.ball import (
+    LARGEST_SPEED_M_S,
+    FollowEnvironment,
+    PressEnvironment,
+)
 from dotsim_ros.tasks.environments.box_yaw import MOVES, BoxYawEnvironment, BoxYawTask
+from dotsim_ros.tasks.policy.expert import Expert
 
 
 @pytest.fixture(scope="module")
@@ -21,8 +27,12 @@ def tangential(environment: BoxYawEnvironment) -> np.int64:
     return np.int64(np.argmax(MOVES @ np.array([-y, x]) / lengths))
 
 
-def test_gymnasium_finds_nothing_wrong() -> None:
-    made = gymnasium.make("DenseTactBoxYaw-v0", observation="image", image_size_px=(32, 32))
+NAMES = ("DenseTactPress-v0", "DenseTactFollow-v0", "DenseTactBoxYaw-v0")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gymnasium_finds_nothing_wrong(name: str) -> None:
+    made = gymnasium.make(name, observation="image", image_size_px=(32, 32))
     check_env(made.unwrapped, skip_render_check=True)
 
 
@@ -113,3 +123,60 @@ def test_processes_give_the_same_as_one_world() -> None:
     for index, (seed, action) in enumerate(((5, 3), (6, 4))):
         assert np.array_equal(alone.reset(seed=seed)[0], first[index])
         assert np.array_equal(alone.step(np.int64(action))[0], second[index])
+
+
+def test_a_press_with_a_rule_reaches_its_force() -> None:
+    environment = PressEnvironment(observation="wrench", force_n=0.8)
+    environment.reset(seed=2)
+    inward = -environment.position_m / np.linalg.norm(environment.position_m)
+    there, late, total = False, False, 0.0
+    while not (there or late):
+        lacking = (0.8 - environment.force_n()) / 0.8
+        _, reward, there, late, info = environment.step((0.5 * lacking * inward).astype(np.float32))
+        total += reward
+    assert there
+    assert info["is_success"]
+    assert info["force_n"] == pytest.approx(0.8, rel=0.1)
+    assert total == pytest.approx(2.0, abs=0.15)
+
+
+def test_the_expert_follows_its_path() -> None:
+    environment = FollowEnvironment(observation="wrench", duration_s=2.0)
+    expert = Expert(environment.path, look_ahead_s=0.0)
+    environment.reset(seed=0)
+    ended, total = False, 0.0
+    while not ended:
+        velocity = expert.relative_velocity_m_s(environment.position_m)
+        _, reward, fell, late, info = environment.step(
+            (velocity / LARGEST_SPEED_M_S).astype(np.float32)
+        )
+        total, ended = total + reward, fell or late
+    assert not fell
+    assert info["distance_m"] < 0.2e-3
+    assert info["laps"] > 0.15
+    assert total > 20.0
+
+
+@pytest.mark.parametrize("action", [np.full(3, np.nan), np.zeros(2), np.array([0, np.inf, 0])])
+def test_a_ball_that_is_sent_nowhere_stays(action: np.ndarray) -> None:
+    environment = PressEnvironment(observation="wrench")
+    environment.reset(seed=0)
+    before = environment.position_m.copy()
+    with pytest.raises(ValueError, match="expected three finite numbers"):
+        environment.step(action)
+    assert np.array_equal(environment.position_m, before)
+
+
+def test_a_ball_pushed_through_the_gel_ends_the_episode_with_the_reason() -> None:
+    environment = PressEnvironment(observation="wrench", duration_s=10.0)
+    environment.reset(seed=0)
+    inward = -environment.position_m / np.linalg.norm(environment.position_m)
+    truncated = False
+    while not truncated:
+        _, _, _, truncated, info = environment.step(inward.astype(np.float32))
+    assert "press less deep" in info["reason"]
+
+
+def test_a_force_out_of_range_is_refused() -> None:
+    with pytest.raises(ValueError, match="less than 10 N"):
+        PressEnvironment(force_n=0.0)

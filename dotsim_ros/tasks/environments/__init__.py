@@ -5,7 +5,10 @@ Importing this registers the environments with Gymnasium.
 
 import gymnasium
 
-gymnasium.register(
-    id="DenseTactBoxYaw-v0",
-    entry_point="dotsim_ros.tasks.environments.box_yaw:BoxYawEnvironment",
-)
+_CLASSES = {
+    "DenseTactPress-v0": "ball:PressEnvironment",
+    "DenseTactFollow-v0": "ball:FollowEnvironment",
+    "DenseTactBoxYaw-v0": "box_yaw:BoxYawEnvironment",
+}
+for _name, _class in _CLASSES.items():
+    gymnasium.register(id=_name, entry_point=f"{__name__}.{_class}")

@@ -22,6 +22,7 @@ from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SolverSpecification, given_sensor
 from dotsim_ros.tasks.environments.coupling import MujocoCoupling
 from dotsim_ros.tasks.environments.observation import (
+    SOLVER,
     check_observation,
     observation_space,
     observe,
@@ -34,9 +35,6 @@ MOVES = np.array(
     [(0, 0), (-1, 0), (1, 0), (0, 1), (0, -1), (-1, 1), (1, 1), (-1, -1), (1, -1)], dtype=float
 )
 """Stay, left, right, up, down, and the four between them."""
-SOLVER = SolverSpecification(grid_spacing_m=3.6e-3, refined=False, tolerance_m=100e-6, iterations=2)
-"""Coarse, so that an hour is enough to learn on two cores."""
-
 WORLD = """
 <mujoco>
   <option timestep="{step_s}" integrator="implicitfast" cone="elliptic"/>
@@ -65,6 +63,8 @@ class BoxYawTask:
         half_width_m, half_height_m, mass_kg: of the box.
         friction: of box and table.
         offset_m: of the contact from the box's centre.
+        spread_rad: largest angle of the contact from x, seen from there. Touch does not tell where
+            on a flat face it is, so a policy can only learn what serves all of them.
         depth_m: least and largest of the press.
         start_rad: largest yaw at the start, to either side.
         idle_penalty: for staying while the box is not there.
@@ -79,6 +79,7 @@ class BoxYawTask:
     mass_kg: float = 0.05
     friction: float = 0.2
     offset_m: float = 0.009
+    spread_rad: float = 0.4
     depth_m: tuple[float, float] = (0.8e-3, 1.2e-3)
     start_rad: float = float(np.deg2rad(3.0))
     idle_penalty: float = 0.05
@@ -154,7 +155,7 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         mujoco.mj_resetData(self.model, self.data)
         yaw = float(random.uniform(-task.start_rad, task.start_rad))
         self.data.qpos[3:7] = (np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw))
-        around = float(random.uniform(-np.pi, np.pi))
+        around = float(random.uniform(-task.spread_rad, task.spread_rad))
         depth_m = float(random.uniform(*task.depth_m))
         # The dome hangs from its base, apex down.
         height_m = 2.0 * task.half_height_m + float(self.sensor.skin.apex_m[2])

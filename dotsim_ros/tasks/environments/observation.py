@@ -13,13 +13,15 @@ from numpy.typing import NDArray
 
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.sensor import TactileSensor
-from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.specification import SensorSpecification, SolverSpecification
 
 KINDS = ("image", "depth", "skin", "wrench")
 """The image (H, W, 3); depth in m and the three parts of the normal (H, W, 4), zero where no skin
 is seen; displacements of the skin's markers (V, 3), m; force and torque of the gel (6,), N and N m.
 """
 LARGEST_DEPTH_M = 0.1
+SOLVER = SolverSpecification(grid_spacing_m=3.6e-3, refined=False, tolerance_m=100e-6, iterations=2)
+"""Coarse, so that an hour is enough to learn on two cores."""
 
 
 def check_observation(kind: str, size_px: tuple[int, int]) -> None:
