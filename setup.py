@@ -42,6 +42,13 @@ ENVIRONMENTS = [
     "gymnasium>=1.0",
     "mujoco>=3.2",
 ]
+# on top of environments and learning
+REINFORCEMENT = [
+    *ENVIRONMENTS,
+    "skrl>=2.0",
+    "torch>=2.9",
+    "torchvision>=0.24",
+]
 # what the gap finder is judged on
 RENDERING = [
     "mitsuba>=3.8",
@@ -122,6 +129,7 @@ setup(
     extras_require={
         "ros": ROS,
         "environments": ENVIRONMENTS,
+        "reinforcement": REINFORCEMENT,
         "learning": LEARNING,
         "rendering": RENDERING,
         "test": [*TEST, *RENDERING, *ENVIRONMENTS],

@@ -12,3 +12,4 @@ _CLASSES = {
 }
 for _name, _class in _CLASSES.items():
     gymnasium.register(id=_name, entry_point=f"{__name__}.{_class}")
+NAMES = tuple(_CLASSES)

@@ -30,7 +30,7 @@ from dotsim_ros.tasks.environments.observation import (
 )
 
 FRAME_RATE_HZ = 24.0
-STEPS_A_FRAME = 20
+STEPS_A_FRAME = 10
 MOVES = np.array(
     [(0, 0), (-1, 0), (1, 0), (0, 1), (0, -1), (-1, 1), (1, 1), (-1, -1), (1, -1)], dtype=float
 )
@@ -161,15 +161,18 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         height_m = 2.0 * task.half_height_m + float(self.sensor.skin.apex_m[2])
         centre = task.offset_m * np.array([np.cos(around), np.sin(around), 0.0])
         self.data.mocap_pos[0] = centre + np.array([0.0, 0.0, height_m + 0.1e-3])
-        self._coupling = MujocoCoupling(
-            self.model,
-            self.data,
-            self.sensor,
-            sensor_body="sensor",
-            pressed_geom="box",
-            coupling_s=1.0 / FRAME_RATE_HZ,
-            move_m=0.5e-3,
-        )
+        if self._coupling is None:
+            self._coupling = MujocoCoupling(
+                self.model,
+                self.data,
+                self.sensor,
+                sensor_body="sensor",
+                pressed_geom="box",
+                coupling_s=1.0 / FRAME_RATE_HZ,
+                move_m=0.8e-3,
+            )
+        else:
+            self._coupling.reset()
         # It comes down in small steps, as a robot would.
         for height in np.linspace(height_m, height_m - depth_m, 3):
             self.data.mocap_pos[0, 2] = height

@@ -20,6 +20,7 @@ KINDS = ("image", "depth", "skin", "wrench")
 is seen; displacements of the skin's markers (V, 3), m; force and torque of the gel (6,), N and N m.
 """
 LARGEST_DEPTH_M = 0.1
+SKIN_SPACING_M = 1.0e-3
 SOLVER = SolverSpecification(grid_spacing_m=3.6e-3, refined=False, tolerance_m=100e-6, iterations=2)
 """Coarse, so that an hour is enough to learn on two cores."""
 
@@ -42,8 +43,10 @@ def with_rendered_size(
     specification: SensorSpecification, size_px: tuple[int, int]
 ) -> SensorSpecification:
     """Return a sensor that sees what it saw, with as few pixels as a size (width, height) needs:
-    images keep the camera's shape, and are cropped to the middle by `observe`."""
+    images keep the camera's shape, and are cropped to the middle by `observe`. Its skin has a
+    marker a pixel of a small image, no finer."""
     camera = specification.camera
+    gel = replace(specification.gel, skin_spacing_m=SKIN_SPACING_M)
     unit = math.gcd(camera.width, camera.height)
     across, down = camera.width // unit, camera.height // unit
     count = max(math.ceil(size_px[0] / across), math.ceil(size_px[1] / down))
@@ -52,6 +55,7 @@ def with_rendered_size(
     x, y = ((place + 0.5) * scale - 0.5 for place in camera.principal_point_px)
     return replace(
         specification,
+        gel=gel,
         camera=replace(
             camera, width=count * across, height=count * down, principal_point_px=(x, y)
         ),

@@ -1,0 +1,312 @@
+"""Proximal policy optimisation of the environments' tasks, with a network that sees by touch.
+
+PPO is skrl's (Serrano-Munoz et al., "skrl: Modular and Flexible Library for Reinforcement
+Learning", 2023), as in the paper, section IV-D: a ResNet-18 shared by policy and value. Its batch
+normalisation is replaced by that of groups (Wu and He, "Group Normalization", 2018), since a policy
+acts on one image at a time and learns on many.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from skrl.agents.torch.ppo import PPO, PPO_CFG
+from skrl.envs.wrappers.torch import wrap_env
+from skrl.memories.torch import RandomMemory
+from skrl.models.torch import CategoricalMixin, DeterministicMixin, Model
+from torch import nn
+from torchvision.models import resnet18
+
+import dotsim_ros.tasks.environments
+from dotsim_ros.files import whole_file
+
+FORMAT = 1
+"""Of a checkpoint; another one is refused."""
+GROUPS = 8
+CHECKPOINT = "policy.pt"
+
+
+@dataclass(frozen=True)
+class PpoSettings:
+    """What is learnt, and how.
+
+    Attributes:
+        environment: its id.
+        options: of it.
+        world_count: worlds side by side, each in a process where there are several.
+        rollout: steps of each world between two updates.
+        epochs, mini_batches: of an update.
+        learning_rate, discount, entropy_share: of PPO.
+        seed: of everything.
+    """
+
+    environment: str = "DenseTactBoxYaw-v0"
+    options: dict[str, Any] = field(
+        default_factory=lambda: {"observation": "image", "image_size_px": [64, 64]}
+    )
+    world_count: int = 2
+    rollout: int = 48
+    epochs: int = 4
+    mini_batches: int = 4
+    learning_rate: float = 3e-4
+    discount: float = 0.97
+    entropy_share: float = 0.01
+    seed: int = 0
+
+
+@dataclass
+class Progress:
+    """What a training has done.
+
+    Attributes:
+        steps: of all worlds together.
+        seconds: spent.
+        curve: (steps, share of successes among the last episodes, mean return of these).
+    """
+
+    steps: int = 0
+    seconds: float = 0.0
+    curve: list[tuple[int, float, float]] = field(default_factory=list)
+
+
+class TouchNetwork(CategoricalMixin, DeterministicMixin, Model):
+    """Policy and value on one ResNet-18."""
+
+    def __init__(self, observation_space: Any, action_space: Any) -> None:
+        Model.__init__(
+            self, observation_space=observation_space, action_space=action_space, device="cpu"
+        )
+        CategoricalMixin.__init__(self)
+        DeterministicMixin.__init__(self)
+        self._shape = observation_space.shape
+        self._scale = 255.0 if observation_space.dtype == np.uint8 else 1.0
+        self.trunk = resnet18(weights=None, norm_layer=lambda count: nn.GroupNorm(GROUPS, count))
+        self.trunk.conv1 = nn.Conv2d(self._shape[-1], 64, 7, stride=2, padding=3, bias=False)
+        features = self.trunk.fc.in_features
+        self.trunk.fc = nn.Identity()
+        self.policy_head = nn.Linear(features, int(action_space.n))
+        self.value_head = nn.Linear(features, 1)
+        # All moves are as likely at first.
+        nn.init.zeros_(self.policy_head.weight)
+        nn.init.zeros_(self.policy_head.bias)
+        self._features: torch.Tensor | None = None
+
+    def act(self, inputs: dict[str, Any], *, role: str = "") -> Any:
+        if role == "policy":
+            return CategoricalMixin.act(self, inputs, role=role)
+        return DeterministicMixin.act(self, inputs, role=role)
+
+    def compute(
+        self, inputs: dict[str, Any], role: str = ""
+    ) -> tuple[torch.Tensor, dict[str, Any]]:
+        if role == "policy" or self._features is None:
+            image = inputs["observations"].view(-1, *self._shape).float() / self._scale
+            self._features = self.trunk(image.permute(0, 3, 1, 2))
+        if role == "policy":
+            return self.policy_head(self._features), {}
+        # PPO asks for both of one batch, the value second.
+        features, self._features = self._features, None
+        return self.value_head(features), {}
+
+
+def _agent(settings: PpoSettings, space: Any, actions: Any) -> PPO:
+    network = TouchNetwork(space, actions)
+    config = PPO_CFG(
+        rollouts=settings.rollout,
+        learning_epochs=settings.epochs,
+        mini_batches=settings.mini_batches,
+        learning_rate=settings.learning_rate,
+        discount_factor=settings.discount,
+        entropy_loss_scale=settings.entropy_share,
+        time_limit_bootstrap=True,
+    )
+    config.experiment.write_interval = config.experiment.checkpoint_interval = 0
+    agent = PPO(
+        models={"policy": network, "value": network},
+        memory=RandomMemory(
+            memory_size=settings.rollout, num_envs=settings.world_count, device="cpu"
+        ),
+        observation_space=space,
+        action_space=actions,
+        device="cpu",
+        cfg=config,
+    )
+    agent.init()
+    return agent
+
+
+def train(
+    settings: PpoSettings,
+    folder: Path,
+    *,
+    steps: int,
+    seconds: float = float("inf"),
+    tell: Callable[[str], None] = lambda _line: None,
+) -> Progress:
+    """Learn until so many steps are done or so much time is spent, and return the progress.
+
+    It goes on from `folder`, where a checkpoint is left after every update: a training that was
+    killed loses at most one. The worlds begin anew then.
+
+    Args:
+        settings: what is learnt.
+        folder: of the checkpoint.
+        steps: of all worlds together, those done before included.
+        seconds: of the training, those spent before included.
+        tell: called with a line about each update.
+
+    Raises:
+        ValueError: the folder's checkpoint is of other settings or of another version.
+    """
+    torch.manual_seed(settings.seed)
+    worlds = make_worlds(settings)
+    try:
+        environment = wrap_env(worlds, wrapper="gymnasium", verbose=False)
+        agent = _agent(settings, environment.observation_space, environment.action_space)
+        progress = Progress()
+        if (folder / CHECKPOINT).is_file():
+            progress = _load(folder, settings, agent)
+        agent.enable_training_mode(True)
+        torch.manual_seed(settings.seed + progress.steps)
+        environment._seed = settings.seed + progress.steps
+        observations, _ = environment.reset()
+        episodes: deque[tuple[bool, float]] = deque(maxlen=50)
+        returns = np.zeros(settings.world_count)
+        begun_s = time.monotonic() - progress.seconds
+        while progress.steps < steps and time.monotonic() - begun_s < seconds:
+            for _ in range(settings.rollout):
+                with torch.no_grad():
+                    actions, _ = agent.act(observations, None, timestep=0, timesteps=0)
+                    following, rewards, ended, late, info = environment.step(actions)
+                agent.record_transition(
+                    observations=observations,
+                    states=None,
+                    actions=actions,
+                    rewards=rewards,
+                    next_observations=following,
+                    next_states=None,
+                    terminated=ended,
+                    truncated=late,
+                    infos=info,
+                    timestep=0,
+                    timesteps=0,
+                )
+                returns += rewards.numpy().ravel()
+                for world in np.flatnonzero((ended | late).numpy().ravel()):
+                    episodes.append((bool(ended[world]), float(returns[world])))
+                    returns[world] = 0.0
+                observations = following
+                agent.post_interaction(timestep=0, timesteps=0)
+            progress.steps += settings.rollout * settings.world_count
+            progress.seconds = time.monotonic() - begun_s
+            share, mean = np.mean(episodes, axis=0) if episodes else (0.0, 0.0)
+            progress.curve.append((progress.steps, float(share), float(mean)))
+            _save(folder, settings, agent, progress)
+            tell(
+                f"{progress.steps} steps, {progress.seconds:.0f} s: {100 * share:.0f} % of the "
+                f"last {len(episodes)} episodes there, return {mean:.2f}"
+            )
+    finally:
+        worlds.close()
+    return progress
+
+
+def make_worlds(settings: PpoSettings) -> gymnasium.vector.VectorEnv:
+    """Return the worlds of a training, which begin anew by themselves."""
+    assert dotsim_ros.tasks.environments.NAMES
+    return gymnasium.make_vec(
+        settings.environment,
+        num_envs=settings.world_count,
+        vectorization_mode="async" if settings.world_count > 1 else "sync",
+        vector_kwargs={"autoreset_mode": gymnasium.vector.AutoresetMode.SAME_STEP},
+        **_given(settings.options),
+    )
+
+
+def success_share(
+    settings: PpoSettings, folder: Path, seeds: Sequence[int], **changes: Any
+) -> float:
+    """Return the share of episodes in which the most likely moves of a learnt policy get there.
+
+    Args:
+        settings: it was learnt with.
+        folder: of its checkpoint.
+        seeds: of the episodes.
+        changes: of the environment's options.
+
+    Raises:
+        FileNotFoundError: no checkpoint there.
+        ValueError: it is of other settings or of another version.
+    """
+    if not (folder / CHECKPOINT).is_file():
+        raise FileNotFoundError(f"{folder} holds no {CHECKPOINT}; train there first")
+    world = gymnasium.make(settings.environment, **{**_given(settings.options), **changes})
+    agent = _agent(settings, world.observation_space, world.action_space)
+    _load(folder, settings, agent)
+    agent.enable_training_mode(False)
+    network = agent.policy
+    network.eval()
+    reached = 0
+    for seed in seeds:
+        seen, _ = world.reset(seed=int(seed))
+        over = False
+        while not over:
+            with torch.no_grad():
+                inputs = {"observations": torch.as_tensor(seen[None])}
+                logits, _ = network.compute(inputs, "policy")
+            seen, _, there, late, _ = world.step(np.int64(int(logits.argmax())))
+            over = there or late
+        reached += there
+    world.close()
+    return reached / len(seeds)
+
+
+def _given(options: dict[str, Any]) -> dict[str, Any]:
+    """Return options as an environment takes them: JSON knows no tuples."""
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
+
+
+def _save(folder: Path, settings: PpoSettings, agent: PPO, progress: Progress) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    content = {
+        "format": FORMAT,
+        "settings": json.dumps(asdict(settings), sort_keys=True),
+        "progress": json.dumps(asdict(progress)),
+        "network": agent.policy.state_dict(),
+        "optimizer": agent.optimizer.state_dict(),
+    }
+    with whole_file(folder / CHECKPOINT) as part:
+        torch.save(content, part)
+
+
+def _load(folder: Path, settings: PpoSettings, agent: PPO) -> Progress:
+    path = folder / CHECKPOINT
+    try:
+        content = torch.load(path, weights_only=True)
+    except Exception as error:
+        raise ValueError(f"{path} cannot be read ({error}); remove it to begin anew") from error
+    found = content.get("format") if isinstance(content, dict) else None
+    if found != FORMAT:
+        raise ValueError(
+            f"{path} is a checkpoint of format {found}, expected {FORMAT}: it is of another "
+            "version; train in another folder"
+        )
+    expected = json.dumps(asdict(settings), sort_keys=True)
+    if content["settings"] != expected:
+        raise ValueError(
+            f"{path} was learnt with other settings, {content['settings']}, expected {expected}; "
+            "give the same, or train in another folder"
+        )
+    agent.policy.load_state_dict(content["network"])
+    agent.optimizer.load_state_dict(content["optimizer"])
+    stored = json.loads(content["progress"])
+    return Progress(stored["steps"], stored["seconds"], [tuple(row) for row in stored["curve"]])
