@@ -44,7 +44,6 @@ ENVIRONMENTS = [
 ]
 # on top of environments and learning
 REINFORCEMENT = [
-    *ENVIRONMENTS,
     "skrl>=2.0",
     "torch>=2.9",
     "torchvision>=0.24",
@@ -129,10 +128,10 @@ setup(
     extras_require={
         "ros": ROS,
         "environments": ENVIRONMENTS,
-        "reinforcement": REINFORCEMENT,
+        "reinforcement": [*ENVIRONMENTS, *REINFORCEMENT],
         "learning": LEARNING,
         "rendering": RENDERING,
-        "test": [*TEST, *RENDERING, *ENVIRONMENTS],
+        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *REINFORCEMENT],
         "dev": DEVELOPMENT,
         "docs": DOCUMENTATION,
     },

@@ -1,4 +1,7 @@
-"""Put the sensor on a body of one's own MuJoCo world, and let a ball fall onto it."""
+"""Put the sensor on a body of a MuJoCo world: python examples/sensor_in_mujoco.py FOLDER."""
+
+import sys
+from pathlib import Path
 
 import mujoco
 
@@ -27,7 +30,7 @@ def main() -> None:
     for _ in range(40):
         gel = coupling.step()
     print(f"the gel carries {gel.wrench.force_n[2]:.3f} N, the ball weighs {0.03 * 9.81:.3f} N")
-    sensor.see(gel, coupling.indenter_pose()).save("out/touch.png")
+    sensor.see(gel, coupling.indenter_pose()).save(Path(sys.argv[1]) / "touch.png")
 
 
 if __name__ == "__main__":

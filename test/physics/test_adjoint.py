@@ -18,6 +18,7 @@ from dotsim_ros.gel.adjoint.refinement_rate import poisson_rate
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.gel.make import material_of
 from dotsim_ros.gel.material import (
     ElasticLaw,
     Material,
@@ -27,16 +28,17 @@ from dotsim_ros.gel.material import (
     Yeoh,
 )
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
-from dotsim_ros.geometry.indenter import Indenter, IndenterKind, cone, sphere
+from dotsim_ros.geometry.indenter import Indenter, IndenterKind, cone, load_indenter, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
-from dotsim_ros.specification import ContactSpecification, SolverSpecification
+from dotsim_ros.specification import ContactSpecification, SolverSpecification, load_sensor
 
 Array = NDArray[np.float64]
 
 TOLERANCE = 1.0e-3
 RADIUS, CORE = 0.01575, 0.006
-DOME_SKIN = dome_skin(RADIUS, 0.8e-3)
+dome_skin_of = cache(dome_skin)
+DOME_SKIN = dome_skin_of(RADIUS, 0.8e-3)
 PAD = Pad((0.0150, 0.0150, 0.0104))
 PAD_SKIN = flat_pad_skin((0.0150, 0.0150), 0.0104, 0.8e-3)
 PRESS = ((0.0, 0.0005, -0.0005), (0.0001, 0.0005, -0.0008))
@@ -69,15 +71,17 @@ class Case:
     twist: tuple[float, ...] = (0.0,) * 6
     offset: tuple[float, ...] = (0.0,) * 6
     solver: SolverSpecification = COARSE
+    dome_skin_spacing_m: float = 0.8e-3
     dt_s: float = 0.04
 
     def skin(self) -> SkinMesh:
         if isinstance(self.body, Dome):
             ratio = self.body.outer_radius_m / RADIUS
+            mesh = dome_skin_of(RADIUS, self.dome_skin_spacing_m)
             return replace(
-                DOME_SKIN,
-                rest_position_m=DOME_SKIN.rest_position_m * ratio,
-                rest_area_m2=DOME_SKIN.rest_area_m2 * ratio**2,
+                mesh,
+                rest_position_m=mesh.rest_position_m * ratio,
+                rest_area_m2=mesh.rest_area_m2 * ratio**2,
             )
         assert isinstance(self.body, Pad)
         x, y, z = np.divide(self.body.size_m, PAD.size_m)
@@ -397,6 +401,46 @@ def test_gradient_with_a_refined_contact(
     derivative = complete.by_law(case.law)["poisson_ratio"]
     check(case, "law.poisson_ratio", 0.45, 6e-4, derivative)
     assert derivative != pytest.approx(gradient.by_law(case.law)["poisson_ratio"], rel=TOLERANCE)
+
+
+SHIPPED = load_sensor("densetact2")
+
+
+@pytest.mark.parametrize("indenter", ["sphere_4mm", "box_edge", "cone"])
+def test_gradient_at_the_settings_of_the_shipped_sensor(indenter: str) -> None:
+    """All parameters move at once, each by about its share of the loss: one pair of solutions."""
+    material, contact = material_of(SHIPPED.material), SHIPPED.contact
+    assert isinstance(material.law, NeoHookean)
+    case = Case(
+        law=material.law,
+        contact=contact,
+        indenter=load_indenter(indenter),
+        path=SLIDE[:3],
+        solver=SHIPPED.solver,
+        dome_skin_spacing_m=SHIPPED.gel.skin_spacing_m,
+    )
+    gradient = adjoint(case)
+    by_law = gradient.by_law(case.law)
+    steps = {
+        "law.youngs_modulus_pa": (3.0e2, by_law["youngs_modulus_pa"]),
+        "contact.friction_coefficient": (1.0e-3, gradient.friction_coefficient),
+        "contact.stiffness": (1.0, gradient.contact_stiffness),
+        "contact.tangential_ratio": (3.0e-3, gradient.tangential_ratio),
+    }
+    for index, value in enumerate(gradient.indenter_twist):
+        steps[f"twist.{index}"] = (5.0e-7 if index < 3 else 3.0e-5, float(value))
+    moved = {1.0: case, -1.0: case}
+    expected = 0.0
+    for name, (step, derivative) in steps.items():
+        expected += abs(step * derivative)
+        for sign, there in moved.items():
+            owner, attribute = name.split(".")
+            value = getattr(case, owner)
+            base = value[int(attribute)] if attribute.isdigit() else getattr(value, attribute)
+            signed = sign * step * np.sign(derivative)
+            moved[sign] = changed(there, name, base + signed)
+    found = 0.5 * (loss(moved[1.0]) - loss(moved[-1.0]))
+    assert found == pytest.approx(expected, rel=TOLERANCE)
 
 
 def test_twists_of_the_substeps_add_up() -> None:

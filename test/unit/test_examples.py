@@ -60,6 +60,12 @@ def test_a_press_is_saved(tmp_path: Path) -> None:
         np.testing.assert_allclose(arrays["force_n"], force_n, atol=1e-3)
 
 
+def test_a_ball_rests_on_the_sensor_in_a_mujoco_world(tmp_path: Path) -> None:
+    carried_n, weight_n = re.findall(r"[\d.]+(?= N)", run("sensor_in_mujoco.py", tmp_path))
+    assert float(carried_n) == pytest.approx(float(weight_n), rel=0.05)
+    assert cv2.imread(str(tmp_path / "touch.png")).shape == (480, 640, 3)
+
+
 def test_a_mesh_of_ones_own_presses(tmp_path: Path) -> None:
     assert number_before("N", run("your_own_stl.py", tmp_path)) > 1.0
     again = run("your_own_stl.py", tmp_path / "given", tmp_path / "hexagon.stl")
