@@ -9,8 +9,9 @@ not made again, so an interrupted run is resumed. `gelsight` does the same on re
 ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. `gap` hides
 effects in measured presses and lets the gap finder look for them; it writes gap.md and gap.json.
 `trajectory` lets a policy lead the simulated arm over ROS topics, on the sensor that it was trained
-on and on others; a trial that was run before is not run again. docs/evaluation.md says what the
-figures mean.
+on and on others; a trial that was run before is not run again. `rl` learns policies by
+reinforcement that turn a box, and judges them in worlds that they never saw; what was learnt before
+is not learnt again. docs/evaluation.md says what the figures mean.
 
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
@@ -23,6 +24,7 @@ examples:
   dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
   dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
+  dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
 """
 
 from __future__ import annotations
@@ -57,6 +59,7 @@ SENSORS = ("simulated", "transferred", "shifted", "reality")
 CLOCKS = ("simulated", "realtime")
 BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 RUNTIME_PRESS_COUNT = 3
+ROLLOUT_EPISODES = 4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,6 +124,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_trajectory_arguments(
         subjects.add_parser("trajectory", help="paths that a policy follows by touch")
     )
+    _add_rl_arguments(subjects.add_parser("rl", help="a box turned by touch, learnt with PPO"))
     _add_optics_arguments(optics)
     gelsight.add_argument(
         "--models", nargs="+", choices=BALL_MODELS, default=list(BALL_MODELS), help="which (all)"
@@ -173,6 +177,20 @@ def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
     add("--images", type=Path, default=Path("docs/images"), help="folder of the image")
     add("--json", type=Path, help="write the figures here as well")
     add("--cache", type=Path, help="folder of the trials run before (the user's cache)")
+
+
+def _add_rl_arguments(rl: argparse.ArgumentParser) -> None:
+    add = rl.add_argument
+    add("--seeds", type=int, default=5, help="policies learnt (5)")
+    add("--steps", type=int, default=12_000, help="of the world, for each policy (12000)")
+    add("--minutes", type=float, default=60.0, help="limit of each training (60)")
+    add("--episodes", type=int, default=100, help="each policy is judged on (100)")
+    add("--image-size", type=int, default=32, help="width and height of the image, pixels (32)")
+    add("--workers", type=int, default=2, help="processes (2)")
+    add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
+    add("--images", type=Path, default=Path("docs/images"), help="folder of the pictures")
+    add("--json", type=Path, help="write the figures here as well")
+    add("--cache", type=Path, help="folder of what was learnt before (the user's cache)")
 
 
 def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
@@ -519,6 +537,40 @@ def _trajectory(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _rl(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.rl.page import rl_page
+    from dotsim_ros.evaluation.rl.pictures import write_curve, write_rollout
+    from dotsim_ros.evaluation.rl.study import Study, kept_folder, policy_folder, run_study
+    from dotsim_ros.files import cache_directory, write_json, write_text
+    from dotsim_ros.provenance import provenance
+    from dotsim_ros.tasks.environments.reinforcement import PpoSettings
+
+    size = [arguments.image_size] * 2
+    study = Study(
+        PpoSettings(options={"observation": "image", "image_size_px": size}),
+        seeds=arguments.seeds,
+        steps=arguments.steps,
+        seconds=60.0 * arguments.minutes,
+        episodes=arguments.episodes,
+    )
+    folder = kept_folder(study, arguments.cache or cache_directory() / "rl")
+    figures = run_study(study, folder, workers=arguments.workers, tell=_say)
+    figures["provenance"] = provenance()
+    curve, rollout = arguments.images / "rl_curve.png", arguments.images / "rl_rollout.gif"
+    write_curve(curve, figures["learnt"])
+    write_rollout(
+        rollout, study.settings, policy_folder(folder, 0), study.judged_on()[:ROLLOUT_EPISODES]
+    )
+    page = rl_page(
+        figures, *(os.path.relpath(picture, arguments.out) for picture in (curve, rollout))
+    )
+    for path in filter(None, (arguments.out / "rl.json", arguments.json)):
+        write_json(path, figures)
+    write_text(arguments.out / "rl.md", page)
+    print(page)
+    return 0
+
+
 _SUBJECTS = {
     "geometry": _geometry,
     "optics": _optics,
@@ -527,4 +579,5 @@ _SUBJECTS = {
     "gap": _gap,
     "runtime": _runtime,
     "trajectory": _trajectory,
+    "rl": _rl,
 }

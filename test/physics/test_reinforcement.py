@@ -56,7 +56,7 @@ def test_a_checkpoint_of_other_settings_is_refused(folder: Path) -> None:
 def test_a_checkpoint_of_another_version_is_refused(folder: Path, tmp_path: Path) -> None:
     content = torch.load(folder / CHECKPOINT, weights_only=True)
     torch.save(content | {"format": 0}, tmp_path / CHECKPOINT)
-    with pytest.raises(ValueError, match="of format 0, expected 1"):
+    with pytest.raises(ValueError, match="of format 0, expected 2"):
         success_share(SMALL, tmp_path, [0])
 
 

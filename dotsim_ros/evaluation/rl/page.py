@@ -1,0 +1,83 @@
+"""The table of reinforcement learning, and what its figures mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from dotsim_ros.evaluation.rl.worlds import AS_LEARNT, WORLDS
+from dotsim_ros.evaluation.table import Column, markdown_table
+
+COLUMNS = (
+    Column("success", "success % ↑", 1, 100.0),
+    Column("std", "± between seeds", 1, 100.0),
+    Column("least", "worst seed %", 1, 100.0),
+    Column("policies", "policies", 0),
+    Column("episodes", "episodes of each", 0),
+)
+SEED_COLUMNS = (
+    Column("success", "success % ↑", 1, 100.0),
+    Column("frames", "frames to the end", 1),
+    Column("steps", "steps learnt", 0),
+    Column("minutes", "minutes", 1),
+    Column("minutes_to_90", "minutes to 90 %", 1),
+)
+
+
+def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
+    """Return the page, with links to the pictures."""
+    study = figures["study"]
+    common = {"policies": study["seeds"], "episodes": study["episodes"]}
+    best = figures["best_single_move"]
+    rows: list[tuple[list[str], Mapping[str, Any]]] = [
+        ([f"PPO, {world}"], {"success": row["mean"], **row, **common})
+        for world, row in ((world, figures["success"][world]) for world in WORLDS)
+    ]
+    rows.append((["random moves"], {"success": figures["random_success"], **common, "policies": 1}))
+    rows.append(
+        (
+            [f"the best single move ({best['name']})"],
+            {"success": best["success"][AS_LEARNT], **common, "policies": 1},
+        )
+    )
+    seeds = [
+        ([row["name"]], {**row, "success": row["success"][AS_LEARNT]}) for row in figures["learnt"]
+    ]
+    origin = figures["provenance"]
+    width, height = study["settings"]["options"]["image_size_px"]
+    return "\n".join(
+        [
+            "# Reinforcement learning: a box turned by touch",
+            "",
+            "`DenseTactBoxYaw-v0`: the sensor lies across one of two opposite edges of a box; "
+            "nine moves in the plane, 24 a second; the box is to be turned to 10 degrees within "
+            "a second, an error below 2 degrees counts (paper, section IV-D). Which way to push "
+            f"depends on the edge, which only the tactile image ({width} x {height} pixels) "
+            "tells. PPO of skrl, ResNet-18 shared by policy and value, learnt from nothing.",
+            "",
+            "Judged on episodes whose seeds no training draws; each policy plays its most likely "
+            "moves. The worlds after the first were never seen while learning. Nothing was "
+            "chosen by these episodes.",
+            "",
+            markdown_table(["moves"], rows, COLUMNS),
+            "",
+            "## Each policy",
+            "",
+            markdown_table(["policy"], seeds, SEED_COLUMNS),
+            "",
+            "Minutes are of one core of the machine named below, with another training beside it; "
+            "the paper states 15 minutes and no success rate. Minutes to 90 %: until 90 % of the "
+            "last 50 episodes, which explore, got there.",
+            "",
+            f"![success against steps]({curve})",
+            "",
+            f"![a policy at play, four times slower than the world]({rollout})",
+            "",
+            "Left: from above, the box blue, its target grey, the sensor orange. Right: what the "
+            "policy sees.",
+            "",
+            f"Commit {origin['commit']}, {origin['date']}, {origin['machine']}: "
+            f"`{origin['command']}`",
+            "",
+        ]
+    )

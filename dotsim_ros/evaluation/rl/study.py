@@ -1,0 +1,194 @@
+"""Learns a policy from each of several seeds, and judges all in worlds that they never saw."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from concurrent.futures import as_completed
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from dotsim_ros.cache import content_key
+from dotsim_ros.evaluation.rl.worlds import AS_LEARNT, WORLDS, options_of
+from dotsim_ros.files import write_json
+from dotsim_ros.tasks.environments.box_yaw import MOVES
+from dotsim_ros.tasks.environments.reinforcement import (
+    Episode,
+    PpoSettings,
+    Progress,
+    learnt_moves,
+    make_world,
+    run_episodes,
+    train,
+)
+from dotsim_ros.worker_pool import open_worker_pool
+
+FIRST_EPISODE = 1_000_000
+"""Seed of the first episode that policies are judged on; training draws its own below."""
+BLIND = "random moves"
+DECIDED_BY = (
+    "dotsim_ros.tasks.environments.box_yaw",
+    "dotsim_ros.tasks.environments.reinforcement",
+    "dotsim_ros.evaluation.rl.worlds",
+)
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is asked.
+
+    Attributes:
+        settings: of the training; each policy has another seed.
+        seeds: how many policies.
+        steps: of each training.
+        seconds: limit of the time of each training.
+        episodes: each policy is judged on in each world.
+    """
+
+    settings: PpoSettings = field(default_factory=PpoSettings)
+    seeds: int = 5
+    steps: int = 12_000
+    seconds: float = 3600.0
+    episodes: int = 100
+
+    def judged_on(self) -> range:
+        return range(FIRST_EPISODE, FIRST_EPISODE + self.episodes)
+
+
+def run_study(
+    study: Study, folder: Path, *, workers: int, tell: Callable[[str], None]
+) -> dict[str, Any]:
+    """Return the figures of a study; what is kept of it in `folder` is not done again.
+
+    Args:
+        study: what is asked.
+        folder: its `kept_folder`.
+        workers: processes, each of which learns a policy or plays blind moves.
+        tell: called with a line about each row.
+    """
+    jobs: list[tuple[Callable[..., dict[str, Any]], int | str]] = [
+        *((learnt_row, seed) for seed in range(study.seeds)),
+        *((blind_row, name) for name in (BLIND, *(f"always {k}" for k in range(len(MOVES))))),
+    ]
+    rows: dict[int | str, dict[str, Any]] = {}
+    with open_worker_pool(workers, _prepare) as pool:
+        running = {pool.submit(job, study, folder, of): of for job, of in jobs}
+        for done in as_completed(running):
+            row = rows[running[done]] = done.result()
+            tell(f"{row['name']}: {row['success']}")
+    learnt = [rows[seed] for seed in range(study.seeds)]
+    blind = [row for of, row in rows.items() if isinstance(of, str)]
+    constant = [row for row in blind if row["name"] != BLIND]
+    return {
+        "study": asdict(study),
+        "learnt": learnt,
+        "success": {world: _summary([row["success"][world] for row in learnt]) for world in WORLDS},
+        "random_success": next(row for row in blind if row["name"] == BLIND)["success"][AS_LEARNT],
+        "best_single_move": max(constant, key=lambda row: row["success"][AS_LEARNT]),
+    }
+
+
+def learnt_row(study: Study, folder: Path, seed: int) -> dict[str, Any]:
+    """Learn the policy of a seed and return how it is judged in each world."""
+    settings = replace(study.settings, seed=seed)
+    place = policy_folder(folder, seed)
+    progress = train(settings, place, steps=study.steps, seconds=study.seconds)
+    judged = {}
+    for world in WORLDS:
+
+        def play(world: str = world) -> list[Episode]:
+            made = make_world(settings, **options_of(world))
+            played = run_episodes(made, learnt_moves(settings, place, made), study.judged_on())
+            made.close()
+            return played
+
+        judged[world] = _kept(place / f"{_file_name(world)}-{study.episodes}.json", play)
+    return {
+        "name": f"seed {seed}",
+        "success": {world: success(episodes) for world, episodes in judged.items()},
+        "frames": _mean_frames(judged[AS_LEARNT]),
+        "steps": progress.steps,
+        "minutes": round(progress.seconds / 60.0, 1),
+        "minutes_to_90": minutes_to(progress, 0.9),
+        "curve": progress.curve,
+    }
+
+
+def blind_row(study: Study, folder: Path, name: str) -> dict[str, Any]:
+    """Return how moves that see nothing do, in the world that the policies learn in."""
+    random = np.random.default_rng(0)
+
+    def move(_seen: Any) -> np.int64:
+        if name == BLIND:
+            return np.int64(random.integers(len(MOVES)))
+        return np.int64(name.rpartition(" ")[2])
+
+    def play() -> list[Episode]:
+        world = make_world(study.settings)
+        played = run_episodes(world, move, study.judged_on())
+        world.close()
+        return played
+
+    episodes = _kept(folder / f"{_file_name(name)}-{study.episodes}.json", play)
+    return {
+        "name": name,
+        "success": {AS_LEARNT: success(episodes)},
+        "frames": _mean_frames(episodes),
+    }
+
+
+def kept_folder(study: Study, cache: Path) -> Path:
+    """Return where a study keeps what it has done: another place for other code or settings."""
+    return cache / content_key(DECIDED_BY, study.settings, study.steps, study.seconds)
+
+
+def policy_folder(folder: Path, seed: int) -> Path:
+    """Return the folder of the policy of a seed, in that of a study."""
+    return folder / f"seed_{seed}"
+
+
+def success(episodes: list[Episode]) -> float:
+    """Return the share of episodes that got there."""
+    return float(np.mean([episode.is_success for episode in episodes]))
+
+
+def minutes_to(progress: Progress, share: float) -> float | None:
+    """Return when that share of the last fifty episodes of a training had got there, or None.
+
+    The curve's points are taken as equally long.
+    """
+    for number, (_, reached, _) in enumerate(progress.curve, start=1):
+        if reached >= share:
+            return round(progress.seconds / 60.0 * number / len(progress.curve), 1)
+    return None
+
+
+def _prepare() -> None:
+    torch.set_num_threads(1)
+
+
+def _kept(path: Path, play: Callable[[], list[Episode]]) -> list[Episode]:
+    """Return the episodes of a file, which is written where it is not there."""
+    if not path.is_file():
+        write_json(path, {"episodes": [asdict(episode) for episode in play()]})
+    return [Episode(**episode) for episode in json.loads(path.read_text("utf-8"))["episodes"]]
+
+
+def _file_name(name: str) -> str:
+    return name.replace(" ", "_")
+
+
+def _mean_frames(episodes: list[Episode]) -> float:
+    return round(float(np.mean([episode.frames for episode in episodes])), 1)
+
+
+def _summary(shares: list[float]) -> dict[str, float]:
+    return {
+        "mean": round(float(np.mean(shares)), 4),
+        "std": round(float(np.std(shares)), 4),
+        "least": min(shares),
+    }
