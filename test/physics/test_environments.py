@@ -65,6 +65,29 @@ def test_staying_costs_and_turns_nothing(environment: BoxYawEnvironment) -> None
     assert abs(np.rad2deg(environment.yaw_rad) - before["yaw_deg"]) < 0.5
 
 
+def test_the_side_decides_which_way_turns_the_box(environment: BoxYawEnvironment) -> None:
+    yaws = {}
+    for seed in range(8):
+        environment.reset(seed=seed)
+        side = float(np.sign(environment.data.mocap_pos[0, 0]))
+        before_rad = environment.yaw_rad
+        for _ in range(3):
+            environment.step(np.int64(3))
+        yaws.setdefault(side, []).append(environment.yaw_rad - before_rad)
+    assert min(yaws[1.0]) > 0.02
+    assert max(yaws[-1.0]) < -0.02
+
+
+def test_an_episode_that_cannot_be_won_is_given_up(environment: BoxYawEnvironment) -> None:
+    environment.reset(seed=0)
+    outward = np.int64(2 if environment.data.mocap_pos[0, 0] > 0.0 else 1)
+    late = False
+    while not late:
+        _, _, there, late, info = environment.step(outward)
+        assert not there
+    assert info["reason"] == "the sensor has left the box"
+
+
 def test_one_seed_gives_one_episode(environment: BoxYawEnvironment) -> None:
     episodes = []
     for seed in (3, 3, 4):

@@ -71,6 +71,7 @@ class BoxYawTask:
         depth_m: least and largest of the press.
         start_rad: largest yaw at the start, to either side.
         idle_penalty: for staying while the box is not there.
+        lost_rad: an error of the yaw at which an episode is given up.
     """
 
     target_rad: float = float(np.deg2rad(10.0))
@@ -86,6 +87,7 @@ class BoxYawTask:
     depth_m: tuple[float, float] = (0.8e-3, 1.2e-3)
     start_rad: float = float(np.deg2rad(3.0))
     idle_penalty: float = 0.05
+    lost_rad: float = float(np.deg2rad(30.0))
 
 
 class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
@@ -99,8 +101,9 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         solver: of the gel, in place of the sensor's own.
         render_mode: "rgb_array" for the tactile image, or None.
 
-    `info` has the yaw in degrees and whether it is there; an episode that had to be ended, since
-    the box was pushed through the gel, is truncated and `info["reason"]` says why.
+    `info` has the yaw in degrees and whether it is there. An episode that cannot be won any more,
+    since the box was pushed through the gel, is not touched any more or was turned too far, is
+    truncated and `info["reason"]` says why.
 
     Raises:
         ValueError: an observation or size that there is not.
@@ -208,12 +211,23 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
             reason = str(failure)
         self._count += 1
         left = self._error_rad()
+        if not reason:
+            reason = self._lost(left)
         there = not reason and left < self.task.tolerance_rad
         reward = (before - left) / self.task.target_rad + (1.0 if there else 0.0)
         if action == 0 and not there:
             reward -= self.task.idle_penalty
         late = self._count >= round(self.task.duration_s * FRAME_RATE_HZ)
         return self._seen(), float(reward), there, bool(reason) or late, self._info(reason)
+
+    def _lost(self, error_rad: float) -> str:
+        """Return why the episode cannot be won any more, or nothing."""
+        assert self._gel is not None
+        if not self._gel.wrench.force_n.any():
+            return "the sensor has left the box"
+        if error_rad > self.task.lost_rad:
+            return f"the box is {np.rad2deg(error_rad):.0f} degrees from its target"
+        return ""
 
     def render(self) -> NDArray[Any] | None:
         """Return the tactile image (H, W, 3) where the mode is "rgb_array"."""

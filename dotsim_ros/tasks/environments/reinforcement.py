@@ -58,7 +58,7 @@ class PpoSettings:
     world_count: int = 1
     rollout: int = 96
     epochs: int = 4
-    mini_batches: int = 4
+    mini_batches: int = 2
     learning_rate: float = 3e-4
     discount: float = 0.97
     entropy_share: float = 0.01
