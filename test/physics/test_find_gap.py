@@ -26,6 +26,7 @@ from dotsim_ros.specification import load_sensor
 PROTOCOLS = ("hold_0", "slide_0")
 CANDIDATES = ("force_drift", "mullins_softening", "permanent_set")
 SKIN_SPACING_M = 2.0e-3
+COARSE_M = 3.6e-3
 SEED = 11
 
 
@@ -40,7 +41,7 @@ def searched(
 ) -> tuple[Findings, Overlay | None]:
     sensor = load_sensor("sensor_a")
     # A refined gel needs tables for each skin and Poisson's ratio: minutes.
-    sensor = replace(sensor, solver=replace(sensor.solver, refined=False))
+    sensor = replace(sensor, solver=replace(sensor.solver, refined=False, grid_spacing_m=COARSE_M))
     data = tmp_path / "measured"
     skin = dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M)
     measure_unit(data, sensor, skin, Truth(effects), seed=SEED, only=PROTOCOLS)

@@ -61,7 +61,7 @@ def sensor() -> SensorSpecification:
         sensor,
         # The skin that is measured: its solves serve both parts of the search.
         gel=replace(sensor.gel, skin_spacing_m=SKIN_SPACING_M),
-        solver=replace(sensor.solver, refined=False),
+        solver=replace(sensor.solver, refined=False, grid_spacing_m=3.6e-3),
     )
 
 

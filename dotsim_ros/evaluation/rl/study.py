@@ -46,6 +46,7 @@ class Study:
         seeds: how many policies.
         steps: of each training.
         seconds: limit of the time of each training.
+        enough: a training ends where a larger share of its last episodes got there.
         episodes: each policy is judged on in each world.
     """
 
@@ -53,6 +54,7 @@ class Study:
     seeds: int = 5
     steps: int = 12_000
     seconds: float = 3600.0
+    enough: float = 0.95
     episodes: int = 100
 
     def judged_on(self) -> range:
@@ -96,7 +98,7 @@ def learnt_row(study: Study, folder: Path, seed: int) -> dict[str, Any]:
     """Learn the policy of a seed and return how it is judged in each world."""
     settings = replace(study.settings, seed=seed)
     place = policy_folder(folder, seed)
-    progress = train(settings, place, steps=study.steps, seconds=study.seconds)
+    progress = train(settings, place, steps=study.steps, seconds=study.seconds, enough=study.enough)
     judged = {}
     for world in WORLDS:
 
@@ -143,7 +145,7 @@ def blind_row(study: Study, folder: Path, name: str) -> dict[str, Any]:
 
 def kept_folder(study: Study, cache: Path) -> Path:
     """Return where a study keeps what it has done: another place for other code or settings."""
-    return cache / content_key(DECIDED_BY, study.settings, study.steps, study.seconds)
+    return cache / content_key(DECIDED_BY, study.settings, study.steps, study.seconds, study.enough)
 
 
 def policy_folder(folder: Path, seed: int) -> Path:

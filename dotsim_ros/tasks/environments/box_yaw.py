@@ -34,7 +34,11 @@ from dotsim_ros.tasks.environments.observation import (
 )
 
 FRAME_RATE_HZ = 24.0
-STEPS_A_FRAME = 10
+STEPS_A_FRAME = 20
+"""Of MuJoCo: with half as many, one episode in twenty had a box thrown around by the gel, six times
+as many as with these; twice as many change nothing."""
+LARGEST_PROGRESS = 1.0
+"""Of the reward in a frame, as a share of the way to the target."""
 MOVES = np.array(
     [(0, 0), (-1, 0), (1, 0), (0, 1), (0, -1), (-1, 1), (1, 1), (-1, -1), (1, -1)], dtype=float
 )
@@ -214,7 +218,8 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         if not reason:
             reason = self._lost(left)
         there = not reason and left < self.task.tolerance_rad
-        reward = (before - left) / self.task.target_rad + (1.0 if there else 0.0)
+        progress = (before - left) / self.task.target_rad
+        reward = float(np.clip(progress, -LARGEST_PROGRESS, LARGEST_PROGRESS)) + float(there)
         if action == 0 and not there:
             reward -= self.task.idle_penalty
         late = self._count >= round(self.task.duration_s * FRAME_RATE_HZ)

@@ -35,6 +35,10 @@ FORMAT = 2
 """Of a checkpoint; another one is refused."""
 GROUPS = 8
 CHECKPOINT = "policy.pt"
+EPISODES = 50
+"""That the curve of a training is a mean of."""
+VALUE_SHARE = 0.5
+"""Of the value's loss: it must not alone shape what policy and value share."""
 
 
 @dataclass(frozen=True)
@@ -56,10 +60,10 @@ class PpoSettings:
         default_factory=lambda: {"observation": "image", "image_size_px": [32, 32]}
     )
     world_count: int = 1
-    rollout: int = 96
-    epochs: int = 4
-    mini_batches: int = 2
-    learning_rate: float = 3e-4
+    rollout: int = 192
+    epochs: int = 6
+    mini_batches: int = 4
+    learning_rate: float = 5e-4
     discount: float = 0.97
     entropy_share: float = 0.01
     seed: int = 0
@@ -73,11 +77,13 @@ class Progress:
         steps: of all worlds together.
         seconds: spent.
         curve: (steps, share of successes among the last episodes, mean return of these).
+        is_enough: whether it ended because the share was large enough.
     """
 
     steps: int = 0
     seconds: float = 0.0
     curve: list[tuple[int, float, float]] = field(default_factory=list)
+    is_enough: bool = False
 
 
 class TouchNetwork(CategoricalMixin, DeterministicMixin, Model):
@@ -128,9 +134,12 @@ def _agent(settings: PpoSettings, space: Any, actions: Any) -> PPO:
         learning_rate=settings.learning_rate,
         discount_factor=settings.discount,
         entropy_loss_scale=settings.entropy_share,
+        value_loss_scale=VALUE_SHARE,
         time_limit_bootstrap=True,
         observation_preprocessor=RunningStandardScaler,
         observation_preprocessor_kwargs={"size": space, "device": "cpu"},
+        value_preprocessor=RunningStandardScaler,
+        value_preprocessor_kwargs={"size": 1, "device": "cpu"},
     )
     config.experiment.write_interval = config.experiment.checkpoint_interval = 0
     agent = PPO(
@@ -153,6 +162,7 @@ def train(
     *,
     steps: int,
     seconds: float = float("inf"),
+    enough: float = 1.0,
     tell: Callable[[str], None] = lambda _line: None,
 ) -> Progress:
     """Learn until so many steps are done or so much time is spent, and return the progress.
@@ -165,6 +175,7 @@ def train(
         folder: of the checkpoint.
         steps: of all worlds together, those done before included.
         seconds: of the training, those spent before included.
+        enough: share of the last `EPISODES` episodes that got there after which it ends.
         tell: called with a line about each update.
 
     Raises:
@@ -182,10 +193,14 @@ def train(
         torch.manual_seed(settings.seed + progress.steps)
         environment._seed = settings.seed + progress.steps
         observations, _ = environment.reset()
-        episodes: deque[tuple[bool, float]] = deque(maxlen=50)
+        episodes: deque[tuple[bool, float]] = deque(maxlen=EPISODES)
         returns = np.zeros(settings.world_count)
         begun_s = time.monotonic() - progress.seconds
-        while progress.steps < steps and time.monotonic() - begun_s < seconds:
+        while (
+            progress.steps < steps
+            and time.monotonic() - begun_s < seconds
+            and not progress.is_enough
+        ):
             for _ in range(settings.rollout):
                 with torch.no_grad():
                     actions, _ = agent.act(observations, None, timestep=0, timesteps=0)
@@ -213,6 +228,7 @@ def train(
             progress.seconds = time.monotonic() - begun_s
             share, mean = np.mean(episodes, axis=0) if episodes else (0.0, 0.0)
             progress.curve.append((progress.steps, float(share), float(mean)))
+            progress.is_enough = len(episodes) == EPISODES and bool(share > enough)
             _save(folder, settings, agent, progress)
             tell(
                 f"{progress.steps} steps, {progress.seconds:.0f} s: {100 * share:.0f} % of the "
@@ -333,11 +349,15 @@ def _save(folder: Path, settings: PpoSettings, agent: PPO, progress: Progress) -
         "settings": json.dumps(asdict(settings), sort_keys=True),
         "progress": json.dumps(asdict(progress)),
         "network": agent.policy.state_dict(),
-        "scaler": agent._observation_preprocessor.state_dict(),
+        "scalers": [scaler.state_dict() for scaler in _scalers(agent)],
         "optimizer": agent.optimizer.state_dict(),
     }
     with whole_file(folder / CHECKPOINT) as part:
         torch.save(content, part)
+
+
+def _scalers(agent: PPO) -> tuple[RunningStandardScaler, RunningStandardScaler]:
+    return agent._observation_preprocessor, agent._value_preprocessor
 
 
 def _load(folder: Path, settings: PpoSettings, agent: PPO) -> Progress:
@@ -359,7 +379,8 @@ def _load(folder: Path, settings: PpoSettings, agent: PPO) -> Progress:
             "give the same, or train in another folder"
         )
     agent.policy.load_state_dict(content["network"])
-    agent._observation_preprocessor.load_state_dict(content["scaler"])
+    for scaler, state in zip(_scalers(agent), content["scalers"], strict=True):
+        scaler.load_state_dict(state)
     agent.optimizer.load_state_dict(content["optimizer"])
     stored = json.loads(content["progress"])
-    return Progress(stored["steps"], stored["seconds"], [tuple(row) for row in stored["curve"]])
+    return Progress(**{**stored, "curve": [tuple(row) for row in stored["curve"]]})
