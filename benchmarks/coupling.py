@@ -46,18 +46,18 @@ MOST_ITERATIONS = 12
 class HeldCoupling(MujocoCoupling):
     """The wrench of the last solution, constant."""
 
-    def _predicted(self) -> FloatArray:
-        pose = self.indenter_pose()
+    def _predicted(self, base: Any) -> FloatArray:
+        indenter = self._indenter(base)
         # It must at least notice when they meet.
-        if not self._anchor.wrench.any() and self._is_due(pose):
-            self._solve(pose)
+        if not self._anchor.wrench.any() and self._is_due(indenter):
+            self._solve(indenter)
         return self._anchor.wrench
 
 
 class IteratedCoupling(MujocoCoupling):
     """The wrench of the end of each coupling time, found by relaxed repetition."""
 
-    def _predicted(self) -> FloatArray:
+    def _predicted(self, base: Any) -> FloatArray:
         return self._held
 
     def step(self) -> GelFrame:

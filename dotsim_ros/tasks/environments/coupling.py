@@ -21,7 +21,7 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.make import GelFrame
-from dotsim_ros.geometry.pose import Pose, Wrench, compose, inverse
+from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.tasks.environments.geoms import indenter_of, pose_of
 
@@ -34,11 +34,31 @@ side."""
 
 
 @dataclass(frozen=True)
-class _Anchor:
-    """The last solution: the indenter's pose in the sensor's base frame, the wrench on it (6,)
-    about that frame's origin, its stiffness (6, 6), and the skin (V, 3)."""
+class _Frame:
+    """A frame in another: its axes as columns (3, 3), and its origin (3,)."""
 
-    pose: Pose
+    axes: FloatArray
+    origin_m: FloatArray
+
+    def in_world(self, child: _Frame) -> _Frame:
+        """Return a frame that is given in this one as this one is given."""
+        return _Frame(self.axes @ child.axes, self.origin_m + self.axes @ child.origin_m)
+
+    def seen_from(self, other: _Frame) -> _Frame:
+        """Return this frame in another one."""
+        return _Frame(other.axes.T @ self.axes, other.axes.T @ (self.origin_m - other.origin_m))
+
+    def pose(self) -> Pose:
+        """Return the same as a pose."""
+        return pose_of(self.origin_m, self.axes)
+
+
+@dataclass(frozen=True)
+class _Anchor:
+    """The last solution: the indenter in the sensor's base frame, the wrench on it (6,) about that
+    frame's origin, its stiffness (6, 6), and the skin (V, 3)."""
+
+    indenter: _Frame
     wrench: FloatArray
     stiffness: FloatArray
     skin_m: FloatArray
@@ -76,7 +96,7 @@ class MujocoCoupling:
         move_m: float = 0.2e-3,
     ) -> None:
         self.model, self.data, self.sensor = model, data, sensor
-        self._mount = Pose() if mount is None else mount
+        self._mount = _frame_of(Pose() if mount is None else mount)
         self._sensor_body = _number(model, mujoco.mjtObj.mjOBJ_BODY, "body", sensor_body)
         self._geom = _number(model, mujoco.mjtObj.mjOBJ_GEOM, "geom", pressed_geom)
         self._pressed_body = int(model.geom_bodyid[self._geom])
@@ -99,29 +119,38 @@ class MujocoCoupling:
     def reset(self) -> GelFrame:
         """Forget what was pressed, and begin from where MuJoCo's bodies are now."""
         mujoco.mj_forward(self.model, self.data)
-        base, geom = self.base_pose(), self._geom_pose()
-        away = geom.rotation().T @ base.rotation()[:, 2]
+        away = self._geom_frame().axes.T @ self._base().axes[:, 2]
         # To set an indenter takes as long as several solutions.
         if self._away is None or float(self._away @ away) < ALIGNED:
-            indenter, self._placed = indenter_of(self.model, self._geom, away)
+            indenter, placed = indenter_of(self.model, self._geom, away)
+            self._placed = _frame_of(placed)
             self.sensor.set_indenter(indenter)
             self._away = away
         else:
             self.sensor.reset()
-        self._before, self._waited_s = self.indenter_pose(), 0.0
+        self._before, self._waited_s = self._indenter(self._base()), 0.0
         return self._solve(self._before)
 
     def base_pose(self) -> Pose:
         """Return the pose of the sensor's base frame in the world."""
-        body = self._sensor_body
-        return compose(pose_of(self.data.xpos[body], self.data.xmat[body]), self._mount)
+        return self._base().pose()
 
     def indenter_pose(self) -> Pose:
         """Return the pose of the indenter in the sensor's base frame."""
-        return compose(inverse(self.base_pose()), compose(self._geom_pose(), self._placed))
+        return self._indenter(self._base()).pose()
 
-    def _geom_pose(self) -> Pose:
-        return pose_of(self.data.geom_xpos[self._geom], self.data.geom_xmat[self._geom])
+    # Poses check what they are given, at a cost that each of MuJoCo's steps would pay ten times.
+    def _base(self) -> _Frame:
+        body = self._sensor_body
+        axes = self.data.xmat[body].reshape(3, 3)
+        return _Frame(axes, self.data.xpos[body]).in_world(self._mount)
+
+    def _geom_frame(self) -> _Frame:
+        axes = self.data.geom_xmat[self._geom].reshape(3, 3)
+        return _Frame(axes, self.data.geom_xpos[self._geom])
+
+    def _indenter(self, base: _Frame) -> _Frame:
+        return self._geom_frame().in_world(self._placed).seen_from(base)
 
     def wrench(self) -> Wrench:
         """Return the wrench of the gel on the geom as it was solved last, sensor's base frame."""
@@ -138,7 +167,8 @@ class MujocoCoupling:
         """
         for _ in range(self._count):
             mujoco.mj_step1(self.model, self.data)
-            self._apply(self._predicted())
+            base = self._base()
+            self._apply(self._predicted(base), base)
             mujoco.mj_step2(self.model, self.data)
             self._waited_s += self._step_s
         if not np.all(np.isfinite(self.data.qpos)):
@@ -148,69 +178,74 @@ class MujocoCoupling:
             )
         mujoco.mj_kinematics(self.model, self.data)
         mujoco.mj_comPos(self.model, self.data)
-        return self._solve(self.indenter_pose())
+        return self._solve(self._indenter(self._base()))
 
-    def _solve(self, pose: Pose) -> GelFrame:
-        frame = self.sensor.press(pose, self._waited_s or self._step_s)
+    def _solve(self, indenter: _Frame) -> GelFrame:
+        frame = self.sensor.press(indenter.pose(), self._waited_s or self._step_s)
         wrench = np.concatenate([frame.wrench.force_n, frame.wrench.torque_nm])
         stiffness = self.sensor.wrench_stiffness()
-        self._anchor = _Anchor(pose, wrench, stiffness, frame.skin_position_m)
+        self._anchor = _Anchor(indenter, wrench, stiffness, frame.skin_position_m)
         self._waited_s = 0.0
         return frame
 
-    def _predicted(self) -> FloatArray:
+    def _predicted(self, base: _Frame) -> FloatArray:
         """Return the wrench (6,) on the geom where it is now, sensor's base frame."""
-        pose = self.indenter_pose()
-        before, self._before = self._before, pose
-        if self._is_due(pose):
-            self._solve(pose)
+        indenter = self._indenter(base)
+        before, self._before = self._before, indenter
+        if self._is_due(indenter):
+            self._solve(indenter)
         anchor = self._anchor
         if not anchor.wrench.any():
             return np.zeros(6)
-        rate = twist(before, pose) / self._step_s
-        moved = twist(anchor.pose, pose) + DAMPING_S * rate
+        rate = _twist(before, indenter) / self._step_s
+        moved = _twist(anchor.indenter, indenter) + DAMPING_S * rate
         wrench = anchor.wrench - anchor.stiffness @ moved
         # The gel does not pull.
         if float(wrench[:3] @ anchor.wrench[:3]) <= 0.0:
             return np.zeros(6)
         return wrench
 
-    def _is_due(self, pose: Pose) -> bool:
+    def _is_due(self, indenter: _Frame) -> bool:
         """Return whether the gel must be solved before the coupling time is over."""
-        anchor, indenter = self._anchor, self.sensor.indenter
+        anchor, shape = self._anchor, self.sensor.indenter
         if anchor.wrench.any():
-            moved = twist(anchor.pose, pose)
-            at_contact = moved[:3] + np.cross(moved[3:], pose.position_m)
-            return float(np.linalg.norm(at_contact)) > self._move_m
-        local = (anchor.skin_m - pose.position_m) @ pose.rotation()
-        lower, upper = indenter.bounds_m()
+            moved = _twist(anchor.indenter, indenter)
+            at_contact = moved[:3] + _cross(moved[3:], indenter.origin_m)
+            return float(at_contact @ at_contact) > self._move_m**2
+        local = (anchor.skin_m - indenter.origin_m) @ indenter.axes
+        lower, upper = shape.bounds_m()
         near = np.all((local > lower) & (local < upper), axis=1)
-        return bool(near.any()) and float(indenter.signed_distance(local[near]).min()) < 0.0
+        return bool(near.any()) and float(shape.signed_distance(local[near]).min()) < 0.0
 
-    def _apply(self, wrench: FloatArray) -> None:
+    def _apply(self, wrench: FloatArray, base: _Frame) -> None:
         """Put a wrench (6,) on the geom's body, and its opposite on the sensor's."""
-        base = self.base_pose()
-        force = base.rotation() @ wrench[:3]
-        torque = base.rotation() @ wrench[3:]
+        force, torque = base.axes @ wrench[:3], base.axes @ wrench[3:]
         for body, sign in ((self._pressed_body, 1.0), (self._sensor_body, -1.0)):
-            lever = base.position_m - self.data.xipos[body]
-            about = torque + np.cross(lever, force)
-            self.data.xfrc_applied[body] = sign * np.concatenate([force, about])
+            applied = self.data.xfrc_applied[body]
+            applied[:3] = sign * force
+            applied[3:] = sign * (torque + _cross(base.origin_m - self.data.xipos[body], force))
 
 
-def twist(before: Pose, after: Pose) -> FloatArray:
-    """Return the motion (6,) of a body from one pose to another: translation (m) of the point at
-    the origin of the frame, and rotation (rad) about it, for small rotations."""
-    turned = after.rotation() @ before.rotation().T
-    angle = 0.5 * np.array(
-        [
-            turned[2, 1] - turned[1, 2],
-            turned[0, 2] - turned[2, 0],
-            turned[1, 0] - turned[0, 1],
-        ]
-    )
-    moved = after.position_m - turned @ before.position_m
-    return np.concatenate([moved, angle])
+def _frame_of(pose: Pose) -> _Frame:
+    return _Frame(pose.rotation(), pose.position_m)
+
+
+def _twist(before: _Frame, after: _Frame) -> FloatArray:
+    """Return the motion (6,) of a body from one place to another: translation (m) of the point at
+    the origin of the frame that both are given in, and rotation (rad) about it, for small ones."""
+    turned = after.axes @ before.axes.T
+    result = np.empty(6)
+    result[:3] = after.origin_m - turned @ before.origin_m
+    result[3] = 0.5 * (turned[2, 1] - turned[1, 2])
+    result[4] = 0.5 * (turned[0, 2] - turned[2, 0])
+    result[5] = 0.5 * (turned[1, 0] - turned[0, 1])
+    return result
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the cross product of two vectors (3,); numpy's costs ten times as much."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
 
 
 def _number(model: mujoco.MjModel, kind: mujoco.mjtObj, word: str, name: str) -> int:

@@ -60,9 +60,9 @@ class PpoSettings:
         default_factory=lambda: {"observation": "image", "image_size_px": [32, 32]}
     )
     world_count: int = 1
-    rollout: int = 192
-    epochs: int = 6
-    mini_batches: int = 4
+    rollout: int = 96
+    epochs: int = 8
+    mini_batches: int = 2
     learning_rate: float = 5e-4
     discount: float = 0.97
     entropy_share: float = 0.01
@@ -205,6 +205,8 @@ def train(
                 with torch.no_grad():
                     actions, _ = agent.act(observations, None, timestep=0, timesteps=0)
                     following, rewards, ended, late, info = environment.step(actions)
+                # The agent adds what it expects after the end of an episode that was cut short.
+                returns += rewards.numpy().ravel()
                 agent.record_transition(
                     observations=observations,
                     states=None,
@@ -218,7 +220,6 @@ def train(
                     timestep=0,
                     timesteps=0,
                 )
-                returns += rewards.numpy().ravel()
                 for world in np.flatnonzero((ended | late).numpy().ravel()):
                     episodes.append((bool(ended[world]), float(returns[world])))
                     returns[world] = 0.0
