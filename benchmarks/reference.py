@@ -113,8 +113,8 @@ def sensor(law: str) -> SensorSpecification:
 
 def cases() -> list[ReferencePress]:
     """Return the presses, those first that a short run should have: bodies of revolution at the
-    apex in two dimensions, every indenter in three, the law taking turns; a sphere dragged, and
-    what a finer mesh changes."""
+    apex in two dimensions, every indenter in three, the law taking turns; a sphere dragged; and
+    the same on other meshes, which tell the reference's own error."""
     flat = AxisymmetricSettings()
     coarse, fine = (ReferenceSettings(spacing_m=m) for m in (SPACING_M, FINE_SPACING_M))
     every = {indenter.name: indenter for indenter in indenters()}
@@ -146,8 +146,10 @@ def cases() -> list[ReferencePress]:
     soon = [press for press in aside[: len(every)] if press.indenter.name != "cone"]
     soon += [press for press in aside[len(every) :] if press.indenter.name == "sphere_4mm"]
     chosen = {press.name for press in soon}
+    doubled = AxisymmetricSettings(spacing_m=2.0 * flat.spacing_m)
     return [
         *sections,
+        *(replace(press, settings=doubled) for press in sections[:4]),
         *(replace(ball, indenter=every[name]) for name in ("lying_cylinder", "two_bumps")),
         *soon,
         replace(ball, shear_m=SHEAR_M),
@@ -228,6 +230,18 @@ def _dragged_m(tips: Sequence[FloatArray], frame: int, press_frame_count: int) -
     if frame <= press_frame_count:
         return 0.0
     return float(np.linalg.norm(tips[frame] - tips[press_frame_count]))
+
+
+def finest(presses: Sequence[SolvedPress]) -> list[SolvedPress]:
+    """Return the presses but for those that were solved on a finer mesh as well."""
+    return [
+        press
+        for press in presses
+        if not any(
+            _question(press) == _question(other) and _spacing_m(press) > _spacing_m(other)
+            for other in presses
+        )
+    ]
 
 
 def own_errors(presses: Sequence[SolvedPress]) -> list[dict[str, Any]]:
@@ -380,9 +394,14 @@ def main() -> None:
     if not arguments.solved_only:
         failures = solve_missing(arguments.out, cases(), longest_s=60.0 * arguments.minutes)
     _, presses = read_solved_presses(arguments.out)
+    if arguments.solved_only:
+        stopped = {p.trajectory.name: p.notes["failure"] for p in presses if "failure" in p.notes}
+        missing = {p.name for p in cases()} - {p.trajectory.name for p in presses}
+        failures = [f"{name}: {failure}" for name, failure in stopped.items()]
+        failures += [f"{name}: not solved" for name in sorted(missing)]
     rows: list[dict[str, Any]] = []
     for method in (DEFAULT, *OTHERS):
-        for press in presses:
+        for press in finest(presses):
             name = press.trajectory.name
             if method is not DEFAULT and not any(part in name for part in arguments.resolutions):
                 continue
