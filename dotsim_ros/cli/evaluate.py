@@ -60,6 +60,7 @@ CLOCKS = ("simulated", "realtime")
 BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 RUNTIME_PRESS_COUNT = 3
 ROLLOUT_EPISODES = 4
+SEEN = ("depth", "image")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -185,6 +186,7 @@ def _add_rl_arguments(rl: argparse.ArgumentParser) -> None:
     add("--steps", type=int, default=12_000, help="of the world, for each policy (12000)")
     add("--minutes", type=float, default=60.0, help="limit of each training (60)")
     add("--episodes", type=int, default=100, help="each policy is judged on (100)")
+    add("--observation", choices=SEEN, default=SEEN[0], help=f"what policies see ({SEEN[0]})")
     add("--image-size", type=int, default=32, help="width and height of the image, pixels (32)")
     add("--workers", type=int, default=2, help="processes (2)")
     add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
@@ -547,7 +549,7 @@ def _rl(arguments: argparse.Namespace) -> int:
 
     size = [arguments.image_size] * 2
     study = Study(
-        PpoSettings(options={"observation": "image", "image_size_px": size}),
+        PpoSettings(options={"observation": arguments.observation, "image_size_px": size}),
         seeds=arguments.seeds,
         steps=arguments.steps,
         seconds=60.0 * arguments.minutes,

@@ -44,7 +44,9 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
         ([row["name"]], {**row, "success": row["success"][AS_LEARNT]}) for row in figures["learnt"]
     ]
     origin = figures["provenance"]
-    width, height = study["settings"]["options"]["image_size_px"]
+    options = study["settings"]["options"]
+    width, height = options["image_size_px"]
+    seen = {"depth": "depth and normals", "image": "the tactile image"}[options["observation"]]
     return "\n".join(
         [
             "# Reinforcement learning: a box turned by touch",
@@ -52,8 +54,8 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
             "`DenseTactBoxYaw-v0`: the sensor lies across one of two opposite edges of a box; "
             "nine moves in the plane, 24 a second; the box is to be turned to 10 degrees within "
             "a second, an error below 2 degrees counts (paper, section IV-D). Which way to push "
-            f"depends on the edge, which only the tactile image ({width} x {height} pixels) "
-            "tells. PPO of skrl, ResNet-18 shared by policy and value, learnt from nothing.",
+            f"depends on the edge, which only touch tells: {seen}, {width} x {height} pixels. "
+            "PPO of skrl, ResNet-18 shared by policy and value, learnt from nothing.",
             "",
             "Judged on episodes whose seeds no training draws; each policy plays its most likely "
             "moves. The worlds after the first were never seen while learning. Nothing was "
@@ -73,8 +75,8 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
             "",
             f"![a policy at play, four times slower than the world]({rollout})",
             "",
-            "Left: from above, the box blue, its target grey, the sensor orange. Right: what the "
-            "policy sees.",
+            "Left: from above, the box blue, its target grey, the sensor orange. Right: the tactile "
+            "image.",
             "",
             f"Commit {origin['commit']}, {origin['date']}, {origin['machine']}: "
             f"`{origin['command']}`",

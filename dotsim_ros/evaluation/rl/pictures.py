@@ -47,7 +47,7 @@ def write_rollout(
     file: Path, settings: PpoSettings, folder: Path, episode_seeds: Sequence[int]
 ) -> None:
     """Draw episodes of a learnt policy as a GIF: the box from above, beside the tactile image."""
-    made = make_world(settings)
+    made = make_world(settings, render_mode="rgb_array")
     world = made.unwrapped
     assert isinstance(world, BoxYawEnvironment)
     move = learnt_moves(settings, folder, made)
@@ -55,10 +55,10 @@ def write_rollout(
     for seed in episode_seeds:
         seen, _ = made.reset(seed=seed)
         over = False
-        frames.append(frame_of(world, seen))
+        frames.append(frame_of(world))
         while not over:
             seen, _, there, late, _ = made.step(move(seen))
-            frames.append(frame_of(world, seen))
+            frames.append(frame_of(world))
             over = there or late
         frames += [frames[-1]] * HELD_FRAMES
     made.close()
@@ -73,8 +73,8 @@ def write_rollout(
         )
 
 
-def frame_of(world: BoxYawEnvironment, seen: NDArray[Any]) -> NDArray[np.uint8]:
-    """Return the view from above beside an observed image, (SIZE_PX, 2 SIZE_PX, 3)."""
+def frame_of(world: BoxYawEnvironment) -> NDArray[np.uint8]:
+    """Return the view from above beside the tactile image, (SIZE_PX, 2 SIZE_PX, 3)."""
     above = np.full((SIZE_PX, SIZE_PX, 3), 255, dtype=np.uint8)
     half_m = world.task.half_width_m
     for yaw, colour, width in ((world.task.target_rad, GREY, 1), (world.yaw_rad, BLUE, 3)):
@@ -84,6 +84,8 @@ def frame_of(world: BoxYawEnvironment, seen: NDArray[Any]) -> NDArray[np.uint8]:
     place = _pixels(world.data.mocap_pos[0, :2])
     radius = round(CONTACT_M / SPAN_M * SIZE_PX)
     cv2.circle(above, place.tolist(), radius, ORANGE, 3, cv2.LINE_AA)
+    seen = world.render()
+    assert seen is not None
     image = cv2.resize(seen, (SIZE_PX, SIZE_PX), interpolation=cv2.INTER_NEAREST)
     return np.hstack([above, image])
 

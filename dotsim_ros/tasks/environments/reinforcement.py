@@ -57,7 +57,7 @@ class PpoSettings:
 
     environment: str = "DenseTactBoxYaw-v0"
     options: dict[str, Any] = field(
-        default_factory=lambda: {"observation": "image", "image_size_px": [32, 32]}
+        default_factory=lambda: {"observation": "depth", "image_size_px": [32, 32]}
     )
     world_count: int = 1
     rollout: int = 96
