@@ -75,8 +75,8 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
             "",
             f"![a policy at play, four times slower than the world]({rollout})",
             "",
-            "Left: from above, the box blue, its target grey, the sensor orange. Right: the tactile "
-            "image.",
+            "Left: from above, the box blue, its target grey, the sensor orange. Right: the "
+            "tactile image.",
             "",
             f"Commit {origin['commit']}, {origin['date']}, {origin['machine']}: "
             f"`{origin['command']}`",
