@@ -53,6 +53,7 @@ class PpoSettings:
         epochs, mini_batches: of an update.
         learning_rate, discount, entropy_share: of PPO. What a move does to the box is felt at once:
             a long memory only adds to the noise of the few episodes between two updates.
+            With less entropy, or larger steps, one seed of four stayed at a fifth of the episodes.
         seed: of everything.
     """
 
@@ -64,9 +65,9 @@ class PpoSettings:
     rollout: int = 384
     epochs: int = 6
     mini_batches: int = 6
-    learning_rate: float = 5e-4
+    learning_rate: float = 3e-4
     discount: float = 0.9
-    entropy_share: float = 0.01
+    entropy_share: float = 0.03
     seed: int = 0
 
 
