@@ -11,7 +11,9 @@ effects in measured presses and lets the gap finder look for them; it writes gap
 `trajectory` lets a policy lead the simulated arm over ROS topics, on the sensor that it was trained
 on and on others; a trial that was run before is not run again. `rl` learns policies by
 reinforcement that turn a box, and judges them in worlds that they never saw; what was learnt before
-is not learnt again. docs/evaluation.md says what the figures mean.
+is not learnt again. `classification` lets classifiers learn which indenter touches from each image
+model's images, and judges them on measured ones; a row that was made before is not made again.
+docs/evaluation.md says what the figures mean.
 
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
@@ -25,6 +27,7 @@ examples:
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
   dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
+  dotsim_ros evaluate classification --data DIR --sensor sensor_a --out docs/results
 """
 
 from __future__ import annotations
@@ -54,6 +57,20 @@ IMAGE_MODELS = (
 )
 OPTIONAL_MODELS = ("unet",)
 LEVELS = ("easy", "medium", "hard")
+CLASSIFIED_BY = (
+    "measured",
+    "idle",
+    "tacto",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "unet",
+    "carried",
+    "ours",
+)
+BLIND_OR_SLOW = ("idle", "paper_direct", "unet")
+DOMAINS = ("in_domain", "out_of_domain", "all_indenters")
 MOTIONS = ("line", "arc", "figure_eight", "press")
 SENSORS = ("simulated", "transferred", "shifted", "reality")
 CLOCKS = ("simulated", "realtime")
@@ -72,19 +89,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     gelsight = subjects.add_parser("gelsight", help="images of a real flat sensor")
     real_pair = subjects.add_parser("real_pair", help="one real image, explained by a press")
     gap = subjects.add_parser("gap", help="the gap finder on hidden effects")
-    for subject in (geometry, optics, gelsight, real_pair, runtime, gap):
+    classification = subjects.add_parser(
+        "classification", help="which indenter touches, learnt from simulated images"
+    )
+    for subject in (geometry, optics, gelsight, real_pair, runtime, gap, classification):
         subject.add_argument("--data", type=Path, required=True, help="folder of a data set")
         subject.add_argument(
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
         )
         subject.add_argument("--json", type=Path, help="write the figures here as well")
         subject.add_argument("--seed", type=int, default=0, help="seed of the draws (0)")
-    for subject in (geometry, optics, real_pair, runtime, gap):
+    for subject in (geometry, optics, real_pair, runtime, gap, classification):
         subject.add_argument(
             "--sensor",
             default="densetact2",
             help="name or file of the sensor (densetact2), or a folder with a file for each split: "
-            "held_out.yaml and INDENTER.yaml for geometry, LEVEL.yaml for optics",
+            "held_out.yaml and INDENTER.yaml for geometry, LEVEL.yaml for optics, DOMAIN.yaml for "
+            "classification",
         )
     gap.add_argument("--nulls", type=int, default=200, help="cases without an effect (200)")
     gap.add_argument("--repeats", type=int, default=6, help="cases of each law and size (6)")
@@ -131,7 +152,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--models", nargs="+", choices=BALL_MODELS, default=list(BALL_MODELS), help="which (all)"
     )
     gelsight.add_argument("--count", type=int, default=8, help="presses held out (8)")
-    for subject in (optics, gelsight):
+    _add_classification_arguments(classification)
+    for subject in (optics, gelsight, classification):
         _add_network_arguments(subject)
     runtime.add_argument(
         "--presses",
@@ -158,6 +180,22 @@ def _add_optics_arguments(optics: argparse.ArgumentParser) -> None:
         default=Path("docs/images"),
         help="folder of the sheets (docs/images)",
     )
+
+
+def _add_classification_arguments(classification: argparse.ArgumentParser) -> None:
+    add = classification.add_argument
+    add(
+        "--models",
+        nargs="+",
+        choices=CLASSIFIED_BY,
+        default=[name for name in CLASSIFIED_BY if name not in BLIND_OR_SLOW],
+        help=f"which (all but {', '.join(BLIND_OR_SLOW)})",
+    )
+    add("--domains", nargs="+", choices=DOMAINS, default=list(DOMAINS), help="which (all)")
+    add("--classifiers", type=int, default=5, help="of each row (5)")
+    add("--presses", type=int, default=40, help="simulated presses of each indenter (40)")
+    add("--epochs", type=int, default=25, help="of a classifier's training (25)")
+    add("--workers", type=int, default=2, help="processes (2)")
 
 
 def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
@@ -539,6 +577,29 @@ def _trajectory(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _classification(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.classification.classifier import ClassifierSettings
+    from dotsim_ros.evaluation.classification.page import classification_page
+    from dotsim_ros.evaluation.classification.presses import PressPlan
+    from dotsim_ros.evaluation.classification.study import Study, run_study
+    from dotsim_ros.evaluation.optics.models import FitSettings
+    from dotsim_ros.files import cache_directory
+
+    study = Study(
+        arguments.data,
+        str(arguments.sensor),
+        models=tuple(arguments.models),
+        domains=tuple(arguments.domains),
+        seeds=arguments.classifiers,
+        plan=PressPlan(count=arguments.presses, seed=arguments.seed),
+        classifier=ClassifierSettings(epochs=arguments.epochs),
+        fit=FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width),
+    )
+    kept = arguments.cache or cache_directory() / "classification"
+    figures = run_study(study, kept, workers=arguments.workers, tell=_say)
+    return _write(arguments, figures, {"sensor": study.sensor}, classification_page)
+
+
 def _rl(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.rl.page import rl_page
     from dotsim_ros.evaluation.rl.pictures import write_curve, write_rollout
@@ -582,4 +643,5 @@ _SUBJECTS = {
     "runtime": _runtime,
     "trajectory": _trajectory,
     "rl": _rl,
+    "classification": _classification,
 }

@@ -10,7 +10,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit, optical_splits
+from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit, Recorded, optical_splits
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.metrics.images import ImageScore, depth_ranges, image_psnr_db, psnr_db, score_image
 from dotsim_ros.twin.footage import FilmedPress, OpticalData, OpticalPress, Rest
@@ -95,10 +95,12 @@ class _Recording:
 
 def splits_of(data: OpticalData, *, seed: int = 0) -> dict[str, dict[str, OpticalSplit]]:
     """Return the splits of a data set by level and way; errors as `optical_splits`."""
-    return optical_splits(
-        [_Recording(press.name, press.indenter, len(press.measured)) for press in data.presses],
-        seed=seed,
-    )
+    return optical_splits(recordings_of(data), seed=seed)
+
+
+def recordings_of(data: OpticalData) -> list[Recorded]:
+    """Return the trajectories of a data set, as far as drawing needs them."""
+    return [_Recording(press.name, press.indenter, len(press.measured)) for press in data.presses]
 
 
 def with_frames(press: AnyPress, frames: Sequence[int]) -> AnyPress:

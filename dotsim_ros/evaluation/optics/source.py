@@ -3,11 +3,12 @@ shades, and a refined idle image."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 from dotsim_ros.baselines.optics.clipped import clipped_press
 from dotsim_ros.evaluation.optics.judge import frames_by_press, with_frames
-from dotsim_ros.evaluation.optics.split import OpticalSplit
+from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.learning.pattern import with_learned_pattern
@@ -53,8 +54,7 @@ def clipped_presses(
 def refined_data(
     filmed: FilmedData, sensor: SensorSpecification, data: OpticalData, split: OpticalSplit
 ) -> OpticalData:
-    """Return the presses by an idle image that the frames to fit on refine, with samples between
-    its pixels, as `train-optics` makes it.
+    """Return the presses by an idle image that the frames to fit on refine.
 
     Args:
         filmed: images and skins.
@@ -62,10 +62,32 @@ def refined_data(
         data: the same frames by the idle image as it was taken.
         split: no frame that it judges plays a part in the idle image.
     """
+    lighting, vignetting = lights_of(sensor)
+    return render_filmed(
+        refined_footage(filmed, sensor, data, split.train),
+        data.camera,
+        lighting=lighting,
+        vignetting=vignetting,
+    )
+
+
+def refined_footage(
+    filmed: FilmedData,
+    sensor: SensorSpecification,
+    data: OpticalData,
+    train: Iterable[FrameKey],
+) -> FilmedData:
+    """Return the footage with an idle image that some of its frames refine, with samples between
+    its pixels, as `train-optics` makes it.
+
+    Args:
+        filmed: images and skins.
+        sensor: whose camera and lights.
+        data: the same frames by the idle image as it was taken.
+        train: the frames that refine it.
+    """
     presses = {press.name: press for press in filmed.presses}
-    to_fit = [
-        with_frames(presses[name], frames) for name, frames in frames_by_press(split.train).items()
-    ]
+    to_fit = [with_frames(presses[name], frames) for name, frames in frames_by_press(train).items()]
     lighting, vignetting = lights_of(sensor)
     learned = with_learned_pattern(
         replace(filmed, presses=tuple(to_fit)),
@@ -73,9 +95,4 @@ def refined_data(
         lighting=lighting,
         vignetting=vignetting,
     )
-    return render_filmed(
-        replace(learned, presses=filmed.presses),
-        data.camera,
-        lighting=lighting,
-        vignetting=vignetting,
-    )
+    return replace(learned, presses=filmed.presses)

@@ -1,0 +1,1 @@
+"""Which indenter touches the sensor: learnt from simulated images, judged on measured ones."""

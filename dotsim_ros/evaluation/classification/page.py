@@ -1,0 +1,85 @@
+"""The table of indenter classification, and what its figures mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from dotsim_ros.evaluation.classification.study import BOUND
+from dotsim_ros.evaluation.table import Column, markdown_table
+
+COLUMNS = (
+    Column("accuracy", "accuracy % ↑", 1, 100.0),
+    Column("accuracy_std", "± between seeds", 1, 100.0),
+    Column("balanced_accuracy", "mean of the classes % ↑", 1, 100.0),
+    Column("published", "paper %", 1, 100.0),
+    Column("simulated", "on simulated touches %", 1, 100.0),
+    Column("frames", "frames", 0),
+    Column("trajectories", "trajectories", 0),
+)
+PUBLISHED = {
+    "in_domain": {"ours": 0.9048, "difftactile": 0.6588, "tacto": 0.5059},
+    "out_of_domain": {"ours": 0.8118, "difftactile": 0.5294, "tacto": 0.5059},
+}
+"""The paper's table of indenter classification; "ours" is its own method, on another sensor."""
+TITLES = {
+    "in_domain": "The first and the third indenter, image models fitted on other presses of them",
+    "out_of_domain": "The same two, image models fitted on the other indenters alone",
+    "all_indenters": "All indenters, image models fitted on other presses of them",
+}
+
+
+def classification_page(figures: Mapping[str, Any]) -> str:
+    """Return the page."""
+    study = figures["study"]
+    plan = study["plan"]
+    origin = figures["provenance"]
+    parts = [
+        "# Which indenter: learnt in simulation, judged on measured images",
+        "",
+        f"Classifiers learn from simulated images alone: {plan['count']} presses of each indenter "
+        "at random places of the sensor's gel, rendered by each image model, every fifth left out. "
+        "All indenters are pressed equally deep. They are judged on measured images with contact, "
+        f"of trajectories that no image model was fitted on. {study['seeds']} classifiers a row "
+        "differ in their weights and the order of the images. What a classifier sees is the "
+        "difference to the idle image; network, training and noise are the same in every row, and "
+        "nothing was chosen by the measured images. `measured` learns from measured images of "
+        "other trajectories.",
+        "",
+        f"`{study['data']}` is a synthetic stand-in for a real sensor. The paper's figures are of "
+        "its own sensor, indenters and classifier: they say what it reports, no more.",
+        "",
+    ]
+    for name, rows in figures["domains"].items():
+        parts += [f"## {TITLES[name]}", "", _table(name, rows), ""]
+        for model in (m for m in ("ours", BOUND) if m in rows):
+            parts += [_confusion(model, rows[model]), ""]
+    parts += [
+        f"Commit {origin['commit']}, {origin['date']}, {origin['machine']}: `{origin['command']}`. "
+        "Each row in the JSON file says when and at which commit it was made.",
+        "",
+    ]
+    return "\n".join(parts)
+
+
+def _table(domain: str, rows: Mapping[str, Mapping[str, Any]]) -> str:
+    published = PUBLISHED.get(domain, {})
+    return markdown_table(
+        ["images"],
+        [([name], {**row, "published": published.get(name)}) for name, row in rows.items()],
+        COLUMNS,
+    )
+
+
+def _confusion(model: str, row: Mapping[str, Any]) -> str:
+    """Return a table of true classes by told ones, in shares of the true class."""
+    classes: Sequence[str] = row["classes"]
+    lines = [
+        f"| `{model}`: shown, told | " + " | ".join(classes) + " |",
+        "| --- |" + " --- |" * len(classes),
+    ]
+    for shown, counts in zip(classes, row["confusion"], strict=True):
+        total = max(1, sum(counts))
+        cells = " | ".join(f"{100.0 * count / total:.0f} %" for count in counts)
+        lines.append(f"| {shown} | {cells} |")
+    return "\n".join(lines)

@@ -1,0 +1,133 @@
+"""Indenter classification in small: a unit is filmed, and the command told to classify it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from dotsim_ros import TactileSensor, load_sensor
+from dotsim_ros.arrays import ImageArray
+from dotsim_ros.cli.evaluate import CLASSIFIED_BY
+from dotsim_ros.cli.evaluate import DOMAINS as COMMAND_DOMAINS
+from dotsim_ros.cli.main import main
+from dotsim_ros.evaluation.classification.domains import DOMAINS
+from dotsim_ros.evaluation.classification.presses import PressPlan
+from dotsim_ros.evaluation.classification.study import ROWS
+from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.measured.data_set_writer import trajectory_of_frames, write_data_set
+from dotsim_ros.specification import SensorSpecification, write_sensor
+
+SIZE = (96, 72)
+INDENTERS = {
+    "1_ball": sphere(0.004),
+    "2_cone": cone(0.6, 0.01, 0.001),
+    "3_punch": flat_punch(0.003, 0.01, 0.0005),
+}
+DEPTHS_M = (-0.2e-3, 0.8e-3, 1.6e-3)
+
+
+def small(image: ImageArray) -> ImageArray:
+    return np.asarray(cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA))
+
+
+@pytest.fixture(scope="module")
+def sensor() -> SensorSpecification:
+    sensor = load_sensor("densetact2")
+    return replace(
+        sensor,
+        gel=replace(sensor.gel, skin_spacing_m=1.2e-3),
+        solver=replace(sensor.solver, refined=False, grid_spacing_m=3.6e-3),
+    )
+
+
+@pytest.fixture(scope="module")
+def unit(sensor: SensorSpecification, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with the unit's data set and its sensor's file."""
+    folder = tmp_path_factory.mktemp("unit")
+    write_sensor(folder / "small.yaml", sensor, "A coarse sensor.")
+    film = TactileSensor(sensor, indenter=INDENTERS["1_ball"])
+    presses = []
+    for name, indenter in INDENTERS.items():
+        film.set_indenter(indenter)
+        for number in range(2):
+            film.reset()
+            apex = film.skin.apex_m
+            poses = [
+                Pose.above_apex(depth, x_m=1e-3 * number, yaw_rad=0.7 * number).on(apex)
+                for depth in DEPTHS_M
+            ]
+            frames = [film.step(pose) for pose in poses]
+            frames = [replace(frame, image=small(frame.image)) for frame in frames]
+            presses.append((trajectory_of_frames(frames, name=f"{name}_{number}"), indenter))
+    write_data_set(
+        folder / "data", presses, skin=film.skin, idle_images=[small(film.idle_image)] * 2
+    )
+    return folder
+
+
+def classify(unit: Path, out: Path, *given: str) -> int:
+    places = ["--out", f"{out}/out", "--cache", f"{out}/kept"]
+    source = ["--data", str(unit / "data"), "--sensor", str(unit / "small.yaml")]
+    few = ["--classifiers", "2", "--presses", "5", "--epochs", "2", "--workers", "1"]
+    return main(["evaluate", "classification", *source, *few, *places, *given])
+
+
+def test_a_table_is_printed_kept_and_not_made_again(
+    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert classify(unit, tmp_path, "--models", "measured", "carried") == 0
+    page = capsys.readouterr().out
+    assert (tmp_path / "out" / "classification.md").read_text("utf-8") in page
+    found: dict[str, Any] = json.loads((tmp_path / "out" / "classification.json").read_text())
+    assert list(found["domains"]) == list(DOMAINS)
+    for name, rows in found["domains"].items():
+        classes = 3 if name == "all_indenters" else 2
+        for model, row in rows.items():
+            assert f"| {model} |" in page
+            # Each indenter was filmed twice, with two frames in contact.
+            assert row["frames"] == 4 * classes
+            assert row["trajectories"] == 2 * classes
+            assert np.sum(row["confusion"]) == 2 * row["frames"]
+            told_right = np.trace(row["confusion"]) / (2 * row["frames"])
+            assert row["accuracy"] == pytest.approx(told_right)
+            assert (row["simulated"] is None) == (model == "measured")
+    # Out of the domain nothing measured of the classes is there to learn from: the same bound.
+    bounds = [found["domains"][name]["measured"] for name in ("in_domain", "out_of_domain")]
+    assert bounds[0]["seeds"] == bounds[1]["seeds"]
+    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "kept").rglob("*.json")}
+    assert len(kept) == 2 * len(DOMAINS)
+    assert classify(unit, tmp_path, "--models", "measured", "carried") == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+
+
+def test_a_row_of_another_seed_is_made_anew(unit: Path, tmp_path: Path) -> None:
+    domain = ["--models", "idle", "--domains", "out_of_domain"]
+    assert classify(unit, tmp_path, *domain) == 0
+    assert classify(unit, tmp_path, *domain, "--seed", "1") == 0
+    rows = [json.loads(path.read_text("utf-8")) for path in (tmp_path / "kept").rglob("*.json")]
+    assert len(rows) == 2
+    # The idle image shows no touch, so whatever is learnt from it tells nothing apart.
+    assert all(row["balanced_accuracy"] == 0.5 for row in rows)
+
+
+def test_what_cannot_be_asked_is_refused(
+    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert classify(unit, tmp_path, "--seed", "-1") == 1
+    assert "seed is -1, expected 0 or more" in capsys.readouterr().err
+    assert classify(unit, tmp_path, "--presses", "0") == 1
+    assert "0 presses of 6 frames, expected one at least" in capsys.readouterr().err
+    (tmp_path / "empty").mkdir()
+    assert classify(unit, tmp_path, "--sensor", str(tmp_path / "empty")) == 1
+    assert "holds no in_domain.yaml" in capsys.readouterr().err
+
+
+def test_the_command_offers_what_there_is() -> None:
+    assert CLASSIFIED_BY == ROWS
+    assert COMMAND_DOMAINS == DOMAINS
+    assert PressPlan().count > 0
