@@ -221,7 +221,7 @@ def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
 def _add_rl_arguments(rl: argparse.ArgumentParser) -> None:
     add = rl.add_argument
     add("--seeds", type=int, default=5, help="policies learnt (5)")
-    add("--steps", type=int, default=12_000, help="of the world, for each policy (12000)")
+    add("--steps", type=int, default=8_000, help="of the world, for each policy (8000)")
     add("--minutes", type=float, default=60.0, help="limit of each training (60)")
     add("--episodes", type=int, default=100, help="each policy is judged on (100)")
     add("--observation", choices=SEEN, default=SEEN[0], help=f"what policies see ({SEEN[0]})")

@@ -3,12 +3,17 @@
 from dataclasses import replace
 from pathlib import Path
 
+import gymnasium
 import pytest
 import torch
 
 from dotsim_ros.tasks.environments.reinforcement import (
     CHECKPOINT,
+    FORMAT,
     PpoSettings,
+    SeenScaler,
+    learnt_moves,
+    make_world,
     success_share,
     train,
 )
@@ -56,7 +61,7 @@ def test_a_checkpoint_of_other_settings_is_refused(folder: Path) -> None:
 def test_a_checkpoint_of_another_version_is_refused(folder: Path, tmp_path: Path) -> None:
     content = torch.load(folder / CHECKPOINT, weights_only=True)
     torch.save(content | {"format": 0}, tmp_path / CHECKPOINT)
-    with pytest.raises(ValueError, match="of format 0, expected 2"):
+    with pytest.raises(ValueError, match=f"of format 0, expected {FORMAT}"):
         success_share(SMALL, tmp_path, [0])
 
 
@@ -69,3 +74,28 @@ def test_a_broken_checkpoint_is_told(tmp_path: Path) -> None:
 def test_a_folder_without_a_policy_is_told(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=CHECKPOINT):
         success_share(SMALL, tmp_path, [0])
+
+
+def test_the_policy_that_got_there_most_often_is_judged(folder: Path, tmp_path: Path) -> None:
+    content = torch.load(folder / CHECKPOINT, weights_only=True)
+    best = {name: torch.zeros_like(values) for name, values in content["best"].items()}
+    best["policy_head.bias"][5] = 1.0
+    torch.save(content | {"best": best}, tmp_path / CHECKPOINT)
+    world = make_world(SMALL)
+    move = learnt_moves(SMALL, tmp_path, world)
+    seen, _ = world.reset(seed=100)
+    world.close()
+    assert move(seen) == 5
+
+
+def test_what_is_seen_is_scaled_by_pixel_and_channel() -> None:
+    space = gymnasium.spaces.Box(-1.0, 1.0, (2, 2, 3))
+    random = torch.Generator().manual_seed(0)
+    seen = torch.randn(500, 12, generator=random) * torch.tensor([0.1, 3.0, 0.0]).repeat(4) + 7.0
+    scaler = SeenScaler(space, device="cpu")
+    scaler.learn(seen)
+    scaled = scaler(seen)
+    assert torch.allclose(scaled.mean(dim=0), torch.zeros(12), atol=1e-4)
+    channels = scaled.reshape(-1, 3)
+    assert torch.allclose(channels[:, :2].std(dim=0), torch.ones(2), atol=1e-2)
+    assert not channels[:, 2].any()

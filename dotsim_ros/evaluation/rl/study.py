@@ -52,7 +52,7 @@ class Study:
 
     settings: PpoSettings = field(default_factory=PpoSettings)
     seeds: int = 5
-    steps: int = 12_000
+    steps: int = 8_000
     seconds: float = 3600.0
     enough: float = 0.95
     episodes: int = 100

@@ -3,12 +3,15 @@
 PPO is skrl's (Serrano-Munoz et al., "skrl: Modular and Flexible Library for Reinforcement
 Learning", 2023), as in the paper, section IV-D: a ResNet-18 shared by policy and value. Its batch
 normalisation is replaced by that of groups (Wu and He, "Group Normalization", 2018), since a policy
-acts on one image at a time and learns on many. Each pixel is taken in its own standard deviations
-from its own mean, both learnt on the way: a touch changes an image by little.
+acts on one image at a time and learns on many. Each pixel is taken from its own mean, in its
+channel's standard deviations, since a touch changes an image by little; both are found before
+learning and kept: those of a running estimate change for as long as it learns, and policies got
+worse again after they had found the way.
 """
 
 from __future__ import annotations
 
+import copy
 import json
 import time
 from collections import deque
@@ -31,12 +34,19 @@ from torchvision.models import resnet18
 import dotsim_ros.tasks.environments
 from dotsim_ros.files import whole_file
 
-FORMAT = 2
+FORMAT = 3
 """Of a checkpoint; another one is refused."""
 GROUPS = 8
 CHECKPOINT = "policy.pt"
 EPISODES = 50
 """That the curve of a training is a mean of."""
+RANDOM_MOVES = 96
+"""Before learning, for the mean and the deviation of what is seen."""
+LARGEST_SEEN = 20.0
+"""Standard deviations that are told apart."""
+ADAM_EPSILON = 1e-5
+"""A policy that mostly gets there has next to no gradient, which Adam with its usual 1e-8 turns
+into steps as large as ever; the usual value with PPO."""
 VALUE_SHARE = 0.5
 """Of the value's loss: it must not alone shape what policy and value share."""
 
@@ -79,12 +89,41 @@ class Progress:
         seconds: spent.
         curve: (steps, share of successes among the last episodes, mean return of these).
         is_enough: whether it ended because the share was large enough.
+        best_share: the largest share of a full `EPISODES`; the policy of then is the one kept.
     """
 
     steps: int = 0
     seconds: float = 0.0
     curve: list[tuple[int, float, float]] = field(default_factory=list)
     is_enough: bool = False
+    best_share: float = -1.0
+
+
+class SeenScaler(nn.Module):
+    """Scales what is seen by a mean of each pixel and a deviation of each channel."""
+
+    def __init__(self, size: Any, *, device: str) -> None:
+        super().__init__()
+        self._channels = size.shape[-1]
+        count = int(np.prod(size.shape))
+        self.register_buffer("mean", torch.zeros(count, device=device))
+        self.register_buffer("deviation", torch.ones(count, device=device))
+
+    def learn(self, seen: torch.Tensor) -> None:
+        """Take mean and deviation from what was seen (N, pixels of all channels)."""
+        self.mean = seen.mean(dim=0)
+        from_mean = (seen - self.mean).reshape(-1, self._channels)
+        deviation = from_mean.square().mean(dim=0).sqrt()
+        # A channel that never changes says nothing in any unit.
+        deviation = torch.where(deviation > 0.0, deviation, torch.ones_like(deviation))
+        self.deviation = deviation.repeat(len(self.mean) // self._channels)
+
+    def forward(self, seen: torch.Tensor | None, **_options: Any) -> torch.Tensor | None:
+        """Return what is seen (N, pixels of all channels), scaled."""
+        if seen is None:
+            return None
+        scaled = (seen - self.mean) / self.deviation
+        return scaled.clamp(-LARGEST_SEEN, LARGEST_SEEN)
 
 
 class TouchNetwork(CategoricalMixin, DeterministicMixin, Model):
@@ -137,7 +176,7 @@ def _agent(settings: PpoSettings, space: Any, actions: Any) -> PPO:
         gae_lambda=settings.discount,
         entropy_loss_scale=settings.entropy_share,
         value_loss_scale=VALUE_SHARE,
-        observation_preprocessor=RunningStandardScaler,
+        observation_preprocessor=SeenScaler,
         observation_preprocessor_kwargs={"size": space, "device": "cpu"},
         value_preprocessor=RunningStandardScaler,
         value_preprocessor_kwargs={"size": 1, "device": "cpu"},
@@ -154,6 +193,8 @@ def _agent(settings: PpoSettings, space: Any, actions: Any) -> PPO:
         cfg=config,
     )
     agent.init()
+    for group in agent.optimizer.param_groups:
+        group["eps"] = ADAM_EPSILON
     return agent
 
 
@@ -169,7 +210,8 @@ def train(
     """Learn until so many steps are done or so much time is spent, and return the progress.
 
     It goes on from `folder`, where a checkpoint is left after every update: a training that was
-    killed loses at most one. The worlds begin anew then.
+    killed loses at most one. The worlds begin anew then. Policies may get worse again, so the one
+    that got there most often while learning is kept as well, and is the one that is judged.
 
     Args:
         settings: what is learnt.
@@ -187,9 +229,11 @@ def train(
     try:
         environment = wrap_env(worlds, wrapper="gymnasium", verbose=False)
         agent = _agent(settings, environment.observation_space, environment.action_space)
-        progress = Progress()
+        progress, best = Progress(), None
         if (folder / CHECKPOINT).is_file():
-            progress = _load(folder, settings, agent)
+            progress, best = _load(folder, settings, agent)
+        else:
+            agent._observation_preprocessor.learn(_seen_at_random(environment, settings))
         agent.enable_training_mode(True)
         torch.manual_seed(settings.seed + progress.steps)
         environment._seed = settings.seed + progress.steps
@@ -232,8 +276,12 @@ def train(
             progress.seconds = time.monotonic() - begun_s
             share, mean = np.mean(episodes, axis=0) if episodes else (0.0, 0.0)
             progress.curve.append((progress.steps, float(share), float(mean)))
-            progress.is_enough = len(episodes) == EPISODES and bool(share > enough)
-            _save(folder, settings, agent, progress)
+            is_full = len(episodes) == EPISODES
+            progress.is_enough = is_full and bool(share > enough)
+            if best is None or (is_full and share > progress.best_share):
+                progress.best_share = float(share) if is_full else progress.best_share
+                best = copy.deepcopy(agent.policy.state_dict())
+            _save(folder, settings, agent, progress, best)
             tell(
                 f"{progress.steps} steps, {progress.seconds:.0f} s: {100 * share:.0f} % of the "
                 f"last {len(episodes)} episodes there, return {mean:.2f}"
@@ -241,6 +289,20 @@ def train(
     finally:
         worlds.close()
     return progress
+
+
+def _seen_at_random(environment: Any, settings: PpoSettings) -> torch.Tensor:
+    """Return what random moves show (N, pixels of all channels)."""
+    environment._seed = settings.seed
+    observations, _ = environment.reset()
+    moves = np.random.default_rng(settings.seed)
+    shown = [observations]
+    for _ in range(RANDOM_MOVES // settings.world_count):
+        drawn = moves.integers(environment.action_space.n, size=(settings.world_count, 1))
+        with torch.no_grad():
+            observations, *_ = environment.step(torch.from_numpy(drawn))
+        shown.append(observations)
+    return torch.cat(shown).float()
 
 
 def make_worlds(settings: PpoSettings) -> gymnasium.vector.VectorEnv:
@@ -282,7 +344,8 @@ def learnt_moves(
     if not (folder / CHECKPOINT).is_file():
         raise FileNotFoundError(f"{folder} holds no {CHECKPOINT}; train there first")
     agent = _agent(settings, world.observation_space, world.action_space)
-    _load(folder, settings, agent)
+    _, best = _load(folder, settings, agent)
+    agent.policy.load_state_dict(best)
     agent.enable_training_mode(False)
     network = agent.policy
     network.eval()
@@ -346,13 +409,20 @@ def _given(options: dict[str, Any]) -> dict[str, Any]:
     return {k: tuple(v) if isinstance(v, list) else v for k, v in options.items()}
 
 
-def _save(folder: Path, settings: PpoSettings, agent: PPO, progress: Progress) -> None:
+def _save(
+    folder: Path,
+    settings: PpoSettings,
+    agent: PPO,
+    progress: Progress,
+    best: dict[str, torch.Tensor],
+) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     content = {
         "format": FORMAT,
         "settings": json.dumps(asdict(settings), sort_keys=True),
         "progress": json.dumps(asdict(progress)),
         "network": agent.policy.state_dict(),
+        "best": best,
         "scalers": [scaler.state_dict() for scaler in _scalers(agent)],
         "optimizer": agent.optimizer.state_dict(),
     }
@@ -360,11 +430,13 @@ def _save(folder: Path, settings: PpoSettings, agent: PPO, progress: Progress) -
         torch.save(content, part)
 
 
-def _scalers(agent: PPO) -> tuple[RunningStandardScaler, RunningStandardScaler]:
+def _scalers(agent: PPO) -> tuple[SeenScaler, RunningStandardScaler]:
     return agent._observation_preprocessor, agent._value_preprocessor
 
 
-def _load(folder: Path, settings: PpoSettings, agent: PPO) -> Progress:
+def _load(
+    folder: Path, settings: PpoSettings, agent: PPO
+) -> tuple[Progress, dict[str, torch.Tensor]]:
     path = folder / CHECKPOINT
     try:
         content = torch.load(path, weights_only=True)
@@ -387,4 +459,5 @@ def _load(folder: Path, settings: PpoSettings, agent: PPO) -> Progress:
         scaler.load_state_dict(state)
     agent.optimizer.load_state_dict(content["optimizer"])
     stored = json.loads(content["progress"])
-    return Progress(**{**stored, "curve": [tuple(row) for row in stored["curve"]]})
+    progress = Progress(**{**stored, "curve": [tuple(row) for row in stored["curve"]]})
+    return progress, content["best"]
