@@ -10,6 +10,7 @@ from dotsim_ros.gel.implicit.contact import Contact, ContactHistory, Lag, fresh_
 from dotsim_ros.gel.implicit.contact_problem import (
     Answers,
     ContactSolution,
+    Guess,
     by_component,
     by_marker,
     compliance_root,
@@ -67,8 +68,7 @@ def solved(
             lambda x, lag: contact.respond(number, x, pose, history, lag),
             lambda x: contact.respond_now(number, x, pose, history),
         ),
-        Lag(np.zeros(len(markers)), none),
-        guess_n=none,
+        guess=Guess(markers, none),
         passes=passes,
         tolerance_m=TOLERANCE_M,
     )
@@ -147,7 +147,10 @@ def test_friction_stays_within_coulombs_limit_and_reaches_it() -> None:
     rest = fresh_history(markers, pressed(0.0))
     first, _ = solved(contact, markers, pressed(0.3e-3), rest)
     history = ContactHistory(
-        first.response.local_position_m, first.response.slip_m, first.response.pressure_pa
+        first.response.local_position_m,
+        first.response.slip_m,
+        first.response.pressure_pa,
+        first.response.distance_m,
     )
     slid, _ = solved(contact, markers, pressed(0.3e-3, 1.0e-3), history)
     normal = np.einsum("ai,ai->a", slid.force_n, slid.response.normal)

@@ -79,17 +79,20 @@ class Lag:
 @dataclass
 class ContactHistory:
     """Memory of friction: position and elastic slip (V, 3) of the markers in the indenter's frame
-    at the end of the last step, and the pressure then (V,)."""
+    at the end of the last step, the pressure then (V,), and the signed distance (V,), infinite
+    where it was not asked for."""
 
     local_position_m: FloatArray
     slip_m: FloatArray
     pressure_pa: FloatArray
+    distance_m: FloatArray
 
 
 def fresh_history(rest_position_m: FloatArray, pose: Pose) -> ContactHistory:
     """Return the history of a skin that has touched nothing."""
     local = (rest_position_m - pose.position_m) @ pose.rotation()
-    return ContactHistory(local, np.zeros_like(local), np.zeros(len(local)))
+    count = len(local)
+    return ContactHistory(local, np.zeros_like(local), np.zeros(count), np.full(count, np.inf))
 
 
 class Contact:

@@ -26,12 +26,20 @@ from dotsim_ros.arrays import AnyFloatArray, FloatArray
 from dotsim_ros.gel.implicit.contact import ContactResponse, Lag
 
 ITERATIONS = 60
-CLOSE = 10.0
-"""Newton's method on Coulomb's law begins at so many tolerances."""
+NEAR = 700.0
+"""Newton's method on Coulomb's law is first tried at so many tolerances..."""
+CLOSE = 30.0
+"""...and again where the one on the energy ends, at so many tolerances..."""
+CLOSER = 0.3
+"""...and at this share of them when it is asked again."""
 CORRECTIONS = 8
 DIVERGING = 20.0
-"""It ends without success once the markers are this much farther from balance than at its start."""
+"""It ends without success once the markers are this much farther from balance than at best..."""
+RISE, RISES = 2.0, 2
+"""...or so many times as far for so many times."""
 SMALLEST_SCALE = 1.0e-3
+SMALLEST_SHARE = 0.1
+"""Of a correction that turns back."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,14 @@ class Answers:
 
     lagged: Callable[[FloatArray, Lag], ContactResponse]
     present: Callable[[FloatArray], ContactResponse]
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Where the markers may come to lie (A, 3), and the indenter's forces on them (A, 3)."""
+
+    position_m: FloatArray
+    force_n: FloatArray
 
 
 @dataclass(frozen=True)
@@ -107,6 +123,14 @@ class _ContactState:
     energy_j: float
 
 
+@dataclass(frozen=True)
+class _Correction:
+    """Newton's step of z (k,) on Coulomb's law, and the share of it that was taken."""
+
+    step: AnyFloatArray
+    share: float
+
+
 class _ContactProblem:
     """L, b, f0 and the indenter's answers."""
 
@@ -128,11 +152,30 @@ class _ContactProblem:
         result: AnyFloatArray = change.ravel() @ self._flat
         return result
 
-    def begin(self, change: FloatArray, lag: Lag) -> _ContactState:
+    def begin_with(self, change: FloatArray, lag: Lag) -> _ContactState:
         """Return the state of forces that differ from f0 by (A, 3)."""
         single = change.astype(self.root.dtype)
         reduced = self.reduce(single)
         return self.at(reduced, single, self.moved(reduced), lag)
+
+    def begin_at(self, guess_m: FloatArray) -> tuple[_ContactState, Lag]:
+        """Return the state of an indenter that answers linearly, as it does near markers at (A, 3),
+        and what limits friction there.
+
+        A contact is so stiff that the positions which guessed forces cause say little of who
+        touches: a hundredth of a millimetre opens or closes it. Guessed positions do.
+        """
+        self.iterations += 1
+        response = self.answers.present(guess_m)
+        away = np.einsum("aij,aj->ai", response.stiffness, guess_m - self.base_m)
+        change = (response.force_n - self.force_n + away).astype(self.root.dtype)
+        reduced, moved, force = _coulomb_step(self.root, -self.reduce(change), response)
+        lag = Lag(response.pressure_pa, response.normal)
+        return self.at(reduced, change + force, moved, None), lag
+
+    def limited(self, state: _ContactState, lag: Lag) -> _ContactState:
+        """Return the same state with friction limited by a lag."""
+        return self.at(state.reduced, state.change, state.caused, lag)
 
     def at(
         self,
@@ -186,12 +229,20 @@ class _ContactProblem:
             scale *= 0.5
         return state, False
 
-    def correct(self, state: _ContactState, out_of_balance: AnyFloatArray) -> _ContactState:
-        """Return the state after a Newton step on Coulomb's law as it is."""
+    def correct(
+        self, state: _ContactState, out_of_balance: AnyFloatArray, before: _Correction | None
+    ) -> tuple[_ContactState, _Correction]:
+        """Return the state after a Newton step on Coulomb's law as it is, and the step; after one
+        before that it would turn back, as much of it as both suggest."""
         self.iterations += 1
         step, moved, force = _coulomb_step(self.root, out_of_balance, state.response)
-        change = self.answered(state) + force
-        return self.at(state.reduced + step, change, state.caused + moved, None)
+        scale = 1.0 if before is None else _share(step, before)
+        share = self.root.dtype.type(scale)
+        change = state.change + share * (self.answered(state) + force - state.change)
+        corrected = self.at(
+            state.reduced + share * step, change, state.caused + share * moved, None
+        )
+        return corrected, _Correction(step, scale)
 
     def solution(self, state: _ContactState) -> ContactSolution:
         """Return what a state amounts to."""
@@ -204,39 +255,44 @@ def solve_contact(
     base_m: FloatArray,
     force_n: FloatArray,
     answers: Answers,
-    lag: Lag,
     *,
-    guess_n: FloatArray,
+    guess: Guess,
     passes: int,
     tolerance_m: float,
 ) -> ContactSolution:
     """Return the contact forces of the linear gel.
 
-    Newton's method on the energy with lagged friction goes first: it converges from anywhere. Close
-    to the solution Newton's method on Coulomb's law itself takes over; where that does not converge
-    the lag is renewed.
+    Newton's method on Coulomb's law goes first, from where the markers are guessed to be. Where
+    that is far from balance or does not converge, Newton's method on the energy with lagged
+    friction, which converges from anywhere, goes closer to the solution, and closer each time; it
+    begins with the guess whose energy is lower.
 
     Args:
         root: (A, 3, k) L, see `compliance_root`.
         base_m: (A, 3) b.
         force_n: (A, 3) f0.
         answers: the indenter's.
-        lag: the first limit of friction.
-        guess_n: (A, 3) the first guess of the forces.
+        guess: of the solution.
         passes: how often the limit is renewed at most.
         tolerance_m: how far the markers may be from where the indenter's answer would take them.
     """
     problem = _ContactProblem(root, base_m, force_n, answers)
-    state = problem.begin(guess_n - force_n, lag)
+    known, lag = problem.begin_at(guess.position_m)
+    best: tuple[float, _ContactState] = (np.inf, known)
+    if problem.farthest(problem.out_of_balance(known)) < NEAR * tolerance_m:
+        best = _corrected(problem, known, tolerance_m)
+    close_m = CLOSE * tolerance_m
+    states = (problem.limited(known, lag), problem.begin_with(guess.force_n - force_n, lag))
+    state = min(states, key=lambda begun: begun.energy_j)
     for _ in range(passes):
-        state = _descended(problem, state, lag, CLOSE * tolerance_m)
+        if best[0] < tolerance_m:
+            break
+        state = _descended(problem, state, lag, close_m)
         known = problem.at(state.reduced, state.change, state.caused, None)
-        state, is_solved = _corrected(problem, known, tolerance_m)
-        if is_solved:
-            return problem.solution(state)
+        best = min(best, _corrected(problem, known, tolerance_m), key=lambda found: found[0])
         lag = Lag(known.response.pressure_pa, known.response.normal)
-        state = problem.at(known.reduced, known.change, known.caused, lag)
-    return problem.solution(state)
+        state, close_m = problem.limited(known, lag), CLOSER * close_m
+    return problem.solution(best[1])
 
 
 def linear_contact(
@@ -266,20 +322,33 @@ def linear_contact(
 
 def _corrected(
     problem: _ContactProblem, state: _ContactState, tolerance_m: float
-) -> tuple[_ContactState, bool]:
-    """Return the state after Newton's method on Coulomb's law, and whether it converged."""
-    first = np.inf
-    for correction in range(CORRECTIONS):
+) -> tuple[float, _ContactState]:
+    """Return the best state of Newton's method on Coulomb's law, and how far from balance it is."""
+    before = None
+    best = (np.inf, state)
+    rises = 0
+    for _ in range(CORRECTIONS + 1):
         out_of_balance = problem.out_of_balance(state)
         left = problem.farthest(out_of_balance)
-        if left < tolerance_m:
-            return state, True
-        if correction == 0:
-            first = left
-        if left > DIVERGING * first:
+        rises += left > RISE * best[0]
+        if left < best[0]:
+            best = (left, state)
+        if left < tolerance_m or left > DIVERGING * best[0] or rises == RISES:
             break
-        state = problem.correct(state, out_of_balance)
-    return state, False
+        state, before = problem.correct(state, out_of_balance, before)
+    return best
+
+
+def _share(step: AnyFloatArray, before: _Correction) -> float:
+    """Return the share of a step to take after another one: where markers that slip and stick by
+    turns throw it to and fro, where both would meet (Irons and Tuck, "A version of the Aitken
+    accelerator for computer iteration", 1969)."""
+    change = step - before.step
+    size = float(change @ change)
+    if size == 0.0:
+        return 1.0
+    share = -before.share * float(before.step @ change) / size
+    return min(share, 1.0) if share > SMALLEST_SHARE else 1.0
 
 
 def _descended(

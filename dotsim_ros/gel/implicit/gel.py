@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.body import Body
@@ -28,6 +29,7 @@ from dotsim_ros.gel.implicit.contact import (
     fresh_history,
     wrench_on_indenter,
 )
+from dotsim_ros.gel.implicit.contact_problem import Guess
 from dotsim_ros.gel.implicit.newton import (
     CONTRACTION,
     EquilibriumProblem,
@@ -72,6 +74,11 @@ REGION_GRADIENT_KEPT = 0.25
 """A region is kept while no cell outside is strained by more..."""
 SLOW_REGION_GRADIENT = 0.1
 """...and, once a search converges slowly, by more than this."""
+FAR_SLIDE_M = 0.1e-3
+"""A marker that slides farther in a substep follows the indenter's surface, not a straight line."""
+NEIGHBOURS = 4
+NEIGHBOUR_M = 0.1e-3
+"""Distance at which a neighbour's weight is half of that of one right here."""
 SNAP = 1.5
 """Gel that moves by more than this multiple of the indenter's motion has snapped through."""
 CORE_CLEARANCE_M = 1.5e-3
@@ -110,12 +117,14 @@ class GelState:
 @dataclass(frozen=True)
 class Change:
     """What the last substep changed: displacements (N, 3) of the nodes, forces (V, 3) on the
-    markers, the indenter's position (3,), pressures (V,), and how far it moved any marker."""
+    markers, the indenter's position (3,), pressures (V,), positions (V, 3) in the indenter's frame,
+    and how far it moved any marker."""
 
     displacement_m: FloatArray
     marker_force_n: FloatArray
     move_m: FloatArray
     pressure_pa: FloatArray
+    local_m: FloatArray
     skin_m: float
 
 
@@ -443,8 +452,7 @@ class ImplicitGel:
         start_m = world.displacement_m
         problem = self._problem(world, pose, inertia, environment)
         search = EquilibriumSearch(problem, self.solver, trace, contraction=world.contraction)
-        unknowns = self._start(world, pose)
-        point, iterations, converged = search.run(*unknowns)
+        point, iterations, converged = search.run(*self._start(world, pose))
         # A search that finds nothing to descend to needs no root; the last one is still good.
         if search.near is not None and search.root is not None:
             world.linear = LinearContact(search.near.marker, search.root)
@@ -631,25 +639,56 @@ class ImplicitGel:
         cell = np.flatnonzero((gap < REGION_RADIUS_M) | (gradient > limits[0])).astype(np.int32)
         return local.region(cell, near.node, environment)
 
-    def _start(self, world: World, pose: Pose | None) -> tuple[FloatArray, FloatArray, Lag]:
-        """Return displacements (N, 3), forces on the patch's markers (C, 3) and their lag if all
-        keeps changing in proportion to the indenter's motion."""
+    def _start(self, world: World, pose: Pose | None) -> tuple[FloatArray, Lag, Guess]:
+        """Return displacements (N, 3), the limit of friction on the patch's markers and a guess of
+        these, if all keeps changing in proportion to the indenter's motion."""
         share = self._share_of_last_move(world, pose)
         change = world.last_change
         displacement = world.displacement_m
         if change is not None:
             displacement = displacement + share * change.displacement_m
         patch, history = world.patch, world.history
-        if patch is None or history is None:
-            return displacement, np.zeros((0, 3)), no_lag(0)
+        if patch is None or history is None or pose is None:
+            return displacement, no_lag(0), Guess(np.zeros((0, 3)), np.zeros((0, 3)))
         lag = no_lag(len(patch.marker))
         force, pressure = world.marker_force_n, history.pressure_pa
+        local = history.local_position_m[patch.marker]
         if change is not None:
             force = force + share * change.marker_force_n
             _forget_traces(force)
             pressure = np.maximum(0.0, pressure + share * change.pressure_pa)
         lag.pressure_pa[:] = pressure[patch.marker]
-        return displacement, force[patch.marker], lag
+        position = pose.apply(local)
+        if change is not None:
+            position = self._slid_on(
+                patch.marker, local, share * change.local_m[patch.marker], history, pose
+            )
+        return displacement, lag, Guess(position, force[patch.marker])
+
+    def _slid_on(
+        self,
+        marker: IndexArray,
+        local_m: FloatArray,
+        change_m: FloatArray,
+        history: ContactHistory,
+        pose: Pose,
+    ) -> FloatArray:
+        """Return where markers (C,) come to lie (C, 3) that move from (C, 3) by (C, 3) in the
+        indenter's frame. One that slides far passes through a pressure that stays with the
+        indenter: it takes over the distance of those that were there before."""
+        guess: FloatArray = pose.apply(local_m + change_m)
+        far = np.einsum("ci,ci->c", change_m, change_m) > FAR_SLIDE_M**2
+        known = np.flatnonzero(np.isfinite(history.distance_m))
+        if not far.any() or len(known) < NEIGHBOURS:
+            return guess
+        there = self.contact.respond(marker[far], guess[far], pose, history, no_lag(int(far.sum())))
+        gap, near = cKDTree(history.local_position_m[known]).query(
+            (local_m + change_m)[far], k=NEIGHBOURS
+        )
+        weight = 1.0 / (gap**2 + NEIGHBOUR_M**2)
+        distance = np.sum(weight * history.distance_m[known][near], axis=1) / weight.sum(axis=1)
+        guess[far] += (distance - there.distance_m)[:, None] * there.normal
+        return guess
 
     def _share_of_last_move(self, world: World, pose: Pose | None) -> float:
         """Return how much of the last step's motion this one repeats: 1 at constant velocity."""
@@ -701,6 +740,7 @@ class ImplicitGel:
         history.local_position_m[patch.marker] = point.response.local_position_m
         history.slip_m[patch.marker] = point.response.slip_m
         history.pressure_pa[patch.marker] = point.response.pressure_pa
+        history.distance_m[patch.marker] = point.response.distance_m
         marker_force = np.zeros_like(world.marker_force_n)
         marker_force[patch.marker] = point.force_n
         _forget_traces(marker_force)
@@ -710,6 +750,7 @@ class ImplicitGel:
                 marker_force - world.marker_force_n,
                 pose.position_m - before.position_m,
                 history.pressure_pa - world.history.pressure_pa,
+                history.local_position_m - world.history.local_position_m,
                 float(np.abs(world.skin_position_m - skin_before_m).max()),
             )
         world.marker_force_n = marker_force

@@ -19,6 +19,7 @@ from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactRespons
 from dotsim_ros.gel.implicit.contact_problem import (
     Answers,
     ContactSolution,
+    Guess,
     compliance_root,
     linear_contact,
     solve_contact,
@@ -156,6 +157,10 @@ class _NewtonStep:
     slope_j: float
 
 
+def _after(point: Point, step: _NewtonStep) -> Guess:
+    return Guess(step.position_m, point.force_n + step.force_n)
+
+
 def no_lag(count: int) -> Lag:
     """Return the lag of markers whose friction has no limit yet: none rubs."""
     return Lag(np.zeros(count), np.zeros((count, 3)))
@@ -189,28 +194,26 @@ class EquilibriumSearch:
         self.root: NDArray[np.floating] | None = None
         self.is_careful = self.is_slow = False
 
-    def run(
-        self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag
-    ) -> tuple[Point, int, bool]:
+    def run(self, displacement_m: FloatArray, lag: Lag, guess: Guess) -> tuple[Point, int, bool]:
         """Return the equilibrium, the iterations used, and whether the tolerance was met.
 
         Args:
             displacement_m: (N, 3) to begin with.
-            force_n: (C, 3) of the patch's markers, to begin with.
             lag: the first limit of friction on the patch's markers.
+            guess: of the patch's markers.
         """
         clock = time.perf_counter()
-        point = self.problem.at(displacement_m, force_n, lag)
+        point = self.problem.at(displacement_m, guess.force_n, lag)
         self.trace.add("force", clock)
         last_m = np.inf
         iteration, allowed = 0, self.solver.iterations
         while iteration < allowed:
             iteration += 1
-            step = self._step(point, lag)
+            step = self._step(point, lag, guess)
             if step.slope_j >= 0.0 and not self.is_careful:
                 self._be_careful()
-                step = self._step(point, lag)
-            lag = step.lag
+                step = self._step(point, lag, guess)
+            guess, lag = _after(point, step), step.lag
             if last_m < np.inf:
                 measured = step.largest_m / last_m
                 self.contraction = float(np.clip(measured, SMALLEST_CONTRACTION, 1.0))
@@ -237,8 +240,9 @@ class EquilibriumSearch:
         added_j = 0.5 * float(np.vdot(point.force_n, point.added_m))
         return point.energy_j + response.energy_j + added_j
 
-    def _step(self, point: Point, lag: Lag) -> _NewtonStep:
-        """Return the step to the equilibrium of the linearised gel with the true contact."""
+    def _step(self, point: Point, lag: Lag, guess: Guess) -> _NewtonStep:
+        """Return the step to the equilibrium of the linearised gel with the true contact, with a
+        guess of its end, for the patch's markers."""
         patch = self.problem.patch
         if patch is None:
             return self._free_step(point, lag)
@@ -247,17 +251,16 @@ class EquilibriumSearch:
             close |= point.response.distance_m < ONSET_M + NEAR_M
         else:
             close[self.near.rows] = True
-        guess = point.force_n
         while True:
             if not close.any():
                 step = self._free_step(point, lag)
             else:
-                step = self._loaded_step(point, lag, patch, np.flatnonzero(close), guess)
+                step = self._loaded_step(point, patch, np.flatnonzero(close), guess)
             missed = (step.response.pressure_pa > 0.0) & ~close
             if not missed.any():
                 return step
             close |= step.response.distance_m < ONSET_M + NEAR_M
-            guess, lag = point.force_n + step.force_n, step.lag
+            guess, lag = _after(point, step), step.lag
 
     def _free_step(self, point: Point, lag: Lag) -> _NewtonStep:
         residual = -point.gradient_n
@@ -277,16 +280,16 @@ class EquilibriumSearch:
         )
 
     def _loaded_step(
-        self, point: Point, lag: Lag, patch: Patch, rows: NDArray[np.int64], guess_n: FloatArray
+        self, point: Point, patch: Patch, rows: NDArray[np.int64], guess: Guess
     ) -> _NewtonStep:
-        """Return the step if the listed rows of the patch may touch."""
+        """Return the step if the listed rows of the patch may touch, with a guess of its end."""
         clock = time.perf_counter()
         near, factor = self._linear(point, patch, rows)
         balance = patch.weight.T @ point.force_n - point.gradient_n
         free = self._free(factor, balance.ravel())
         self.trace.add("solve", clock)
         clock = time.perf_counter()
-        solution = self._contact(near, factor, point, free, lag, guess_n)
+        solution = self._contact(near, factor, point, free, guess)
         self.trace.contact_iterations += solution.iterations
         self.trace.add("touch", clock)
         clock = time.perf_counter()
@@ -328,8 +331,7 @@ class EquilibriumSearch:
         factor: Factor,
         point: Point,
         free_m: FloatArray,
-        lag: Lag,
-        guess_n: FloatArray,
+        guess: Guess,
     ) -> ContactSolution:
         """Return the contact of the linear gel that would move freely by (3 N,)."""
         rows, respond, respond_now = near.rows, self.problem.respond, self.problem.respond_now
@@ -356,8 +358,7 @@ class EquilibriumSearch:
             point.position_m[rows] + free,
             force,
             answers,
-            Lag(lag.pressure_pa[rows], lag.normal[rows]),
-            guess_n=guess_n[rows],
+            guess=Guess(guess.position_m[rows], guess.force_n[rows]),
             passes=self.solver.friction_passes,
             tolerance_m=tolerance,
         )
