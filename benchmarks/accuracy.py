@@ -66,6 +66,7 @@ class Method:
     effort: tuple[float, int] | None = None
 
 
+DEFAULT = Method("2.4 mm, refined (default)", 2.4e-3, True)
 METHODS = (
     Method(
         "2.4 mm, refined, real time",
@@ -73,7 +74,7 @@ METHODS = (
         True,
         (REALTIME.smallest_tolerance_m, REALTIME.largest_iterations),
     ),
-    Method("2.4 mm, refined (default)", 2.4e-3, True),
+    DEFAULT,
     Method("2.4 mm", 2.4e-3, False),
     Method("1.8 mm", 1.8e-3, False),
 )
@@ -183,6 +184,17 @@ def compare(
     }
 
 
+def cases_of(rows: list[dict[str, Any]]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the errors of the default's presses by indenter and depth in mm."""
+    kept = ("skin_max_um", "skin_rms_um", "force_error", "penetration_um")
+    cases: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        if (row["method"], row["motion"]) == (DEFAULT.name, "press"):
+            errors = {name: row[name] for name in kept}
+            cases.setdefault(row["indenter"], {})[str(row["depth_mm"])] = errors
+    return cases
+
+
 def draw(rows: list[dict[str, Any]], path: Path) -> None:
     """Draw the largest error of each shape and method against the time of a step."""
     import matplotlib.pyplot as plt
@@ -251,7 +263,7 @@ def main() -> None:
                     rows.append(row)
                     print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
     if arguments.json is not None:
-        write_json(arguments.json, {**provenance(), "rows": rows})
+        write_json(arguments.json, {**provenance(), "cases": cases_of(rows), "rows": rows})
     if arguments.figure is not None:
         draw(rows, arguments.figure)
 

@@ -14,8 +14,11 @@ from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.tangent import (
     ExactTangent,
     LocalTangent,
+    bordered,
+    degrees_of_freedom,
     factor_shifted,
     inverse_of_positive,
+    without,
 )
 from dotsim_ros.gel.material import NeoHookean
 
@@ -123,3 +126,20 @@ def test_shift_is_the_first_that_helps() -> None:
 
     with pytest.raises(np.linalg.LinAlgError, match="never"):
         factor_shifted(hopeless)
+
+
+def test_inverse_follows_a_region_that_grows_and_shrinks() -> None:
+    random = np.random.default_rng(0)
+    node = np.arange(40, dtype=np.int32)
+    half = random.normal(size=(120, 120))
+    matrix = (half @ half.T + 120.0 * np.eye(120)).astype(np.float32)
+    first, added = node[:25], node[25:]
+    inverse = inverse_of_positive(np.asfortranarray(matrix[:75, :75]))
+    grown = bordered(inverse, matrix, degrees_of_freedom(first), degrees_of_freedom(added))
+    np.testing.assert_allclose(grown @ matrix, np.eye(120), atol=2e-4)
+    is_kept = np.arange(40) % 3 != 0
+    kept = degrees_of_freedom(node[is_kept])
+    shrunk = without(grown, is_kept)
+    np.testing.assert_allclose(shrunk @ matrix[np.ix_(kept, kept)], np.eye(len(kept)), atol=2e-4)
+    assert without(grown, np.ones(40, dtype=bool)) is grown
+    assert bordered(grown, matrix, degrees_of_freedom(node), node[:0]) is grown

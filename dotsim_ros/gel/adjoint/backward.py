@@ -241,9 +241,10 @@ class _Backward:
             return
         marker, force = contact.marker, contact.marker_contact.force_n
         sums.marker[marker] += pulled(gradient.at(virtual)[marker], force)
-        sums.marker_area[marker] += (
-            np.sum(force * by_force, axis=1) / self.gel.skin.rest_area_m2[marker]
-        )
+        assert substep.contact is not None
+        by_area = np.zeros(self.gel.skin.vertex_count)
+        by_area[marker] = np.sum(force * by_force, axis=1) / substep.contact.area_m2
+        sums.marker_area += by_area[substep.contact.bearer]
         refinement = self.gel.refinement
         if refinement is not None:
             added = contact.added_displacement(refinement, force)

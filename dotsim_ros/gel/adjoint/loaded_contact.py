@@ -41,7 +41,7 @@ class LoadedContact:
         self.position_m = substep.skin_position_m[record.marker]
         self.marker_contact = MarkerContact(
             gel.contact,
-            gel.skin.rest_area_m2[record.marker],
+            record.area_m2,
             self.position_m,
             record.pose,
             record.memory_m,

@@ -26,6 +26,8 @@ class ContactRecord:
     Attributes:
         pose: of the indenter.
         marker: (A,) numbers of the markers in contact.
+        area_m2: (A,) for which they bear.
+        bearer: (V,) which marker bears what presses on each of the skin.
         memory_m: (A, 3) their slip minus position at the end of the substep before, in the
             indenter's frame.
         is_fresh: whether the indenter came near only in this substep, so that the memory is minus
@@ -34,6 +36,8 @@ class ContactRecord:
 
     pose: Pose
     marker: IndexArray
+    area_m2: FloatArray
+    bearer: IndexArray
     memory_m: FloatArray
     is_fresh: bool
 
@@ -138,7 +142,15 @@ class Recorder:
         if pose is not None and candidates is not None:
             active = np.flatnonzero(np.any(settled.force_n != 0.0, axis=1))
             marker = candidates.marker[active]
-            contact = ContactRecord(pose, marker, _memory(world)[marker], world.response is None)
+            assert world.bearer is not None
+            contact = ContactRecord(
+                pose,
+                marker,
+                gel.points.area_m2(world.bearer)[marker],
+                world.bearer,
+                _memory(world)[marker],
+                world.response is None,
+            )
             lag = _present(settled.pressure_pa)
         self.trajectories[environment].substeps.append(
             Substep(
@@ -178,9 +190,10 @@ def _memory(world: World) -> FloatArray:
 
 def _candidates(gel: ImplicitGel, world: World, pose: Pose, point: Point) -> Candidates:
     assert world.patch is not None
+    assert world.bearer is not None
     marker = world.patch.marker
     memory = _memory(world)[marker]
-    area = gel.skin.rest_area_m2[marker]
+    area = gel.points.area_m2(world.bearer)[marker]
     rotation = pose.rotation()
 
     def respond(rows: NDArray[np.int64], position_m: FloatArray) -> MarkerContact:

@@ -134,6 +134,10 @@ class Contact:
         self._pose: Pose | None = None
         self._record(len(area_m2))
 
+    def set_area(self, area_m2: FloatArray) -> None:
+        """Let each marker bear for another area (V,)."""
+        self.area.assign(area_m2)
+
     def respond(
         self,
         candidate: IndexArray,

@@ -29,6 +29,7 @@ from dotsim_ros.gel.implicit.contact import (
     fresh_history,
     wrench_on_indenter,
 )
+from dotsim_ros.gel.implicit.contact_points import ContactPoints, borne
 from dotsim_ros.gel.implicit.contact_problem import Guess
 from dotsim_ros.gel.implicit.newton import (
     CONTRACTION,
@@ -72,7 +73,7 @@ cells keep the stiffness that they have at rest, Newton's method diverges once t
 at 0.4, it does so in presses of 3 mm."""
 REGION_GRADIENT_KEPT = 0.25
 """A region is kept while no cell outside is strained by more..."""
-SLOW_REGION_GRADIENT = 0.1
+SLOW_REGION_GRADIENT = 0.2
 """...and, once a search converges slowly, by more than this."""
 FAR_SLIDE_M = 0.1e-3
 """A marker that slides farther in a substep follows the indenter's surface, not a straight line."""
@@ -139,7 +140,8 @@ class LinearContact:
 
 @dataclass
 class World:
-    """One environment's memory between steps."""
+    """One environment's memory between steps, and which marker (V,) bears what presses on each in
+    the present one."""
 
     displacement_m: FloatArray
     velocity_m_s: FloatArray
@@ -153,6 +155,7 @@ class World:
     region: GridRegion | None = None
     contraction: float = CONTRACTION
     response: ContactResponse | None = None
+    bearer: IndexArray | None = None
     linear: LinearContact | None = None
     inertia_step_s: float = 0.0
 
@@ -216,6 +219,7 @@ class ImplicitGel:
         self.environment_count, self.exact = environment_count, exact
         self.discretization = discretize(shape, skin.rest_position_m, solver.grid_spacing_m)
         d = self.discretization
+        self.points = ContactPoints(skin)
         self.skin_weight = d.skin_interpolation.matrix(d.node_count)
         self.body = ElasticBody(d, material.law, environment_count=environment_count, device=device)
         self._single = ElasticBody(
@@ -524,7 +528,21 @@ class ImplicitGel:
             world.patch = make_patch(
                 chosen, self.skin.rest_position_m, self.skin_weight, self.refinement
             )
+        marker = world.patch.marker
+        world.bearer = self.points.bearers(
+            marker,
+            world.skin_position_m[marker],
+            lambda position_m: self._answer(world, pose, marker, position_m).normal,
+        )
+        self.contact.set_area(self.points.area_m2(world.bearer))
         trace.add("contact", clock)
+
+    def _answer(
+        self, world: World, pose: Pose, marker: IndexArray, position_m: FloatArray
+    ) -> ContactResponse:
+        """Return what the indenter answers markers (C,) at positions (C, 3) without friction."""
+        assert world.history is not None
+        return self.contact.respond(marker, position_m, pose, world.history, no_lag(len(marker)))
 
     def _distance_m(self, world: World, pose: Pose) -> FloatArray:
         """Return each marker's distance from the indenter (V,), infinite where that is larger than
@@ -536,9 +554,7 @@ class ImplicitGel:
         offset = world.skin_position_m - middle
         near = np.flatnonzero(np.einsum("vi,vi->v", offset, offset) < reach_m**2).astype(np.int32)
         distance = np.full(self.skin.vertex_count, np.inf)
-        distance[near] = self.contact.respond(
-            near, world.skin_position_m[near], pose, world.history, no_lag(len(near))
-        ).distance_m
+        distance[near] = self._answer(world, pose, near, world.skin_position_m[near]).distance_m
         return distance
 
     def elastic(
@@ -604,8 +620,12 @@ class ImplicitGel:
                 return tangents.exact.factor(start_m, environment).solve(force_n)
             return local.solve_at_rest(force_n)
 
+        bears = np.zeros(0, dtype=bool)
+        if world.patch is not None and world.bearer is not None:
+            bears = world.bearer[world.patch.marker] == world.patch.marker
         return EquilibriumProblem(
             world.patch,
+            bears,
             elastic,
             respond,
             respond_now,
@@ -637,7 +657,7 @@ class ImplicitGel:
             np.linalg.norm(local.cell_centre_m[:, None] - centre[None, ::3], axis=2), axis=1
         )
         cell = np.flatnonzero((gap < REGION_RADIUS_M) | (gradient > limits[0])).astype(np.int32)
-        return local.region(cell, near.node, environment)
+        return local.region(cell, near.node, environment, kept or world.region)
 
     def _start(self, world: World, pose: Pose | None) -> tuple[FloatArray, Lag, Guess]:
         """Return displacements (N, 3), the limit of friction on the patch's markers and a guess of
@@ -660,28 +680,26 @@ class ImplicitGel:
         lag.pressure_pa[:] = pressure[patch.marker]
         position = pose.apply(local)
         if change is not None:
-            position = self._slid_on(
-                patch.marker, local, share * change.local_m[patch.marker], history, pose
-            )
+            position = self._slid_on(world, pose, local, share * change.local_m[patch.marker])
+        assert world.bearer is not None
+        force = borne(force, world.bearer)
         return displacement, lag, Guess(position, force[patch.marker])
 
     def _slid_on(
-        self,
-        marker: IndexArray,
-        local_m: FloatArray,
-        change_m: FloatArray,
-        history: ContactHistory,
-        pose: Pose,
+        self, world: World, pose: Pose, local_m: FloatArray, change_m: FloatArray
     ) -> FloatArray:
-        """Return where markers (C,) come to lie (C, 3) that move from (C, 3) by (C, 3) in the
-        indenter's frame. One that slides far passes through a pressure that stays with the
+        """Return where the patch's markers come to lie (C, 3) that move from (C, 3) by (C, 3) in
+        the indenter's frame. One that slides far passes through a pressure that stays with the
         indenter: it takes over the distance of those that were there before."""
+        assert world.patch is not None
+        assert world.history is not None
+        history, marker = world.history, world.patch.marker
         guess: FloatArray = pose.apply(local_m + change_m)
         far = np.einsum("ci,ci->c", change_m, change_m) > FAR_SLIDE_M**2
         known = np.flatnonzero(np.isfinite(history.distance_m))
         if not far.any() or len(known) < NEIGHBOURS:
             return guess
-        there = self.contact.respond(marker[far], guess[far], pose, history, no_lag(int(far.sum())))
+        there = self._answer(world, pose, marker[far], guess[far])
         gap, near = cKDTree(history.local_position_m[known]).query(
             (local_m + change_m)[far], k=NEIGHBOURS
         )

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactResponse, Lag
 from dotsim_ros.gel.implicit.contact_problem import (
     Answers,
@@ -85,6 +85,7 @@ class EquilibriumProblem:
 
     Attributes:
         patch: the markers that may touch, None without an indenter.
+        bears: (C,) which of these bear.
         elastic: energy and its gradient (N, 3) at displacements (N, 3).
         respond: the indenter's answer to markers (their numbers (A,), positions (A, 3)), with
             friction limited by a lag.
@@ -96,6 +97,7 @@ class EquilibriumProblem:
     """
 
     patch: Patch | None
+    bears: BoolArray
     elastic: Callable[[FloatArray], tuple[float, FloatArray]]
     respond: Callable[[NDArray[np.int32], FloatArray, Lag], ContactResponse]
     respond_now: Callable[[NDArray[np.int32], FloatArray], ContactResponse]
@@ -251,15 +253,16 @@ class EquilibriumSearch:
             close |= point.response.distance_m < ONSET_M + NEAR_M
         else:
             close[self.near.rows] = True
+        close &= self.problem.bears
         while True:
             if not close.any():
                 step = self._free_step(point, lag)
             else:
                 step = self._loaded_step(point, patch, np.flatnonzero(close), guess)
-            missed = (step.response.pressure_pa > 0.0) & ~close
+            missed = (step.response.pressure_pa > 0.0) & self.problem.bears & ~close
             if not missed.any():
                 return step
-            close |= step.response.distance_m < ONSET_M + NEAR_M
+            close |= (step.response.distance_m < ONSET_M + NEAR_M) & self.problem.bears
             guess, lag = _after(point, step), step.lag
 
     def _free_step(self, point: Point, lag: Lag) -> _NewtonStep:

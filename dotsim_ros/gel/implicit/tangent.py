@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
+from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, IndexArray
 from dotsim_ros.gel.elasticity import ElasticBody, region_base
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 
@@ -65,6 +65,45 @@ def inverse_of_positive(matrix: Float32Array) -> Float32Array:
     return result
 
 
+def without(inverse: Float32Array, is_kept: BoolArray) -> Float32Array:
+    """Return the inverse of a matrix between the nodes (R,) that are kept, from that between all
+    (3 R, 3 R)."""
+    if is_kept.all():
+        return inverse
+    keep = degrees_of_freedom(np.flatnonzero(is_kept).astype(np.int32))
+    drop = degrees_of_freedom(np.flatnonzero(~is_kept).astype(np.int32))
+    rows = inverse.take(keep, axis=0)
+    across = rows.take(drop, axis=1)
+    dropped = inverse_of_positive(np.asfortranarray(inverse.take(drop, axis=0).take(drop, axis=1)))
+    result: Float32Array = rows.take(keep, axis=1)
+    result -= (across @ dropped) @ across.T
+    return result
+
+
+def bordered(
+    inverse: Float32Array, matrix: Float32Array, first: IndexArray, added: IndexArray
+) -> Float32Array:
+    """Return the inverse between rows (n,) and added rows (m,) of a symmetric positive definite
+    matrix, first ones first, from that (n, n) between the first ones (Hager, "Updating the inverse
+    of a matrix", 1989)."""
+    if len(added) == 0:
+        return inverse
+    rows = matrix.take(added, axis=0)
+    across = inverse @ rows.take(first, axis=1).T
+    own = rows.take(added, axis=1) - rows.take(first, axis=1) @ across
+    corner = inverse_of_positive(np.asfortranarray(own, dtype=np.float32))
+    side = across @ corner
+    count = len(first)
+    result: Float32Array = np.empty((count + len(added),) * 2, dtype=np.float32)
+    result[:count, :count] = inverse + side @ across.T
+    result[:count, count:] = -side
+    result[count:, :count] = -side.T
+    result[count:, count:] = corner
+    return result
+
+
+SHARED = 0.35
+"""A region is made from another one where they share more of their nodes than this."""
 SHIFTS = (0.0, 1.0e-3, 1.0e-2, 1.0e-1, 1.0)
 """Shares of the mean diagonal that are added to a stiffness until it is positive definite (Nocedal
 and Wright, algorithm 3.3); far from equilibrium a compressed gel's need not be."""
@@ -231,9 +270,16 @@ class LocalTangent:
         whole: FloatArray = step.astype(np.float64)
         return whole
 
-    def region(self, cell: IndexArray, needed_node: IndexArray, environment: int) -> GridRegion:
+    def region(
+        self,
+        cell: IndexArray,
+        needed_node: IndexArray,
+        environment: int,
+        before: GridRegion | None = None,
+    ) -> GridRegion:
         """Return the region of the given cells, with further nodes that contact needs, and with the
         rest stiffness of an environment's material: what relaxation remembers is part of it.
+        Another region before it that is much like it saves time.
 
         Its nodes go from the farthest to those in the middle of the needed ones, which
         `LocalFactor.between` profits from.
@@ -249,9 +295,27 @@ class LocalTangent:
         dof = degrees_of_freedom(node)
         base = region_base(node_of_cell[inside], number, len(dof))
         rows = self.compliance[dof]
-        condensed = inverse_of_positive(np.asfortranarray(rows[:, dof]))
+        condensed = self._condensed(node, before)
         rest = self.body.region_stiffness(self.rest, inside, base, len(dof), environment)
         return GridRegion(node, number, inside, base, dof, rows.T, condensed, rest)
+
+    def _condensed(self, node: IndexArray, before: GridRegion | None) -> Float32Array:
+        """Return the inverse of G between nodes (R,), from that of a region that shares most of
+        them: it loses what is eliminated, and is bordered by what is new."""
+        kept = node[:0] if before is None else before.node[np.isin(before.node, node)]
+        if before is None or len(kept) < SHARED * max(len(node), len(before.node)):
+            dof = degrees_of_freedom(node)
+            return inverse_of_positive(np.asfortranarray(self.compliance[dof][:, dof]))
+        inverse = without(before.condensed, np.isin(before.node, kept))
+        new = node[~np.isin(node, kept)]
+        inverse = bordered(
+            inverse, self.compliance, degrees_of_freedom(kept), degrees_of_freedom(new)
+        )
+        number = np.empty(self.body.discretization.node_count, dtype=np.int32)
+        number[kept] = np.arange(len(kept))
+        number[new] = len(kept) + np.arange(len(new))
+        order = degrees_of_freedom(number[node])
+        return inverse.take(order, axis=0).take(order, axis=1)
 
     def assemble(
         self, region: GridRegion, displacement_m: FloatArray, environment: int

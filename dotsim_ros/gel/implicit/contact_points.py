@@ -1,0 +1,100 @@
+"""Which markers of the skin bear the contact: all of them, or under a flat face fewer.
+
+Markers lie closer together than the gel can bend, so that where an indenter's surface is flat,
+pressure hardly changes from one to the next. There a marker in three bears what its neighbours
+would; beside edges, and on surfaces that are curved, each bears its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from dotsim_ros.arrays import BoolArray, FloatArray, IndexArray
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+
+SPACING_M = 0.75e-3
+"""Least distance of the markers that bear for others: three quarters of the refined grid's."""
+FLAT_M = 0.6e-3
+"""A surface counts as flat at a marker where its normal hardly turns so far around."""
+TURN = 0.02
+"""How far a normal turns where it hardly does, rad."""
+
+
+class ContactPoints:
+    """The markers that may bear the contact of a skin."""
+
+    def __init__(self, skin: SkinMesh) -> None:
+        self._rest_area_m2 = skin.rest_area_m2
+        self._bearer = _bearers(skin.rest_position_m, ~skin.on_base)
+
+    def bearers(
+        self,
+        marker: IndexArray,
+        position_m: FloatArray,
+        normals: Callable[[FloatArray], FloatArray],
+    ) -> IndexArray:
+        """Return which marker (V,) bears what presses on each of the skin: most of them themselves.
+
+        Args:
+            marker: (C,) numbers of those that may touch.
+            position_m: (C, 3) where they are.
+            normals: the indenter's at positions (C, 3) of these.
+        """
+        bearer = np.arange(len(self._bearer), dtype=np.int32)
+        given = marker[_is_flat(position_m, normals)]
+        given = given[np.isin(self._bearer[given], marker)]
+        bearer[given] = self._bearer[given]
+        return bearer
+
+    def area_m2(self, bearer: IndexArray) -> FloatArray:
+        """Return the area (V,) for which each marker bears, zero of those that others bear for."""
+        return np.asarray(np.bincount(bearer, self._rest_area_m2, len(bearer)), dtype=np.float64)
+
+
+def borne(force_n: FloatArray, bearer: IndexArray) -> FloatArray:
+    """Return forces (V, 3) with those of each marker on the one that bears them."""
+    given = np.flatnonzero(bearer != np.arange(len(bearer)))
+    result = force_n.copy()
+    result[given] = 0.0
+    np.add.at(result, bearer[given], force_n[given])
+    return result
+
+
+def _bearers(position_m: FloatArray, is_free: BoolArray) -> IndexArray:
+    """Return for each marker the one of a coarser choice that is nearest to it."""
+    free = np.flatnonzero(is_free)
+    bearer = np.arange(len(position_m), dtype=np.int32)
+    if len(free) == 0:
+        return bearer
+    is_chosen = np.zeros(len(free), dtype=bool)
+    is_left = np.ones(len(free), dtype=bool)
+    for number, near in enumerate(
+        cKDTree(position_m[free]).query_ball_point(position_m[free], SPACING_M)
+    ):
+        if is_left[number]:
+            is_chosen[number] = True
+            is_left[near] = False
+    chosen = free[is_chosen]
+    _, nearest = cKDTree(position_m[chosen]).query(position_m[free])
+    bearer[free] = chosen[nearest]
+    return bearer
+
+
+def _is_flat(position_m: FloatArray, normals: Callable[[FloatArray], FloatArray]) -> BoolArray:
+    """Return for each of the markers (C, 3) whether the surface beside it is flat."""
+    here = normals(position_m)
+    # Along the axis that a normal leans to least.
+    axis = np.eye(3)[np.argmin(np.abs(here), axis=1)]
+    first = np.cross(here, axis)
+    first /= np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-12)
+    second = np.cross(here, first)
+    is_flat = np.ones(len(position_m), dtype=bool)
+    for aside in (first, second, -first, -second):
+        turned = normals(position_m + FLAT_M * aside) - here
+        is_flat &= np.einsum("ci,ci->c", turned, turned) < TURN**2
+        if not is_flat.any():
+            break
+    return is_flat
