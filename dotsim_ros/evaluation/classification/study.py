@@ -56,7 +56,7 @@ from dotsim_ros.twin.footage import (
     read_filmed_data,
     render_filmed,
 )
-from dotsim_ros.worker_pool import open_worker_pool
+from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 BOUND = "measured"
 """The row that learns from measured images of other trajectories: no simulation passes it."""
@@ -105,7 +105,7 @@ class _Measured:
     data: OpticalData
 
 
-def run_study(study: Study, kept: Path, *, workers: int, tell: Progress) -> dict[str, Any]:
+def run_study(study: Study, kept: Path, *, workers: Crew, tell: Progress) -> dict[str, Any]:
     """Return the figures of a study; rows that are kept in a folder are not made again.
 
     Args:
@@ -119,7 +119,7 @@ def run_study(study: Study, kept: Path, *, workers: int, tell: Progress) -> dict
         ValueError: data that cannot be classified so, or a model that could not be fitted.
     """
     rows: dict[str, dict[str, Any]] = {name: {} for name in study.domains}
-    with open_worker_pool(workers, _prepare) as pool:
+    with open_pool(workers, _prepare) as pool:
         # Bad data is told before workers wait for each other; the gel's way is then known to all.
         for name in study.domains:
             pool.submit(_pressed, study, kept, name).result()

@@ -25,7 +25,7 @@ from dotsim_ros.tasks.environments.reinforcement import (
     run_episodes,
     train,
 )
-from dotsim_ros.worker_pool import open_worker_pool
+from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 FIRST_EPISODE = 1_000_000
 """Seed of the first episode that policies are judged on; training draws its own below."""
@@ -62,7 +62,7 @@ class Study:
 
 
 def run_study(
-    study: Study, folder: Path, *, workers: int, tell: Callable[[str], None]
+    study: Study, folder: Path, *, workers: Crew, tell: Callable[[str], None]
 ) -> dict[str, Any]:
     """Return the figures of a study; what is kept of it in `folder` is not done again.
 
@@ -77,7 +77,7 @@ def run_study(
         *((blind_row, name) for name in (BLIND, *(f"always {k}" for k in range(len(MOVES))))),
     ]
     rows: dict[int | str, dict[str, Any]] = {}
-    with open_worker_pool(workers, _prepare) as pool:
+    with open_pool(workers, _prepare) as pool:
         running = {pool.submit(job, study, folder, of): of for job, of in jobs}
         for done in as_completed(running):
             row = rows[running[done]] = done.result()
