@@ -70,7 +70,8 @@ def open_pool(
     workers: Crew,
     initialize: Callable[..., None],
     *given: Any,
-    folders: Sequence[Path] = (),
+    reads: Sequence[Path] = (),
+    writes: Sequence[Path] = (),
 ) -> Iterator[Executor]:
     """Open a pool of workers.
 
@@ -81,7 +82,8 @@ def open_pool(
         workers: how many, and where.
         initialize: called once in each, at module level so that it can be sent.
         given: its arguments; on Ray all workers of a machine share their arrays.
-        folders: that the work reads or writes: the machines of a cluster must share them.
+        reads: folders that the work reads; on a cluster all machines must have them.
+        writes: folders that the work writes into: the machines must share them.
 
     Raises:
         ValueError: no worker, or Ray is not installed.
@@ -98,7 +100,7 @@ def open_pool(
         # It needs Ray, as it was set up to connect.
         from dotsim_ros.worker_pool.ray_pool import open_ray_pool
 
-        with open_ray_pool(ray, workers.count, initialize, given, folders) as pool:
+        with open_ray_pool(ray, workers.count, initialize, given, reads, writes) as pool:
             yield pool
     else:
         with open_worker_pool(workers, initialize, *given) as pool:

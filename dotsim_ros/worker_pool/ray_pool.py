@@ -41,7 +41,8 @@ def open_ray_pool(
     count: int,
     initialize: Callable[..., None],
     given: tuple[Any, ...],
-    folders: Sequence[Path],
+    reads: Sequence[Path],
+    writes: Sequence[Path],
 ) -> Iterator[RayPool]:
     """Open a pool of workers on Ray.
 
@@ -50,10 +51,12 @@ def open_ray_pool(
         count: of workers.
         initialize: called once in each.
         given: its arguments.
-        folders: that the work needs; they must be there.
+        reads: folders that the work reads.
+        writes: folders that it writes into.
     """
-    with _marked(folders) as marks:
-        pool = RayPool(ray, count, initialize, given, marks)
+    with _marked(writes) as marks:
+        needed = (*(str(folder.resolve()) for folder in reads), *marks)
+        pool = RayPool(ray, count, initialize, given, needed)
         try:
             yield pool
             pool.shutdown()
@@ -128,13 +131,13 @@ class RayPool(Executor):
         count: int,
         initialize: Callable[..., None],
         given: tuple[Any, ...],
-        marks: tuple[str, ...],
+        needed: tuple[str, ...],
     ) -> None:
         self._ray, self._count = ray, count
         # Machines of the cluster need not have this module for it to travel there.
         ray.cloudpickle.register_pickle_by_value(ray_worker)
         self._worker_class = ray.remote(num_cpus=1, max_restarts=0)(RayWorker)
-        self._expected = ray.put(_expected(initialize, marks))
+        self._expected = ray.put(_expected(initialize, needed))
         self._shelf = ArrayShelf(ray.put)
         beginning = self._shelf.pack((initialize, given))
         self._beginning = ray.put(beginning.data), *beginning.arrays
@@ -328,7 +331,7 @@ class RayPool(Executor):
             self._ray.kill(member.actor)
 
 
-def _expected(initialize: Callable[..., None], marks: tuple[str, ...]) -> Expected:
+def _expected(initialize: Callable[..., None], needed: tuple[str, ...]) -> Expected:
     module = initialize.__module__
     is_ours = module.partition(".")[0] in PACKAGES
     modules = (module,) if is_ours else ("dotsim_ros.worker_pool.ray_pool",)
@@ -338,7 +341,7 @@ def _expected(initialize: Callable[..., None], marks: tuple[str, ...]) -> Expect
         modules,
         version_of(*modules),
         os.getcwd(),
-        marks,
+        needed,
     )
 
 

@@ -23,8 +23,8 @@ class Expected:
         release: its version.
         modules: names of its modules that the work is in.
         code: digest of these modules with all that they import.
-        folder: that the command was given in.
-        marks: files that were left in the folders which the work needs.
+        folder: that the command was given in, for paths from there.
+        needed: folders, and files that were left in the folders which the machines must share.
     """
 
     package: str
@@ -32,7 +32,7 @@ class Expected:
     modules: tuple[str, ...]
     code: str
     folder: str
-    marks: tuple[str, ...]
+    needed: tuple[str, ...]
 
 
 class RayWorker:
@@ -85,14 +85,13 @@ def _wrong_package(expected: Expected) -> str:
 
 
 def _wrong_folders(expected: Expected) -> str:
-    if not expected.marks:
+    if not expected.needed:
         return ""
-    for path in (expected.folder, *expected.marks):
+    for path in (expected.folder, *expected.needed):
         if not Path(path).exists():
-            folder = path if path == expected.folder else str(Path(path).parent)
             return (
-                f"does not see {folder}; expected a file system that all machines of the cluster "
-                "share, with the folder at the same place: mount it there, or use the machines "
+                f"does not see {path}; expected a file system that all machines of the cluster "
+                "share, with each folder at the same place: mount it there, or use machines "
                 "that have it"
             )
     os.chdir(expected.folder)

@@ -92,7 +92,7 @@ def unpack(data: bytes, arrays: Sequence[Any]) -> Any:
     return _Unpacker(io.BytesIO(data), arrays).load()
 
 
-class _Packer(cloudpickle.Pickler):  # type: ignore[misc]
+class _Packer(cloudpickle.Pickler):
     """Writes a number in place of each large array."""
 
     def __init__(self, out: io.BytesIO, on_shelf: Callable[[bytes, Any], Any]) -> None:
