@@ -58,12 +58,14 @@ class SolveRequest:
 _simulator: GelSimulator | None = None
 
 
-def _begin(specification: SensorSpecification, skin: SkinMesh) -> None:
+def begin(specification: SensorSpecification, skin: SkinMesh) -> None:
+    """Prepare a worker: make the gel that its solves are of."""
     global _simulator
     _simulator = GelSimulator(specification, skin, tolerance_m=TOLERANCE_M)
 
 
-def _solve(request: SolveRequest) -> SimulatedPress | str:
+def solve(request: SolveRequest) -> SimulatedPress | str:
+    """Return skin and force of a request, in a worker, or why it could not be solved."""
     assert _simulator is not None
     try:
         return _simulator.press(
@@ -109,7 +111,7 @@ class PressSolver:
                 continue
             stored = _load(self._path(key), (len(request.poses), self._vertex_count))
             if stored is None:
-                waiting[self._pool.submit(_solve, request)] = key
+                waiting[self._pool.submit(solve, request)] = key
             else:
                 self._known[key] = stored
         count, total = 0, len(waiting)
@@ -197,5 +199,5 @@ def open_press_solver(
         directory: where solves are kept.
         workers: how many processes, or workers of Ray.
     """
-    with open_pool(workers, _begin, specification, skin) as pool:
+    with open_pool(workers, begin, specification, skin) as pool:
         yield PressSolver(pool, directory, specification, skin)

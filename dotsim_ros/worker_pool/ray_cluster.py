@@ -12,14 +12,14 @@ from typing import Any
 
 ANSWER_S = 5.0
 """An address at which nobody answers so long is not there."""
-_SETTINGS = {
+SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     # Ray warns of changes of its own otherwise.
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     # Ray tells of each dead worker in long lines on stdout, where results are printed.
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".*",
 }
-_ON_THIS_MACHINE = {
+ON_THIS_MACHINE = {
     # Whatever the platform: so that nobody else in the network can give it work.
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
 }
@@ -28,7 +28,7 @@ _ON_THIS_MACHINE = {
 def connected_ray(address: str, count: int) -> Any:
     """Return the module `ray`, connected; the connection stays until the process ends.
 
-    A process that is connected already stays where it is.
+    A process that is connected already stays where it is: "auto" and "local" are there, too.
 
     Args:
         address: as in `RayWorkers`.
@@ -36,10 +36,11 @@ def connected_ray(address: str, count: int) -> Any:
 
     Raises:
         ValueError: Ray is not installed.
-        ConnectionError: no cluster there, or not one that this process can be part of.
+        ConnectionError: no cluster there, or not one that this process can be part of, or the
+            process is connected to another.
     """
-    alone = _ON_THIS_MACHINE if address == "local" else {}
-    for name, value in (_SETTINGS | alone).items():
+    alone = ON_THIS_MACHINE if address == "local" else {}
+    for name, value in (SETTINGS | alone).items():
         os.environ.setdefault(name, value)
     with _kept_signals():
         try:
@@ -50,6 +51,12 @@ def connected_ray(address: str, count: int) -> Any:
                 "pip install 'dotsim_ros[scale]', or leave the address out to work on this machine"
             ) from error
         if ray.is_initialized():
+            here = ray.get_runtime_context().gcs_address
+            if address not in ("auto", "local", here):
+                raise ConnectionError(
+                    f"this process is connected to Ray at {here} already, expected to be to "
+                    f"{address}: name the same, or call ray.shutdown() before"
+                )
             return ray
         quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
         if address == "local":

@@ -123,6 +123,7 @@ class RayPool(Executor):
 
     Attributes:
         deaths: workers that died.
+        task_bytes: of all tasks, without the arrays that are shared.
     """
 
     def __init__(
@@ -149,7 +150,7 @@ class RayPool(Executor):
         self._broken: BaseException | None = None
         self._is_closed = False
         self._submitting = threading.Lock()
-        self.deaths = 0
+        self.deaths = self.task_bytes = 0
         self._thread = threading.Thread(target=self._run, name="ray pool", daemon=True)
         self._thread.start()
 
@@ -165,6 +166,7 @@ class RayPool(Executor):
             RuntimeError: the pool is closed.
         """
         task = _Task(Future(), self._shelf.pack((function, given, named)))
+        self.task_bytes += len(task.work.data)
         with self._submitting:
             if self._is_closed:
                 raise RuntimeError("the pool is closed; open another one") from self._broken
@@ -319,10 +321,12 @@ class RayPool(Executor):
             event = self._events.get()
             if isinstance(event, _Task):
                 self._waiting.append(event)
-        reason = self._broken or OSError("the pool of workers was closed before this was done")
         for task in (*self._waiting, *(m.task for m in self._members if m.task is not None)):
-            if not task.future.cancel():
-                task.future.set_exception(reason)
+            if self._broken is None and task.future.cancel():
+                continue
+            if task.future.running() or task.future.set_running_or_notify_cancel():
+                closed = OSError("the pool of workers was closed before this was done")
+                task.future.set_exception(self._broken or closed)
         for member in self._members:
             self._kill(member)
 
