@@ -28,7 +28,8 @@ from dotsim_ros.worker_pool.ray_worker import Expected, RayWorker
 from dotsim_ros.worker_pool.sharing import ArrayShelf, Packed
 
 MOST_DEATHS = 3
-"""A task that so many workers died of is not tried again."""
+"""A task that so many workers died of is not tried again, nor are workers started anew where so
+many times their number died at their beginning."""
 START_S = 120.0
 """So long no worker, and no CPU free for one: there will be none."""
 LAST_WORDS = 400
@@ -150,7 +151,7 @@ class RayPool(Executor):
         self._broken: BaseException | None = None
         self._is_closed = False
         self._submitting = threading.Lock()
-        self.deaths = self.task_bytes = 0
+        self.deaths = self.task_bytes = self._false_starts = 0
         self._thread = threading.Thread(target=self._run, name="ray pool", daemon=True)
         self._thread.start()
 
@@ -264,7 +265,9 @@ class RayPool(Executor):
         elif member.task is not None:
             is_done, answer = heard.answer.result()
             (member.task.future.set_result if is_done else member.task.future.set_exception)(answer)
-        self._starting.discard(member)
+        if heard.method == "begin":
+            self._starting.discard(member)
+            self._false_starts = 0
         member.task = None
         self._idle.append(member)
 
@@ -275,21 +278,23 @@ class RayPool(Executor):
             OSError: workers die before they have begun, again and again.
         """
         self._members.discard(member)
-        self._starting.discard(member)
         with suppress(ValueError):
             self._idle.remove(member)
         # It may live on where only its answer was lost.
         self._kill(member)
         self.deaths += 1
-        task = member.task
+        task, has_begun = member.task, member not in self._starting
+        self._starting.discard(member)
         _log.warning(
             "a worker on Ray died (%s); %s",
             _last_words(error),
             "what it was at is done by another" if task else "another takes its place",
         )
         if task is None:
-            if self.deaths >= MOST_DEATHS * (self._count + 1):
-                raise OSError(_deadly(f"{self.deaths} workers died", error))
+            self._false_starts += not has_begun
+            if self._false_starts >= MOST_DEATHS * self._count:
+                what = f"{self._false_starts} workers died before they had begun"
+                raise OSError(_deadly(what, error))
             return
         task.deaths += 1
         if task.deaths < MOST_DEATHS:

@@ -20,6 +20,10 @@ def refuse() -> None:
     raise ValueError("no gel to press")
 
 
+def die_at_the_beginning() -> None:
+    die()
+
+
 def total(number: int, added: np.ndarray) -> tuple[int, float]:
     assert _given is not None
     return number, number + float(_given.sum() + added.sum())

@@ -220,6 +220,14 @@ def test_an_initializer_that_fails_is_told(nodes: TwoNodes) -> None:
             pool.submit(abs, 1)
 
 
+def test_workers_that_never_begin_are_given_up(nodes: TwoNodes) -> None:
+    crew = RayWorkers(1, nodes.address)
+    with open_pool(crew, pool_work.die_at_the_beginning) as pool:
+        asked = pool.submit(abs, 1)
+        with pytest.raises(OSError, match="3 workers died before they had begun"):
+            asked.result(timeout=30.0)
+
+
 def test_what_is_not_begun_is_cancelled_where_the_block_fails(nodes: TwoNodes) -> None:
     opened = open_pool(RayWorkers(2, nodes.address), pool_work.begin, None)
     pool = opened.__enter__()
