@@ -16,6 +16,8 @@ SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     # Ray warns of changes of its own otherwise.
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
+    # A head that answers and lets nobody in would be tried twenty times, for minutes.
+    "RAY_NUM_REDIS_GET_RETRIES": "2",
     # Ray tells of each dead worker in long lines on stdout, where results are printed.
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".*",
 }
@@ -66,7 +68,7 @@ def connected_ray(address: str, count: int) -> Any:
             _check_answers(address)
         try:
             ray.init(address, **quiet)
-        except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        except (RuntimeError, ValueError, OSError, ray.exceptions.RayError) as error:
             raise ConnectionError(_reason(address, error)) from error
     return ray
 
@@ -99,7 +101,10 @@ def _reason(address: str, error: BaseException) -> str:
             f"this machine is no part of the cluster at {address} ({text}); expected the command "
             f"on a machine of the cluster: make it one with `ray start --address={address}`"
         )
-    return f"no connection to Ray at {address} ({text}); {_HEAD}"
+    return (
+        f"no connection to Ray at {address} ({text}); {_HEAD}; where the cluster was started with "
+        "a token, set RAY_AUTH_MODE=token here as well, and have its ~/.ray/auth_token"
+    )
 
 
 @contextmanager
