@@ -52,6 +52,10 @@ REINFORCEMENT = [
 RENDERING = [
     "mitsuba>=3.8",
 ]
+# work on the machines of a cluster; without its extras, which bring a dashboard
+SCALE = [
+    "ray>=2.40",
+]
 DEVELOPMENT = [
     # the first with the schema of CITATION.cff; those of workflows and issue forms come along
     "check-jsonschema>=0.35",
@@ -131,7 +135,8 @@ setup(
         "reinforcement": [*ENVIRONMENTS, *REINFORCEMENT],
         "learning": LEARNING,
         "rendering": RENDERING,
-        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *REINFORCEMENT],
+        "scale": SCALE,
+        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *REINFORCEMENT, *SCALE],
         "dev": DEVELOPMENT,
         "docs": DOCUMENTATION,
     },

@@ -14,9 +14,17 @@ from fuzz.target import Finding, Target
 SUBJECTS = ("geometry", "optics", "runtime", "gelsight", "trajectory", "gap")
 OPTIONS: dict[str, tuple[str, ...]] = {
     "view": ("--out", "--fps", "--speed", "--columns", "--rest", "--format"),
-    "calibrate": ("--sensor", "--fit", "--hold-out", "--solves", "--workers", "--noise-skin-m"),
+    "calibrate": (
+        "--sensor",
+        "--fit",
+        "--hold-out",
+        "--solves",
+        "--workers",
+        "--noise-skin-m",
+        "--ray-address",
+    ),
     "find-gap": ("--sensor", "--alpha", "--candidates", "--effects", "--budget", "--channels"),
-    "plan-gap": ("--sensor", "--effects", "--channels", "--workers"),
+    "plan-gap": ("--sensor", "--effects", "--channels", "--workers", "--ray-address"),
     "train-optics": ("--sensor", "--size", "--budget-minutes", "--hold-out", "--network"),
     "calibrate-camera": ("--sensor", "--hold-out", "--skin", "--stated"),
     "reference": ("--sensor", "--indenter", "--depth-mm", "--frames", "--spacing-mm", "--tilt-deg"),

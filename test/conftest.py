@@ -29,6 +29,7 @@ AREAS = (
     "node parameters",
     "messages",
     "simulated time",
+    "scale-out",
 )
 """The chapters of the table, in their order."""
 

@@ -23,6 +23,7 @@ from dotsim_ros.measured.data_set import DataSet, read_data_set
 from dotsim_ros.measured.split import HELD_OUT_COUNT, hold_out_of_protocols
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.specification import SensorSpecification, given_sensor, write_sensor
+from dotsim_ros.worker_pool.pool import Crew, check_workers
 
 LOSSES = (POINTS, CHAMFER, FORCE)
 FITTED = ("E", "nu", "friction")
@@ -45,7 +46,7 @@ def calibrate(
     joint_steps: int = JOINT_STEPS,
     solves: int = SOLVE_BUDGET,
     name: str | None = None,
-    workers: int = 2,
+    workers: Crew = 2,
     seed: int = 0,
     noise: LossNoise | None = None,
     topics: Topics = MEASURED_TOPICS,
@@ -75,7 +76,7 @@ def calibrate(
             single presses by their information and needs no solve of its own.
         solves: most solves of a press.
         name: of the calibrated sensor; by default the file's stem, or the sensor's own.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
         seed: of what is held out and drawn.
         noise: of the measurement; by default as `LossNoise` has it.
         topics: where the channels lie in the bags.
@@ -95,7 +96,8 @@ def calibrate(
         raise ValueError(f"out is {out}, expected a file that ends in .yaml")
     parameters = tuple(parameter for parameter in fit if parameter != OFFSET)
     chosen_parameters(parameters)
-    _check_at_least(1, workers=workers, solves=solves)
+    check_workers(workers)
+    _check_at_least(1, solves=solves)
     _check_at_least(0, hold_out=hold_out or 0, joint_steps=joint_steps, seed=seed)
     if joint_steps > MOST_JOINT_STEPS:
         raise ValueError(f"joint_steps is {joint_steps}, expected 0 to {MOST_JOINT_STEPS}")

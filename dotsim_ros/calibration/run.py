@@ -35,6 +35,7 @@ from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.metrics.presses import PressFrameScore, score_press
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.simulator import GelSimulator
+from dotsim_ros.worker_pool.pool import Crew
 
 SOLVE_BUDGET = 40
 """Usual most solves of a press in a whole calibration."""
@@ -57,7 +58,7 @@ class CalibrationRequest:
         noise: of the measurement.
         topics: where the channels lie in the bags.
         directory: of the run's files.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
         seed: of the bootstrap.
         joint_steps: Gauss-Newton steps of the joint fit, each a solve and one a parameter for each
             press. Without any, the joint estimate comes from the fits of single presses, weighed by
@@ -76,7 +77,7 @@ class CalibrationRequest:
     noise: LossNoise
     topics: Topics
     directory: Path
-    workers: int
+    workers: Crew
     seed: int
     joint_steps: int = JOINT_STEPS
     solve_budget: int = SOLVE_BUDGET

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -33,7 +33,7 @@ from dotsim_ros.measured.reading import Observation
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
-from dotsim_ros.worker_pool import open_worker_pool
+from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 DECIDED_BY = ("dotsim_ros.calibration.stages",)
 """The code, with all that it imports, that decides a result."""
@@ -103,9 +103,9 @@ def _predict(task: Task) -> tuple[str, FloatArray | None, FloatArray | None, str
 
 
 class Workers:
-    """A pool of processes that each hold the sensor's gel; use `open_workers`."""
+    """A pool of workers that each hold the sensor's gel; use `open_workers`."""
 
-    def __init__(self, pool: ProcessPoolExecutor, directory: Path) -> None:
+    def __init__(self, pool: Executor, directory: Path) -> None:
         self._pool, self._directory = pool, directory
 
     def run(self, tasks: Sequence[Task], progress: Callable[[str], None]) -> dict[str, Outcome]:
@@ -150,10 +150,10 @@ class Workers:
 
 @contextmanager
 def open_workers(
-    specification: SensorSpecification, skin: SkinMesh, directory: Path, count: int
+    specification: SensorSpecification, skin: SkinMesh, directory: Path, crew: Crew
 ) -> Iterator[Workers]:
-    """Open a pool of `count` processes; their files go below a directory."""
-    with open_worker_pool(count, _begin, specification, skin) as pool:
+    """Open a pool of workers; their files go below a directory."""
+    with open_pool(crew, _begin, specification, skin) as pool:
         yield Workers(pool, directory)
 
 

@@ -19,12 +19,13 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+
 if TYPE_CHECKING:
     from dotsim_ros.calibration.loss import LossNoise
     from dotsim_ros.measured.trajectory import Topics
 
 LOSSES = ("points", "chamfer", "force")
-WORKER_COUNT = 2
 HELD_OUT_COUNT = 9
 
 
@@ -87,7 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "already, take one step from there for each split (40)",
     )
     parser.add_argument("--name", help="of the calibrated sensor (the file's stem)")
-    parser.add_argument("--workers", type=int, default=WORKER_COUNT, help="processes (2)")
+    add_worker_arguments(parser)
     parser.add_argument("--seed", type=int, default=0, help="of what is held out and drawn (0)")
     parser.add_argument("--json", type=Path, help="copy the figures to this file as well")
     for channel in ("pose", "wrench", "skin"):
@@ -125,7 +126,7 @@ def run(arguments: argparse.Namespace) -> int:
         joint_steps=arguments.joint_steps,
         solves=arguments.solves,
         name=arguments.name,
-        workers=arguments.workers,
+        workers=crew_of(arguments),
         seed=arguments.seed,
         noise=_noise(arguments),
         topics=_topics(arguments),

@@ -18,6 +18,8 @@ import sys
 import time
 from pathlib import Path
 
+from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
@@ -39,6 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--policy", type=Path, metavar="DIR", help="policy that drives in the expert's place")
     add("--seed", type=int, default=0, help="seed of all draws (0)")
+    add_worker_arguments(parser)
     add("--out", type=Path, default=Path("out/demonstrations"), metavar="DIR")
     add("--json", type=Path, metavar="FILE", help="write what was made to this file as well")
 
@@ -73,7 +76,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"episode {done}/{count}  {left_min:.1f} min left", file=sys.stderr, flush=True)
 
     indenter = load_indenter(arguments.indenter)
-    frames = demonstrate(sensor, indenter, plan, arguments.out, progress=show)
+    frames = demonstrate(
+        sensor, indenter, plan, arguments.out, progress=show, workers=crew_of(arguments)
+    )
     if arguments.json is not None:
         write_json(arguments.json, {"frames": frames, **read_card(arguments.out)})
     print(

@@ -41,6 +41,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
+from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+
 MODELS = ("ours", "explicit", "tacto", "taxim", "difftactile")
 IMAGE_MODELS = (
     "idle",
@@ -110,7 +112,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     gap.add_argument("--nulls", type=int, default=200, help="cases without an effect (200)")
     gap.add_argument("--repeats", type=int, default=6, help="cases of each law and size (6)")
     gap.add_argument("--laws", nargs="+", help="hidden laws (all)")
-    gap.add_argument("--workers", type=int, default=2, help="processes (2)")
+    add_worker_arguments(gap)
     gap.add_argument("--run", type=Path, help="folder of the solves (the user's cache)")
     gap.add_argument(
         "--fit-discrepancy",
@@ -195,7 +197,7 @@ def _add_classification_arguments(classification: argparse.ArgumentParser) -> No
     add("--classifiers", type=int, default=5, help="of each row (5)")
     add("--presses", type=int, default=40, help="simulated presses of each indenter (40)")
     add("--epochs", type=int, default=25, help="of a classifier's training (25)")
-    add("--workers", type=int, default=2, help="processes (2)")
+    add_worker_arguments(classification)
 
 
 def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
@@ -226,7 +228,18 @@ def _add_rl_arguments(rl: argparse.ArgumentParser) -> None:
     add("--episodes", type=int, default=100, help="each policy is judged on (100)")
     add("--observation", choices=SEEN, default=SEEN[0], help=f"what policies see ({SEEN[0]})")
     add("--image-size", type=int, default=32, help="width and height of the image, pixels (32)")
-    add("--workers", type=int, default=2, help="processes (2)")
+    add(
+        "--try",
+        dest="tried",
+        nargs="+",
+        action="append",
+        default=[],
+        metavar=("SETTING", "VALUE"),
+        help="learn once with each value first, in every combination where --try is given for "
+        "several settings, and go on with what does best on episodes that nothing else is judged "
+        "on: learning_rate, discount, entropy_share, rollout, epochs, mini_batches",
+    )
+    add_worker_arguments(rl)
     add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the pictures")
     add("--json", type=Path, help="write the figures here as well")
@@ -448,7 +461,7 @@ def _gap(arguments: argparse.Namespace) -> int:
 
     sensor = load_sensor(arguments.sensor)
     run = arguments.run or cache_directory() / "gap"
-    source = Source(arguments.data, sensor, run, arguments.workers, PrintedProgress())
+    source = Source(arguments.data, sensor, run, crew_of(arguments), PrintedProgress())
     if arguments.fit_discrepancy is not None:
         names = [entry.name for entry in read_data_set(arguments.data).entries]
         found = calibrated_discrepancy(source, names, arguments.seed)
@@ -596,7 +609,7 @@ def _classification(arguments: argparse.Namespace) -> int:
         fit=FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width),
     )
     kept = arguments.cache or cache_directory() / "classification"
-    figures = run_study(study, kept, workers=arguments.workers, tell=_say)
+    figures = run_study(study, kept, workers=crew_of(arguments), tell=_say)
     return _write(arguments, figures, {"sensor": study.sensor}, classification_page)
 
 
@@ -604,6 +617,7 @@ def _rl(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.rl.page import rl_page
     from dotsim_ros.evaluation.rl.pictures import write_curve, write_rollout
     from dotsim_ros.evaluation.rl.study import Study, kept_folder, policy_folder, run_study
+    from dotsim_ros.evaluation.rl.sweep import run_sweep
     from dotsim_ros.files import cache_directory, write_json, write_text
     from dotsim_ros.provenance import provenance
     from dotsim_ros.tasks.environments.reinforcement import PpoSettings
@@ -616,8 +630,14 @@ def _rl(arguments: argparse.Namespace) -> int:
         seconds=60.0 * arguments.minutes,
         episodes=arguments.episodes,
     )
-    folder = kept_folder(study, arguments.cache or cache_directory() / "rl")
-    figures = run_study(study, folder, workers=arguments.workers, tell=_say)
+    kept, crew = arguments.cache or cache_directory() / "rl", crew_of(arguments)
+    sweep = None
+    if arguments.tried:
+        study, sweep = run_sweep(study, _tried(arguments.tried), kept, workers=crew, tell=_say)
+    folder = kept_folder(study, kept)
+    figures = run_study(study, folder, workers=crew, tell=_say)
+    if sweep is not None:
+        figures["sweep"] = sweep
     figures["provenance"] = provenance()
     curve, rollout = arguments.images / "rl_curve.png", arguments.images / "rl_rollout.gif"
     write_curve(curve, figures["learnt"])
@@ -632,6 +652,23 @@ def _rl(arguments: argparse.Namespace) -> int:
     write_text(arguments.out / "rl.md", page)
     print(page)
     return 0
+
+
+def _tried(given: list[list[str]]) -> dict[str, list[float]]:
+    """Return the values to try by the name of the setting.
+
+    Raises:
+        ValueError: a value is no number, or a setting is named twice.
+    """
+    values: dict[str, list[float]] = {}
+    for name, *texts in given:
+        if name in values:
+            raise ValueError(f"--try {name} is given twice, expected all its values in one")
+        try:
+            values[name] = [float(text) for text in texts]
+        except ValueError as error:
+            raise ValueError(f"--try {name}: {error}, expected numbers") from error
+    return values
 
 
 _SUBJECTS = {

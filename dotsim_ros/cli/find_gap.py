@@ -20,6 +20,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+
 CHANNELS = ("skin", "force", "image")
 
 
@@ -50,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--alpha", type=float, default=0.02, help="chance of a name without an effect (0.02)")
     add("--budget", type=int, help="most solves of a trajectory (no limit)")
     add("--seed", type=int, default=0, help="of all draws (0)")
-    add("--workers", type=int, default=2, help="processes (2)")
+    add_worker_arguments(parser)
     add("--discrepancy", type=Path, help="file of the model's own error (the shipped one)")
     add("--optical-noise", type=Path, help="file of the images' noise (the shipped one)")
     add(
@@ -71,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         _check_demo(arguments)
         from dotsim_ros.evaluation.gap.demo import run_demo
 
-        return run_demo(arguments.out, seed=arguments.seed, workers=arguments.workers)
+        return run_demo(arguments.out, seed=arguments.seed, workers=crew_of(arguments))
     from dotsim_ros.files import write_json
     from dotsim_ros.gap.find import find_gap, fit_optical_noise
     from dotsim_ros.gap.findings import as_record
@@ -84,7 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
         "reference": arguments.reference,
         "indenters": arguments.indenters,
         "effects": arguments.effects,
-        "workers": arguments.workers,
+        "workers": crew_of(arguments),
         "progress": PrintedProgress(),
     }
     if arguments.fit_optical_noise is not None:
@@ -121,7 +123,7 @@ def _check_demo(arguments: argparse.Namespace) -> None:
     """Refuse what the demonstration would leave out of account."""
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    taken = ("demo", "out", "seed", "workers")
+    taken = ("demo", "out", "seed", "workers", "ray_address")
     others = [
         f"--{name.replace('_', '-')}"
         for name, value in vars(arguments).items()

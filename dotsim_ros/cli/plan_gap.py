@@ -14,6 +14,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
@@ -39,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="used (all)",
     )
     add("--seed", type=int, default=0, help="seed of the draws (0)")
-    add("--workers", type=int, default=2, help="processes (2)")
+    add_worker_arguments(parser)
     add("--json", type=Path, help="write the figures here")
 
 
@@ -58,7 +60,7 @@ def run(arguments: argparse.Namespace) -> int:
         effects=tuple(arguments.effects),
         channels=tuple(arguments.channels),
         seed=arguments.seed,
-        workers=arguments.workers,
+        workers=crew_of(arguments),
     )
     planned = plan(request)
     for line in plan_lines(planned):

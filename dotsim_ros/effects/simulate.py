@@ -27,6 +27,7 @@ from dotsim_ros.measured.recording import Recording
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.solver import PressSolver, Progress, SolveRequest, open_press_solver
+from dotsim_ros.worker_pool.pool import Crew
 
 
 @dataclass(frozen=True)
@@ -175,16 +176,16 @@ def open_solver(
     directory: Path,
     *,
     library: Mapping[str, Effect] | None = None,
-    workers: int = 2,
+    workers: Crew = 2,
 ) -> Iterator[EffectSolver]:
-    """Open a pool of processes that each hold the sensor's gel.
+    """Open a pool of workers that each hold the sensor's gel.
 
     Args:
         specification: the sensor.
         skin: the skin's markers.
         directory: where solves are kept.
         library: effects by name; None for those shipped.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
     """
     with open_press_solver(specification, skin, directory, workers=workers) as presses:
         known = load_effects() if library is None else library

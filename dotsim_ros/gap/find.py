@@ -27,6 +27,7 @@ from dotsim_ros.measured.data_set import DataSet, read_data_set
 from dotsim_ros.replacement import finish_replacement
 from dotsim_ros.specification import SensorSpecification, given_sensor
 from dotsim_ros.twin.simulator import check_is_quasi_static
+from dotsim_ros.worker_pool.pool import Crew, check_workers
 
 MECHANICAL = (SKIN, FORCE)
 CHANNELS = (*MECHANICAL, IMAGE)
@@ -51,7 +52,7 @@ def find_gap(
     alpha: float = 0.02,
     budget: int | None = None,
     seed: int = 0,
-    workers: int = 2,
+    workers: Crew = 2,
     discrepancy: str | Path | None = None,
     optical_noise: str | Path | None = None,
     progress: Progress | None = None,
@@ -74,7 +75,7 @@ def find_gap(
         alpha: chance of a name on data without an effect.
         budget: most solves of a trajectory; by default no limit.
         seed: of all draws.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
         discrepancy: file of the model's own error; by default the shipped one.
         optical_noise: file of the images' noise; by default the shipped one.
         progress: called with each step's name, how much of it is done, and of how much.
@@ -160,7 +161,7 @@ def fit_optical_noise(
     reference: str | Path | None = None,
     indenters: str | Path | None = None,
     effects: Sequence[str | Path] = (),
-    workers: int = 2,
+    workers: Crew = 2,
     progress: Progress | None = None,
 ) -> OpticalNull:
     """Estimate the images' noise from data without an effect; `find_gap` takes it as
@@ -209,7 +210,7 @@ def _check_arguments(
     alpha: float,
     budget: int | None,
     seed: int,
-    workers: int,
+    workers: Crew,
 ) -> None:
     """Refuse what no search could be run with.
 
@@ -224,7 +225,8 @@ def _check_arguments(
         raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(known)}")
     if not 0.0 < alpha < 1.0:
         raise ValueError(f"alpha is {alpha}, expected between 0 and 1")
-    for name, count, least in (("budget", budget, 1), ("seed", seed, 0), ("workers", workers, 1)):
+    check_workers(workers)
+    for name, count, least in (("budget", budget, 1), ("seed", seed, 0)):
         if count is not None and count < least:
             raise ValueError(f"{name} is {count}, expected {least} or more")
 

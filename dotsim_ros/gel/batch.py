@@ -19,7 +19,7 @@ from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.worker_pool import WorkerContext
+from dotsim_ros.worker_pool.processes import WorkerContext
 
 END_S = 10.0
 """A process that has not ended so long after it was told to is killed."""

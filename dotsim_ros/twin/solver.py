@@ -4,7 +4,7 @@ can be resumed, and nothing is solved twice."""
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
-from dotsim_ros.worker_pool import open_worker_pool
+from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 TOLERANCE_M = 5.0e-6
 """Tolerance of the solves: effects move the skin by tens of micrometres where tried, and a solve
@@ -58,12 +58,14 @@ class SolveRequest:
 _simulator: GelSimulator | None = None
 
 
-def _begin(specification: SensorSpecification, skin: SkinMesh) -> None:
+def begin(specification: SensorSpecification, skin: SkinMesh) -> None:
+    """Prepare a worker: make the gel that its solves are of."""
     global _simulator
     _simulator = GelSimulator(specification, skin, tolerance_m=TOLERANCE_M)
 
 
-def _solve(request: SolveRequest) -> SimulatedPress | str:
+def solve(request: SolveRequest) -> SimulatedPress | str:
+    """Return skin and force of a request, in a worker, or why it could not be solved."""
     assert _simulator is not None
     try:
         return _simulator.press(
@@ -86,7 +88,7 @@ class PressSolver:
 
     def __init__(
         self,
-        pool: ProcessPoolExecutor,
+        pool: Executor,
         directory: Path,
         specification: SensorSpecification,
         skin: SkinMesh,
@@ -109,7 +111,7 @@ class PressSolver:
                 continue
             stored = _load(self._path(key), (len(request.poses), self._vertex_count))
             if stored is None:
-                waiting[self._pool.submit(_solve, request)] = key
+                waiting[self._pool.submit(solve, request)] = key
             else:
                 self._known[key] = stored
         count, total = 0, len(waiting)
@@ -187,15 +189,15 @@ def _load(path: Path, shape: tuple[int, int]) -> SimulatedPress | str | None:
 
 @contextmanager
 def open_press_solver(
-    specification: SensorSpecification, skin: SkinMesh, directory: Path, *, workers: int = 2
+    specification: SensorSpecification, skin: SkinMesh, directory: Path, *, workers: Crew = 2
 ) -> Iterator[PressSolver]:
-    """Open a pool of processes that each hold the sensor's gel.
+    """Open a pool of workers that each hold the sensor's gel.
 
     Args:
         specification: the sensor.
         skin: the skin's markers.
         directory: where solves are kept.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
     """
-    with open_worker_pool(workers, _begin, specification, skin) as pool:
+    with open_pool(workers, begin, specification, skin) as pool:
         yield PressSolver(pool, directory, specification, skin)

@@ -16,7 +16,7 @@ PROGRAM = """
 import os, sys, time
 from concurrent.futures import wait
 from dotsim_ros.cli import calibrate, main
-from dotsim_ros.worker_pool import open_worker_pool
+from dotsim_ros.worker_pool.pool import open_pool
 
 def begin(_given):
     pass
@@ -29,7 +29,7 @@ def end(_number):
     os.kill(os.getpid(), 9)
 
 def run(_arguments):
-    with open_worker_pool(2, begin, None) as pool:
+    with open_pool(2, begin, None) as pool:
         task = end if sys.argv[1] == "end" else work
         for future in [pool.submit(task, number) for number in range(2)]:
             future.result()

@@ -86,9 +86,9 @@ def simulated_presses(
     pressed: list[FilmedPress] = []
     poses_of: list[list[Pose]] = []
     for rank, (name, indenter) in enumerate(sorted(indenters.items())):
-        random = np.random.default_rng([plan.seed, rank])
-        drawn = [_poses(skin, plan, random) for _ in range(plan.count)]
-        skins = _skins(sensor, skin, name, indenter, drawn, cache, progress)
+        drawn, skins = pressed_skins(
+            sensor, name, indenter, rank, plan, cache=cache, progress=progress
+        )
         for number, (poses, position) in enumerate(zip(drawn, skins, strict=True)):
             if not np.all(np.isfinite(position)):
                 progress(f"{name}: press {number} is refused by the gel and left out")
@@ -105,6 +105,32 @@ def simulated_presses(
             )
             poses_of.append(poses)
     return pressed, poses_of
+
+
+def pressed_skins(
+    sensor: SensorSpecification,
+    name: str,
+    indenter: Indenter,
+    rank: int,
+    plan: PressPlan,
+    *,
+    cache: Path,
+    progress: Progress,
+) -> tuple[list[list[Pose]], Float32Array]:
+    """Return the poses of one indenter's presses and their skins (N, F, V, 3), not finite where the
+    gel refused a press.
+
+    Args:
+        sensor: whose gel is pressed.
+        name: of the indenter.
+        indenter: what presses.
+        rank: of the indenter's name among those that are pressed, which decides the draws.
+        plan, cache, progress: as for `simulated_presses`.
+    """
+    skin = skin_of(sensor.gel)
+    random = np.random.default_rng([plan.seed, rank])
+    drawn = [_poses(skin, plan, random) for _ in range(plan.count)]
+    return drawn, _skins(sensor, skin, name, indenter, drawn, cache, progress)
 
 
 def _poses(skin: SkinMesh, plan: PressPlan, random: np.random.Generator) -> list[Pose]:

@@ -26,7 +26,11 @@ from dotsim_ros.evaluation.classification.classifier import (
     train_classifier,
 )
 from dotsim_ros.evaluation.classification.domains import DOMAINS, Domain, Fold, domain_of
-from dotsim_ros.evaluation.classification.presses import PressPlan, simulated_presses
+from dotsim_ros.evaluation.classification.presses import (
+    PressPlan,
+    pressed_skins,
+    simulated_presses,
+)
 from dotsim_ros.evaluation.geometry.registry import sensor_file
 from dotsim_ros.evaluation.optics.judge import recordings_of, restricted
 from dotsim_ros.evaluation.optics.models import (
@@ -56,7 +60,7 @@ from dotsim_ros.twin.footage import (
     read_filmed_data,
     render_filmed,
 )
-from dotsim_ros.worker_pool import open_worker_pool
+from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 BOUND = "measured"
 """The row that learns from measured images of other trajectories: no simulation passes it."""
@@ -105,13 +109,14 @@ class _Measured:
     data: OpticalData
 
 
-def run_study(study: Study, kept: Path, *, workers: int, tell: Progress) -> dict[str, Any]:
+def run_study(study: Study, kept: Path, *, workers: Crew, tell: Progress) -> dict[str, Any]:
     """Return the figures of a study; rows that are kept in a folder are not made again.
 
     Args:
         study: what is asked.
         kept: folder of rows, skins and trainings.
-        workers: processes, each of which makes a row of a domain.
+        workers: how many processes, or workers of Ray, each of which presses an indenter or makes
+            a row of a domain.
         tell: called with a line about each row.
 
     Raises:
@@ -119,10 +124,18 @@ def run_study(study: Study, kept: Path, *, workers: int, tell: Progress) -> dict
         ValueError: data that cannot be classified so, or a model that could not be fitted.
     """
     rows: dict[str, dict[str, Any]] = {name: {} for name in study.domains}
-    with open_worker_pool(workers, _prepare) as pool:
-        # Bad data is told before workers wait for each other; the gel's way is then known to all.
-        for name in study.domains:
-            pool.submit(_pressed, study, kept, name).result()
+    with open_pool(workers, _prepare, reads=(study.data,), writes=(kept,)) as pool:
+        # Bad data is told before anything is pressed.
+        classes = [pool.submit(_classes, study, name).result() for name in study.domains]
+        pressing = [
+            (study, kept, domain, indenter)
+            for domain, indenters in zip(study.domains, classes, strict=True)
+            for indenter in indenters
+        ]
+        # The first one leaves the tables on disk that the others read.
+        pool.submit(_press, *pressing[0]).result()
+        for pressed in [pool.submit(_press, *one) for one in pressing[1:]]:
+            pressed.result()
         running = {
             pool.submit(made_row, study, kept, domain, model): (domain, model)
             for domain in study.domains
@@ -295,9 +308,23 @@ def simulated_touches(
     )
 
 
-def _pressed(study: Study, kept: Path, domain_name: str) -> int:
-    """Press the indenters of a domain, so that their skins are kept; return how many presses."""
-    return len(simulated_touches(study, kept, domain_name)[0])
+def _classes(study: Study, domain_name: str) -> tuple[str, ...]:
+    """Return the indenters of a domain, in the order of their names."""
+    measured = _measured(study.data, sensor_file(domain_name, study.sensor))
+    return tuple(sorted(domain_of(domain_name, recordings_of(measured.data)).classes))
+
+
+def _press(study: Study, kept: Path, domain_name: str, indenter: str) -> None:
+    """Press an indenter as often as a domain needs it, so that the skins are kept."""
+    pressed_skins(
+        _measured(study.data, sensor_file(domain_name, study.sensor)).sensor,
+        indenter,
+        load_mesh(read_data_set(study.data).indenter_mesh(indenter)),
+        _classes(study, domain_name).index(indenter),
+        study.plan,
+        cache=kept / "skins",
+        progress=lambda _line: None,
+    )
 
 
 def _rendered(footage: FilmedData, measured: _Measured) -> OpticalData:

@@ -14,6 +14,7 @@ import numpy as np
 from dotsim_ros.evaluation.gap.hidden.laws import LAWS
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, draw_truth, library_names, write_truth
 from dotsim_ros.gap.findings import Findings
+from dotsim_ros.worker_pool.pool import Crew
 
 SENSOR = "sensor_a"
 NULL_SHARE = 0.1
@@ -40,7 +41,7 @@ def is_right(findings: Findings, truth: Truth) -> bool:
     return hidden <= set(findings.named)
 
 
-def run_demo(directory: Path, *, seed: int, workers: int) -> int:
+def run_demo(directory: Path, *, seed: int, workers: Crew) -> int:
     """Run the demonstration below a folder; return 0 where the finder was right, else 1.
 
     Raises:

@@ -11,6 +11,7 @@ from dotsim_ros.gap.presses.observables import observe, places_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.worker_pool.pool import Crew
 
 
 def residuals_without_effect(
@@ -18,7 +19,7 @@ def residuals_without_effect(
     sensor: SensorSpecification,
     directory: Path,
     *,
-    workers: int = 2,
+    workers: Crew = 2,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[FloatArray]:
     """Return measured minus simulated, (F, SIZE), of each trajectory.
@@ -27,7 +28,7 @@ def residuals_without_effect(
         measurement: of a unit in which nothing is missing.
         sensor: calibrated to it.
         directory: where solves are kept.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
         progress: called with the number of solves done, and of all.
     """
     rest_m, values = measurement.skin.rest_position_m, values_of(sensor)

@@ -24,6 +24,7 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.measurement import Measurement, read_measurement
 from dotsim_ros.measured.split import repeats_of
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.worker_pool.pool import Crew
 
 Progress = Callable[[str, int, int], None]
 
@@ -45,14 +46,14 @@ class Source:
         directory: data set in which nothing is missing.
         sensor: calibrated to it.
         run: folder of the solves.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
         progress: called with the step, the number of solves done, and of all.
     """
 
     directory: Path
     sensor: SensorSpecification
     run: Path
-    workers: int
+    workers: Crew
     progress: Progress
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dotsim_ros.evaluation.rl.worlds import AS_LEARNT, WORLDS
@@ -67,6 +67,7 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
             "",
             markdown_table(["policy"], seeds, SEED_COLUMNS),
             "",
+            *_sweep(figures.get("sweep", ())),
             "Minutes are of one core of the machine named below, with another training beside it; "
             "the paper states 15 minutes and no success rate. Minutes to 90 %: until 90 % of the "
             "last 50 episodes, which explore, got there.",
@@ -83,3 +84,27 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
             "",
         ]
     )
+
+
+def _sweep(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the part about settings that were tried before; empty where none were."""
+    if not rows:
+        return []
+    found = ("success", "steps")
+    named = [
+        (
+            [", ".join(f"{name} {value:g}" for name, value in row.items() if name not in found)],
+            {name: row[name] for name in found},
+        )
+        for row in rows
+    ]
+    return [
+        "## Settings that were tried",
+        "",
+        "One policy each, of a seed of its own, judged on episodes that no other figure of this "
+        "page is of. The policies above learnt with the settings of the best row, the first of "
+        "several.",
+        "",
+        markdown_table(["settings"], named, (SEED_COLUMNS[0], SEED_COLUMNS[2])),
+        "",
+    ]

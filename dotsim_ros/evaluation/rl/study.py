@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import as_completed
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -25,7 +25,7 @@ from dotsim_ros.tasks.environments.reinforcement import (
     run_episodes,
     train,
 )
-from dotsim_ros.worker_pool import open_worker_pool
+from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 FIRST_EPISODE = 1_000_000
 """Seed of the first episode that policies are judged on; training draws its own below."""
@@ -62,14 +62,15 @@ class Study:
 
 
 def run_study(
-    study: Study, folder: Path, *, workers: int, tell: Callable[[str], None]
+    study: Study, folder: Path, *, workers: Crew, tell: Callable[[str], None]
 ) -> dict[str, Any]:
     """Return the figures of a study; what is kept of it in `folder` is not done again.
 
     Args:
         study: what is asked.
         folder: its `kept_folder`.
-        workers: processes, each of which learns a policy or plays blind moves.
+        workers: how many processes, or workers of Ray, each of which learns a policy or plays
+            blind moves.
         tell: called with a line about each row.
     """
     jobs: list[tuple[Callable[..., dict[str, Any]], int | str]] = [
@@ -77,7 +78,7 @@ def run_study(
         *((blind_row, name) for name in (BLIND, *(f"always {k}" for k in range(len(MOVES))))),
     ]
     rows: dict[int | str, dict[str, Any]] = {}
-    with open_worker_pool(workers, _prepare) as pool:
+    with open_pool(workers, prepare, writes=(folder,)) as pool:
         running = {pool.submit(job, study, folder, of): of for job, of in jobs}
         for done in as_completed(running):
             row = rows[running[done]] = done.result()
@@ -101,14 +102,8 @@ def learnt_row(study: Study, folder: Path, seed: int) -> dict[str, Any]:
     progress = train(settings, place, steps=study.steps, seconds=study.seconds, enough=study.enough)
     judged = {}
     for world in WORLDS:
-
-        def play(world: str = world) -> list[Episode]:
-            made = make_world(settings, **options_of(world))
-            played = run_episodes(made, learnt_moves(settings, place, made), study.judged_on())
-            made.close()
-            return played
-
-        judged[world] = _kept(place / f"{_file_name(world)}-{study.episodes}.json", play)
+        path = place / f"{_file_name(world)}-{study.episodes}.json"
+        judged[world] = played_episodes(path, settings, place, world, study.judged_on())
     return {
         "name": f"seed {seed}",
         "success": {world: success(episodes) for world, episodes in judged.items()},
@@ -118,6 +113,28 @@ def learnt_row(study: Study, folder: Path, seed: int) -> dict[str, Any]:
         "minutes_to_90": minutes_to(progress, 0.9),
         "curve": progress.curve,
     }
+
+
+def played_episodes(
+    path: Path, settings: PpoSettings, place: Path, world: str, seeds: Sequence[int]
+) -> list[Episode]:
+    """Return how the policy of a folder plays in a world, from a file where it has done so before.
+
+    Args:
+        path: of the file.
+        settings: that the policy was learnt with.
+        place: its folder.
+        world: of `WORLDS`.
+        seeds: of the episodes.
+    """
+
+    def play() -> list[Episode]:
+        made = make_world(settings, **options_of(world))
+        played = run_episodes(made, learnt_moves(settings, place, made), seeds)
+        made.close()
+        return played
+
+    return _kept(path, play)
 
 
 def blind_row(study: Study, folder: Path, name: str) -> dict[str, Any]:
@@ -169,7 +186,8 @@ def minutes_to(progress: Progress, share: float) -> float | None:
     return None
 
 
-def _prepare() -> None:
+def prepare() -> None:
+    """Prepare a worker: each has a core of its own."""
     torch.set_num_threads(1)
 
 

@@ -19,6 +19,7 @@ from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.worker_pool.pool import Crew
 
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, how much of it is done, and of how much."""
@@ -42,7 +43,7 @@ class GapRequest:
         alpha: probability of a name on data without any effect.
         budget: most solves of a trajectory; None for no limit.
         seed: of all draws.
-        workers: processes.
+        workers: how many processes, or workers of Ray.
         discrepancy: file of the covariances; None for the shipped ones.
         optical_noise: file of what images show where nothing is missing; None for the shipped one.
     """
@@ -58,7 +59,7 @@ class GapRequest:
     alpha: float = 0.02
     budget: int | None = None
     seed: int = 0
-    workers: int = 2
+    workers: Crew = 2
     discrepancy: Path | None = None
     optical_noise: Path | None = None
 

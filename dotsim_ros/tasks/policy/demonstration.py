@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from concurrent.futures import as_completed
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -37,6 +38,7 @@ from dotsim_ros.tasks.policy.looks import Look, LookRanges
 from dotsim_ros.tasks.policy.network import load_policy
 from dotsim_ros.tasks.policy.paths import DomeContact, ReferencePath, reference_path
 from dotsim_ros.tasks.policy.rollout import follow
+from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 CARD = "demonstrations.json"
 WANDER = "wander"
@@ -225,6 +227,11 @@ def labels(paths: Sequence[str], contact: DomeContact, position_m: FloatArray) -
     return np.stack([expert.command(position_m) for expert in experts], axis=1)
 
 
+def view_of(sensor: SensorSpecification) -> PolicyView:
+    """Return what is kept of a sensor's images."""
+    return PolicyView((sensor.camera.height, sensor.camera.width), side_px=STORED_SIDE_PX)
+
+
 class Demonstrator:
     """Makes the episodes of a plan.
 
@@ -240,7 +247,7 @@ class Demonstrator:
     def __init__(self, sensor: SensorSpecification, indenter: Indenter, plan: Plan) -> None:
         self._sensor, self._indenter, self.plan = sensor, indenter, plan
         self.contact = contact_of(sensor, indenter)
-        self.view = PolicyView((sensor.camera.height, sensor.camera.width), side_px=STORED_SIDE_PX)
+        self.view = view_of(sensor)
         self._gels: dict[float, TactileSensor] = {}
 
     def _gel(self, number: int) -> TactileSensor:
@@ -355,8 +362,11 @@ def demonstrate(
     folder: Path,
     *,
     progress: Callable[[int, int], None],
+    workers: Crew = 1,
 ) -> int:
     """Make the episodes of a plan that a folder does not hold yet.
+
+    It starts processes, so a script calls it below `if __name__ == "__main__":`.
 
     Args:
         sensor: whose gel is pressed.
@@ -364,6 +374,7 @@ def demonstrate(
         plan: what to demonstrate.
         folder: of the files.
         progress: called with the number of episodes done, and of all.
+        workers: how many processes, or workers of Ray, each of which makes an episode.
 
     Returns:
         The number of frames, of all looks.
@@ -371,7 +382,8 @@ def demonstrate(
     Raises:
         ValueError: as `contact_of`, or the folder holds another plan's demonstrations.
     """
-    demonstrator = Demonstrator(sensor, indenter, plan)
+    contact_of(sensor, indenter)
+    view = view_of(sensor)
     described: dict[str, Any] = json.loads(json.dumps(asdict(plan)))
     described["indenter"] = indenter.name
     card = folder / CARD
@@ -383,7 +395,6 @@ def demonstrate(
                 "it to make them anew"
             )
     else:
-        view = demonstrator.view
         write_json(
             card,
             {
@@ -394,14 +405,36 @@ def demonstrate(
                 "origin": provenance(),
             },
         )
-    frames = 0
-    for number in range(plan.episode_count):
-        path = episode_file(folder, number)
-        if not path.is_file():
-            write_episode(path, demonstrator.episode(number))
-        frames += int(np.prod(read_episode(path).crop.shape[:2]))
-        progress(number + 1, plan.episode_count)
-    return frames
+    numbers = range(plan.episode_count)
+    missing = [number for number in numbers if not episode_file(folder, number).is_file()]
+    done = plan.episode_count - len(missing)
+    if done:
+        progress(done, plan.episode_count)
+    reads = (Path(plan.policy),) if plan.policy else ()
+    with open_pool(workers, _begin, sensor, indenter, plan, reads=reads) as pool:
+        making = {pool.submit(_make, number): number for number in missing}
+        for made in as_completed(making):
+            # The future would hold the images of its episode until the end.
+            write_episode(episode_file(folder, making.pop(made)), made.result())
+            done += 1
+            progress(done, plan.episode_count)
+    return sum(
+        int(np.prod(read_episode(episode_file(folder, number)).crop.shape[:2]))
+        for number in numbers
+    )
+
+
+_demonstrator: Demonstrator | None = None
+
+
+def _begin(sensor: SensorSpecification, indenter: Indenter, plan: Plan) -> None:
+    global _demonstrator
+    _demonstrator = Demonstrator(sensor, indenter, plan)
+
+
+def _make(number: int) -> Episode:
+    assert _demonstrator is not None
+    return _demonstrator.episode(number)
 
 
 def read_card(folder: Path) -> dict[str, Any]:

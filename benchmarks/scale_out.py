@@ -1,0 +1,199 @@
+"""Presses a second against workers, as processes and on Ray, and what a task costs beside its work.
+
+    python benchmarks/scale_out.py --json docs/results/scale_out.json
+
+Each task presses a ball, as a mesh, into the gel of the sensor at its own grid, as the gap finder
+and the calibration do. Before the clock starts every worker has its gel. All workers are of this
+machine: more of them than it has cores show what is lost to crowding, not what a cluster gives.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import pickle
+import time
+from concurrent.futures import Executor, as_completed
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from dotsim_ros.cache import content_key
+from dotsim_ros.files import write_json
+from dotsim_ros.gel.batch import available_core_count
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.gel.material import PronySeries
+from dotsim_ros.gel.values import values_of
+from dotsim_ros.geometry.indenter import Indenter, IndenterKind, IndenterMesh
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.provenance import provenance
+from dotsim_ros.specification import load_sensor
+from dotsim_ros.twin import solver
+from dotsim_ros.twin.solver import SolveRequest
+from dotsim_ros.worker_pool.pool import Crew, RayWorkers, open_pool, worker_count
+from dotsim_ros.worker_pool.ray_cluster import connected_ray
+
+BALL_M = 4.0e-3
+FRAMES = 12
+DEEPEST_M = 2.0e-3
+EMPTY_TASKS = 200
+ARRAY_BYTES = 1 << 20
+
+
+def ball() -> Indenter:
+    """Return a ball as a mesh of 20480 triangles, its tip at the origin."""
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=BALL_M)
+    vertices = np.asarray(mesh.vertices) + np.array([0.0, 0.0, BALL_M])
+    surface = IndenterMesh(vertices, np.asarray(mesh.faces, dtype=np.int32))
+    return Indenter(IndenterKind.MESH, (), mesh=surface, name="ball")
+
+
+def requests_of(sensor_name: str, count: int) -> list[SolveRequest]:
+    """Return presses at places all over the dome."""
+    sensor = load_sensor(sensor_name)
+    apex_m = skin_of(sensor.gel).apex_m
+    shape, material = ball(), sensor.material
+    relaxation = PronySeries(material.prony_shares, material.prony_times_s)
+    random = np.random.default_rng(0)
+    requests = []
+    for number in range(count):
+        aside_m = random.uniform(-3.0e-3, 3.0e-3, 2)
+        depths_m = np.linspace(0.0, random.uniform(0.7, 1.0) * DEEPEST_M, FRAMES)
+        poses = tuple(Pose(apex_m + np.array([*aside_m, -depth_m])) for depth_m in depths_m)
+        stamps = 0.1 * np.arange(FRAMES)
+        requests.append(
+            SolveRequest(f"press {number}", shape, poses, stamps, values_of(sensor), relaxation)
+        )
+    return requests
+
+
+def timed_solve(request: SolveRequest) -> tuple[Any, float]:
+    """Return the answer to a request, and the processor's time for it."""
+    from dotsim_ros.twin.solver import solve
+
+    begun_s = time.process_time()
+    answer = solve(request)
+    return answer, time.process_time() - begun_s
+
+
+def nothing(_given: Any) -> None:
+    """Do no work."""
+
+
+def array_of(size: int) -> Any:
+    """Return an answer of so many bytes."""
+    return np.zeros(size // 8)
+
+
+def wait_here(seconds: float) -> int:
+    """Return the process, after a while."""
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def wake(pool: Executor, count: int) -> None:
+    """Return once so many workers are there."""
+    known: set[int] = set()
+    while len(known) < count:
+        known |= set(pool.map(wait_here, [0.2] * count))
+
+
+def task_s(pool: Executor, function: Any, given: Any) -> float:
+    """Return the time a task takes that does next to nothing, many of them under way."""
+    begun_s = time.perf_counter()
+    for _ in pool.map(function, [given] * EMPTY_TASKS):
+        pass
+    return (time.perf_counter() - begun_s) / EMPTY_TASKS
+
+
+def measured(crew: Crew, requests: list[SolveRequest], sensor_name: str) -> dict[str, Any]:
+    """Return the figures of some workers, and a digest of all answers."""
+    sensor = load_sensor(sensor_name)
+    count = worker_count(crew)
+    begun_s = time.perf_counter()
+    with open_pool(crew, solver.begin, sensor, skin_of(sensor.gel)) as pool:
+        wake(pool, count)
+        started_s = time.perf_counter() - begun_s
+        # Each worker makes its gel in its first press.
+        list(pool.map(timed_solve, requests[: 2 * count]))
+        sent = getattr(pool, "task_bytes", 0)
+        begun_s = time.perf_counter()
+        running = {pool.submit(timed_solve, request): n for n, request in enumerate(requests)}
+        ends_s = {}
+        for done in as_completed(running):
+            ends_s[running[done]] = time.perf_counter() - begun_s
+        answers = {number: future.result() for future, number in running.items()}
+        seconds = max(ends_s.values())
+        ordered = [answers[number] for number in range(len(requests))]
+        skin_m, force_n = ordered[0][0].skin_position_m, ordered[0][0].force_n
+        figures: dict[str, Any] = {
+            "workers": count,
+            "start_s": round(started_s, 2),
+            "presses_per_s": round(len(requests) / seconds, 3),
+            "seconds_per_press": round(count * seconds / len(requests), 4),
+            "processor_s_per_press": round(float(np.mean([cpu for _, cpu in ordered])), 4),
+            "answer_bytes": skin_m.nbytes + force_n.nbytes,
+            "digest": content_key((), [(a.skin_position_m, a.force_n) for a, _ in ordered]),
+        }
+        if isinstance(crew, RayWorkers):
+            figures["task_bytes"] = (pool.task_bytes - sent) // len(requests)  # type: ignore[attr-defined]
+            figures["shared_bytes"] = pool.shared_bytes  # type: ignore[attr-defined]
+        else:
+            figures["task_bytes"] = len(pickle.dumps((timed_solve, requests[0])))
+        for name, function, given in (
+            ("empty_task_ms", nothing, None),
+            ("empty_task_with_1_MiB_ms", nothing, array_of(ARRAY_BYTES)),
+            ("empty_task_with_an_answer_ms", array_of, figures["answer_bytes"]),
+        ):
+            figures[name] = round(1e3 * task_s(pool, function, given), 3)
+    return figures
+
+
+def main() -> None:
+    """Measure, print, and write JSON where asked."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4], help="(1 2 4)")
+    parser.add_argument("--presses", type=int, default=48, help="timed for each number (48)")
+    parser.add_argument("--sensor", default="densetact2", help="name or file (densetact2)")
+    parser.add_argument("--ray-address", default="local", help="of a cluster (local)")
+    parser.add_argument("--json", type=Path, help="file to write the figures to")
+    arguments = parser.parse_args()
+    requests = requests_of(arguments.sensor, arguments.presses)
+    # The tables of the gel are made once and kept on disk.
+    solver.begin(load_sensor(arguments.sensor), skin_of(load_sensor(arguments.sensor).gel))
+    solver.solve(requests[0])
+    begun_s = time.perf_counter()
+    connected_ray(arguments.ray_address, max(arguments.workers))
+    figures: dict[str, Any] = {
+        "cores": available_core_count(),
+        "load_before": round(os.getloadavg()[0], 2),
+        "presses": arguments.presses,
+        "frames_per_press": FRAMES,
+        "ray_start_s": round(time.perf_counter() - begun_s, 2),
+        "rows": [],
+    }
+    for count in arguments.workers:
+        for crew in (count, RayWorkers(count, arguments.ray_address)):
+            row = measured(crew, requests, arguments.sensor)
+            where = "Ray" if isinstance(crew, RayWorkers) else "processes"
+            figures["rows"].append({"where": where, **row})
+            print(
+                f"{where}, {count} workers: {row['presses_per_s']:.2f} presses/s, "
+                f"{row['processor_s_per_press']:.3f} s of processor a press, "
+                f"{row['empty_task_ms']:.2f} ms a task without work",
+                flush=True,
+            )
+    digests = {row.pop("digest") for row in figures["rows"]}
+    figures["answers_are_the_same"] = len(digests) == 1
+    figures["load_after"] = round(os.getloadavg()[0], 2)
+    print(f"the same answers from all: {figures['answers_are_the_same']}")
+    if arguments.json is not None:
+        write_json(arguments.json, {**provenance(), **figures})
+
+
+if __name__ == "__main__":
+    main()

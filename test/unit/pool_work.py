@@ -1,0 +1,63 @@
+"""What workers do in the tests of pools; a module of its own, so that they can import it."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import numpy as np
+
+_given: np.ndarray | None = None
+
+
+def begin(given: np.ndarray) -> None:
+    global _given
+    _given = given
+
+
+def refuse() -> None:
+    raise ValueError("no gel to press")
+
+
+def die_at_the_beginning() -> None:
+    die()
+
+
+def total(number: int, added: np.ndarray) -> tuple[int, float]:
+    assert _given is not None
+    return number, number + float(_given.sum() + added.sum())
+
+
+def fail(number: int) -> None:
+    raise KeyError(f"no press {number}")
+
+
+def die() -> None:
+    os.kill(os.getpid(), 9)
+
+
+def die_once(number: int, folder: Path) -> tuple[int, int]:
+    """Die at the first try of an odd number; return the number and the process."""
+    died = folder / str(number)
+    if number % 2 and not died.exists():
+        died.touch()
+        die()
+    return number, os.getpid()
+
+
+def place(number: int, seconds: float) -> tuple[int, str]:
+    """Return the number and where it was worked on, after a while."""
+    import ray
+
+    time.sleep(seconds)
+    return number, ray.get_runtime_context().get_node_id()
+
+
+def large(number: int) -> np.ndarray:
+    return np.full(200_000, float(number))
+
+
+def tell_and_sleep(_number: int, path: Path) -> None:
+    path.write_text(str(os.getpid()), encoding="utf-8")
+    time.sleep(600.0)

@@ -1,0 +1,352 @@
+"""Pools on Ray give what processes give, lose nothing with a worker, and say what is wrong."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pool_work
+import pytest
+
+from dotsim_ros.cli.main import main
+from dotsim_ros.worker_pool.pool import Crew, RayWorkers, open_pool
+from dotsim_ros.worker_pool.ray_cluster import ON_THIS_MACHINE, SETTINGS
+
+pytest.importorskip("ray", reason="needs the extra scale: pip install '.[scale]'")
+
+HERE = Path(__file__).parent
+ROOT = HERE.parents[1]
+QUICK = {
+    # So that a machine that is gone is soon known to be.
+    "health_check_initial_delay_ms": 0,
+    "health_check_period_ms": 300,
+    "health_check_timeout_ms": 1000,
+    "health_check_failure_threshold": 2,
+}
+SUM = 100_000.0
+
+
+@pytest.fixture(scope="module", autouse=True)
+def settings() -> Iterator[None]:
+    """Set what Ray reads when it is loaded, and what its workers find modules with."""
+    with pytest.MonkeyPatch.context() as patch:
+        paths = [str(ROOT), str(HERE), *filter(None, [os.environ.get("PYTHONPATH")])]
+        patch.setenv("PYTHONPATH", os.pathsep.join(paths))
+        for name, value in (SETTINGS | ON_THIS_MACHINE).items():
+            patch.setenv(name, value)
+        yield
+
+
+class TwoNodes:
+    """A Ray cluster of two machines of one CPU each, both of them this one."""
+
+    def __init__(self, folder: Path) -> None:
+        # Once the settings are made that this needs, which a cluster reads where it is started.
+        from ray.cluster_utils import Cluster
+
+        self._cluster = Cluster()
+        self._cluster.add_node(
+            num_cpus=1,
+            include_dashboard=False,
+            _system_config=QUICK,
+            temp_dir=str(folder),
+        )
+        self.address = self._cluster.address
+        self.second = self.add()
+
+    def add(self):
+        return self._cluster.add_node(num_cpus=1)
+
+    def kill_second(self) -> None:
+        self._cluster.remove_node(self.second, allow_graceful=False)
+
+    def close(self) -> None:
+        import ray
+
+        ray.shutdown()
+        self._cluster.shutdown()
+
+
+@pytest.mark.fault("scale-out", "an address at which no Ray cluster answers")
+@pytest.mark.parametrize(
+    ("address", "told", "fault"),
+    [
+        ("HOST", "expected HOST:PORT", "a Ray address of another form"),
+        ("ray://HOST:10001", "expected HOST:PORT", "a Ray address of another form"),
+        ("", "nobody answers at", "an address at which no Ray cluster answers"),
+    ],
+)
+def test_an_address_without_a_cluster_is_one_line(
+    address: str,
+    told: str,
+    fault: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    answered: Callable[..., None],
+) -> None:
+    with socket.socket() as taken:
+        # Bound, so that nobody else listens there.
+        taken.bind(("127.0.0.1", 0))
+        given = address or f"127.0.0.1:{taken.getsockname()[1]}"
+        line = ["demonstrate", "--episodes", "1", "--frames", "10", "--out", f"{tmp_path}/out"]
+        assert main([*line, "--ray-address", given]) == 1
+    errors = capsys.readouterr().err
+    assert told in errors
+    assert errors.count("\n") == 1
+    answered(errors.replace(given, address or "HOST:PORT"), what=fault)
+
+
+@pytest.mark.fault("scale-out", "a Ray address is given, and Ray is not installed")
+def test_ray_is_asked_for_where_it_is_missing(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    answered: Callable[..., None],
+) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    line = ["demonstrate", "--episodes", "1", "--frames", "10", "--out", f"{tmp_path}/out"]
+    assert main([*line, "--ray-address", "auto"]) == 1
+    told = capsys.readouterr().err
+    assert "Ray is not installed" in told
+    assert "dotsim_ros[scale]" in told
+    assert told.count("\n") == 1
+    answered(told)
+
+
+@pytest.fixture(scope="module")
+def nodes() -> Iterator[TwoNodes]:
+    # Its sockets lie there, whose paths may have 107 characters.
+    with tempfile.TemporaryDirectory(prefix="ray", dir="/tmp", ignore_cleanup_errors=True) as short:
+        nodes = TwoNodes(Path(short))
+        try:
+            yield nodes
+        finally:
+            nodes.close()
+
+
+@pytest.fixture(params=["processes", "ray"])
+def crew(request: pytest.FixtureRequest) -> Crew:
+    if request.param == "processes":
+        return 2
+    return RayWorkers(2, request.getfixturevalue("nodes").address)
+
+
+def test_answers_come_in_order_and_exceptions_as_they_are(crew: Crew) -> None:
+    given = np.ones(int(SUM))
+    with open_pool(crew, pool_work.begin, given) as pool:
+        found = list(pool.map(pool_work.total, range(8), [given] * 8))
+        assert found == [(number, number + 2.0 * SUM) for number in range(8)]
+        broken = pool.submit(pool_work.fail, 7)
+        with pytest.raises(KeyError, match="no press 7"):
+            broken.result()
+        # It goes on after that, and an answer may be large.
+        np.testing.assert_array_equal(pool.submit(pool_work.large, 3).result(), np.full(200_000, 3))
+
+
+def test_arrays_are_put_once_for_all_tasks_and_workers(nodes: TwoNodes) -> None:
+    given = np.ones(int(SUM))
+    with open_pool(RayWorkers(2, nodes.address), pool_work.begin, given) as pool:
+        # Equal ones too, as where a file is read twice; another content is another array.
+        list(pool.map(pool_work.total, range(6), [given, given.copy(), 2.0 * given] * 2))
+        assert pool.shared_bytes == 2 * given.nbytes  # type: ignore[attr-defined]
+        given[:] = 5.0
+        assert pool.submit(pool_work.total, 0, given).result() == (0, 6.0 * SUM)
+
+
+def test_a_worker_that_is_killed_loses_nothing(nodes: TwoNodes, tmp_path: Path) -> None:
+    with open_pool(RayWorkers(2, nodes.address), pool_work.begin, None) as pool:
+        found = list(pool.map(pool_work.die_once, range(6), [tmp_path] * 6))
+        assert pool.deaths == 3  # type: ignore[attr-defined]
+    assert [number for number, _ in found] == list(range(6))
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def places_until(pool: Executor, count: int) -> set[str]:
+    """Return the machines that work is done on, once there are so many."""
+    places: set[str] = set()
+    end_s = time.monotonic() + 30.0
+    while len(places) < count:
+        assert time.monotonic() < end_s, f"work is done on {places} alone"
+        places |= {place for _, place in pool.map(pool_work.place, range(4), [0.05] * 4)}
+    return places
+
+
+def test_a_machine_that_is_killed_loses_nothing(nodes: TwoNodes) -> None:
+    count = 10
+    with open_pool(RayWorkers(2, nodes.address), pool_work.begin, None) as pool:
+        both = places_until(pool, 2)
+        running = [pool.submit(pool_work.place, number, 0.3) for number in range(count)]
+        assert {future.result(timeout=30.0)[1] for future in running[:2]} == both
+        nodes.kill_second()
+        found = [future.result(timeout=30.0) for future in running]
+        assert [number for number, _ in found] == list(range(count))
+        assert pool.deaths == 1  # type: ignore[attr-defined]
+        # One that joins later gets work as well.
+        nodes.second = nodes.add()
+        assert len(places_until(pool, 2) - both) == 1
+
+
+@pytest.mark.fault("scale-out", "a task of which every worker on Ray dies")
+def test_a_task_that_kills_workers_is_given_up(
+    nodes: TwoNodes, answered: Callable[..., None]
+) -> None:
+    with open_pool(RayWorkers(2, nodes.address), pool_work.begin, None) as pool:
+        deadly = pool.submit(pool_work.die)
+        with pytest.raises(OSError, match="3 workers died of the same task") as told:
+            deadly.result(timeout=30.0)
+        # The others' work goes on.
+        assert pool.submit(abs, -3).result(timeout=30.0) == 3
+    text = str(told.value)
+    assert "--num-cpus" in text
+    assert "\n" not in text
+    answered(f"{text.partition('(')[0]}(what Ray knows of it){text.rpartition('...)')[2]}")
+
+
+def test_an_initializer_that_fails_is_told(nodes: TwoNodes) -> None:
+    with open_pool(RayWorkers(1, nodes.address), pool_work.refuse) as pool:
+        with pytest.raises(ValueError, match="no gel to press"):
+            pool.submit(abs, 1).result(timeout=30.0)
+        with pytest.raises(RuntimeError, match="closed"):
+            pool.submit(abs, 1)
+
+
+def test_workers_that_never_begin_are_given_up(nodes: TwoNodes) -> None:
+    crew = RayWorkers(1, nodes.address)
+    with open_pool(crew, pool_work.die_at_the_beginning) as pool:
+        asked = pool.submit(abs, 1)
+        with pytest.raises(OSError, match="3 workers died before they had begun"):
+            asked.result(timeout=30.0)
+
+
+def test_what_is_not_begun_is_cancelled_where_the_block_fails(nodes: TwoNodes) -> None:
+    opened = open_pool(RayWorkers(2, nodes.address), pool_work.begin, None)
+    pool = opened.__enter__()
+    running = [pool.submit(pool_work.place, number, 60.0) for number in range(9)]
+    assert not opened.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert all(future.done() for future in running)
+    assert any(future.cancelled() for future in running)
+
+
+@pytest.mark.fault("scale-out", "the machines of a cluster do not share a folder")
+def test_a_folder_that_is_not_there_is_told(
+    nodes: TwoNodes, tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    crew = RayWorkers(1, nodes.address)
+    with open_pool(crew, pool_work.begin, None, reads=(tmp_path / "data",)) as pool:
+        asked = pool.submit(abs, 1)
+        with pytest.raises(OSError, match=r"does not see .*/data; expected a file system") as told:
+            asked.result(timeout=30.0)
+    answered(f"the worker on HOST {str(told.value).partition(') ')[2]}")
+    kept = tmp_path / "kept"
+    with open_pool(crew, pool_work.begin, None, writes=(kept,)) as pool:
+        assert pool.submit(abs, -1).result() == 1
+        assert len(list(kept.iterdir())) == 1
+    assert not list(kept.iterdir())
+
+
+@pytest.mark.fault("scale-out", "a machine of the cluster has another dotsim_ros, or none")
+def test_other_code_on_a_machine_is_told(answered: Callable[..., None]) -> None:
+    from dotsim_ros.worker_pool.ray_pool import _expected
+    from dotsim_ros.worker_pool.ray_worker import RayWorker
+
+    expected = _expected(open_pool, ())
+    assert RayWorker().check(expected) == ""
+    for other, what in (
+        (replace(expected, release="0.0.9"), "another version; expected dotsim_ros 0.0.9"),
+        (replace(expected, code="0" * 64), "other code; expected"),
+        (replace(expected, modules=("dotsim_ros.not_there",)), "cannot load dotsim_ros"),
+    ):
+        told = RayWorker().check(other)
+        assert what in told
+        assert "install the same" in told
+        answered(f"the worker on HOST {told.partition(') ')[2]}")
+
+
+def test_the_cluster_must_have_the_same_ray(nodes: TwoNodes) -> None:
+    program = (
+        "import ray; ray.__version__ = '2.1.0'\n"
+        "from dotsim_ros.worker_pool.ray_cluster import connected_ray\n"
+        f"connected_ray({nodes.address!r}, 1)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 1
+    last = done.stderr.strip().splitlines()[-1]
+    assert "has another Ray or Python than this process" in last
+    assert "install the same" in last
+
+
+PROGRAM = """
+import sys
+from pathlib import Path
+import pool_work
+from dotsim_ros.cli import calibrate, main
+from dotsim_ros.worker_pool.pool import RayWorkers, open_pool
+
+def run(_arguments):
+    with open_pool(RayWorkers(1, "local"), pool_work.begin, None) as pool:
+        pool.submit(pool_work.tell_and_sleep, 0, Path(sys.argv[1])).result()
+
+calibrate.run = run
+sys.exit(main.main(["calibrate", "--data", "d", "--out", "o.yaml"]))
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_no_process_of_ray_is_left(number: signal.Signals, tmp_path: Path) -> None:
+    program, told = tmp_path / "program.py", tmp_path / "pid"
+    program.write_text(PROGRAM, encoding="utf-8")
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(HERE)])}
+    process = subprocess.Popen(
+        [sys.executable, str(program), str(told)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=environment,
+    )
+    wait_until(lambda: told.is_file() and bool(told.read_text()), 40.0)
+    worker = int(told.read_text())
+    family = descendants(process.pid)
+    assert worker in family
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=20.0)
+    try:
+        if number == signal.SIGTERM:
+            assert (process.returncode, errors) == (143, "dotsim_ros calibrate: terminated\n")
+            wait_until(lambda: not any(map(is_there, family)), 20.0)
+        else:
+            # Two of Ray's own, which do no work, look only now and then whether it is there.
+            wait_until(lambda: sum(map(is_there, family)) <= 2, 20.0)
+            assert not is_there(worker)
+    finally:
+        for pid in filter(is_there, family):
+            os.kill(pid, signal.SIGKILL)
+
+
+def wait_until(happened: Callable[[], bool], seconds: float) -> None:
+    end_s = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < end_s, "it has not happened"
+        time.sleep(0.05)
+
+
+def is_there(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def descendants(pid: int) -> list[int]:
+    import psutil
+
+    return [child.pid for child in psutil.Process(pid).children(recursive=True)]
