@@ -55,7 +55,12 @@ def half_space_compliance(position_m: Array) -> NDArray[np.float32]:
 
 
 def solved(
-    contact: Contact, markers: Array, pose: Pose, history: ContactHistory, passes: int = 5
+    contact: Contact,
+    markers: Array,
+    pose: Pose,
+    history: ContactHistory,
+    passes: int = 5,
+    tolerance_m: float = TOLERANCE_M,
 ) -> tuple[ContactSolution, NDArray[np.float32]]:
     number = np.arange(len(markers), dtype=np.int32)
     compliance = half_space_compliance(markers)
@@ -70,7 +75,7 @@ def solved(
         ),
         guess=Guess(markers, none),
         passes=passes,
-        tolerance_m=TOLERANCE_M,
+        tolerance_m=tolerance_m,
     )
     return solution, compliance
 
@@ -122,9 +127,22 @@ def test_forces_are_those_that_the_indenter_answers_with(friction: float, depth_
     position = markers + by_marker(compliance @ by_component(solution.force_n))
     number = np.arange(len(markers), dtype=np.int32)
     expected = contact.respond_now(number, position, pose, history).force_n
+    assert solution.is_solved
     assert np.abs(solution.force_n).max() > 0.0
     moved = compliance @ by_component(solution.force_n - expected)
     assert np.abs(moved).max() < 1.5 * TOLERANCE_M
+
+
+def test_what_cannot_be_solved_says_so_and_is_close() -> None:
+    markers = flat_markers()
+    contact = contact_of(0.4, len(markers))
+    history = fresh_history(markers, pressed(-1.0e-6))
+    pose = pressed(0.2e-3, 0.3e-3)
+    known, _ = solved(contact, markers, pose, history)
+    # Single precision cannot tell so little apart.
+    rough, _ = solved(contact, markers, pose, history, tolerance_m=1.0e-15)
+    assert not rough.is_solved
+    assert np.abs(rough.force_n - known.force_n).max() < 1e-3 * np.abs(known.force_n).max()
 
 
 def test_one_marker_takes_the_force_of_two_springs_in_series() -> None:

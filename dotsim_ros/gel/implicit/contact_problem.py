@@ -68,12 +68,14 @@ class ContactSolution:
         response: at the positions that f causes.
         lag: what limits friction.
         iterations: of Newton's method.
+        is_solved: whether the tolerance was met; if not, it is the best that was found.
     """
 
     force_n: FloatArray
     response: ContactResponse
     lag: Lag
     iterations: int
+    is_solved: bool
 
 
 def by_component(vectors: FloatArray) -> FloatArray:
@@ -244,10 +246,11 @@ class _ContactProblem:
         )
         return corrected, _Correction(step, scale)
 
-    def solution(self, state: _ContactState) -> ContactSolution:
+    def solution(self, state: _ContactState, is_solved: bool) -> ContactSolution:
         """Return what a state amounts to."""
         lag = Lag(state.response.pressure_pa, state.response.normal)
-        return ContactSolution(self.force_n + state.change, state.response, lag, self.iterations)
+        force = self.force_n + state.change
+        return ContactSolution(force, state.response, lag, self.iterations, is_solved)
 
 
 def solve_contact(
@@ -292,7 +295,8 @@ def solve_contact(
         best = min(best, _corrected(problem, known, tolerance_m), key=lambda found: found[0])
         lag = Lag(known.response.pressure_pa, known.response.normal)
         state, close_m = problem.limited(known, lag), CLOSER * close_m
-    return problem.solution(best[1])
+    left_m, state = best
+    return problem.solution(state, left_m < tolerance_m)
 
 
 def linear_contact(

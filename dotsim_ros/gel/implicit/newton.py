@@ -147,7 +147,7 @@ class _NewtonStep:
     """A step of the nodes (N, 3), of the forces on the patch's markers (C, 3), and of what the
     refinement adds under them (C, 3); where it takes the markers (C, 3), how the indenter answers
     there under which lag; how far it moves any marker that took part; the energy's slope along
-    it."""
+    it; whether the contact was solved."""
 
     displacement_m: FloatArray
     force_n: FloatArray
@@ -157,6 +157,7 @@ class _NewtonStep:
     lag: Lag
     largest_m: float
     slope_j: float
+    is_solved: bool = True
 
 
 def _after(point: Point, step: _NewtonStep) -> Guess:
@@ -219,7 +220,8 @@ class EquilibriumSearch:
             if last_m < np.inf:
                 measured = step.largest_m / last_m
                 self.contraction = float(np.clip(measured, SMALLEST_CONTRACTION, 1.0))
-            if step.largest_m * self.contraction < LEFT_SHARE * self.solver.tolerance_m:
+            left_m = step.largest_m * self.contraction
+            if step.is_solved and left_m < LEFT_SHARE * self.solver.tolerance_m:
                 self.trace.moves.append((step.largest_m, 1.0))
                 return self._ended(self._after(point, step)), iteration, True
             trial, scale = self._search_line(point, step)
@@ -313,7 +315,17 @@ class EquilibriumSearch:
         response = self.problem.respond(patch.marker, position, renewed)
         self.trace.add("solve", clock)
         largest = float(np.abs(moved[rows]).max())
-        return _NewtonStep(displacement, force, added, position, response, renewed, largest, slope)
+        return _NewtonStep(
+            displacement,
+            force,
+            added,
+            position,
+            response,
+            renewed,
+            largest,
+            slope,
+            solution.is_solved,
+        )
 
     def _linear(
         self, point: Point, patch: Patch, rows: NDArray[np.int64]
@@ -345,7 +357,7 @@ class EquilibriumSearch:
             response = respond(near.marker, point.position_m[rows], now)
             compliance = near.compliance(factor.between(near.node))
             linear = linear_contact(compliance, free, force, response)
-            return ContactSolution(linear, response, now, 1)
+            return ContactSolution(linear, response, now, 1, True)
         answers = Answers(
             lambda position, limit: respond(near.marker, position, limit),
             lambda position: respond_now(near.marker, position),
