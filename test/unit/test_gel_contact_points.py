@@ -35,11 +35,16 @@ def near_the_apex(skin: SkinMesh, reach_m: float) -> IndexArray:
     return np.flatnonzero(gap < reach_m).astype(np.int32)
 
 
-def bearers(skin: SkinMesh, indenter: Indenter, reach_m: float = 5.5e-3) -> IndexArray:
+def bearers(
+    skin: SkinMesh, indenter: Indenter, reach_m: float = 5.5e-3, pressed_m: float = np.inf
+) -> IndexArray:
     marker = near_the_apex(skin, reach_m)
     height = skin.apex_m[2] - 1.0e-3
     return ContactPoints(skin).bearers(
-        marker, skin.rest_position_m[marker], lambda x: normals_of(indenter, height, x)
+        marker,
+        skin.rest_position_m[marker],
+        np.isin(marker, near_the_apex(skin, pressed_m)),
+        lambda x: normals_of(indenter, height, x),
     )
 
 
@@ -53,6 +58,14 @@ def test_under_a_flat_face_fewer_bear_for_the_same_area(skin: SkinMesh) -> None:
     assert np.array_equal(bearer[alone], np.flatnonzero(alone))
     far = np.linalg.norm(skin.rest_position_m - skin.rest_position_m[bearer], axis=1)
     assert far.max() < SPACING_M
+
+
+def test_none_bears_for_others_that_is_not_pressed_itself(skin: SkinMesh) -> None:
+    every = np.arange(skin.vertex_count)
+    bearer = bearers(skin, flat_punch(PUNCH_RADIUS_M, 0.02, 3.0e-4), pressed_m=2.0e-3)
+    given = bearer != every
+    assert given.any()
+    assert np.isin(bearer[given], near_the_apex(skin, 2.0e-3)).all()
 
 
 def test_beside_an_edge_every_marker_bears_its_own(skin: SkinMesh) -> None:

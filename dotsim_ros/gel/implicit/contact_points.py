@@ -24,16 +24,22 @@ TURN = 0.02
 
 
 class ContactPoints:
-    """The markers that may bear the contact of a skin."""
+    """The markers that may bear the contact of a skin.
 
-    def __init__(self, skin: SkinMesh) -> None:
+    Args:
+        skin: whose markers they are.
+        spacing_m: least distance of those that bear for others; with 0 each bears its own.
+    """
+
+    def __init__(self, skin: SkinMesh, spacing_m: float = SPACING_M) -> None:
         self._rest_area_m2 = skin.rest_area_m2
-        self._bearer = _bearers(skin.rest_position_m, ~skin.on_base)
+        self._bearer = _bearers(skin.rest_position_m, ~skin.on_base, spacing_m)
 
     def bearers(
         self,
         marker: IndexArray,
         position_m: FloatArray,
+        is_pressed: BoolArray,
         normals: Callable[[FloatArray], FloatArray],
     ) -> IndexArray:
         """Return which marker (V,) bears what presses on each of the skin: most of them themselves.
@@ -41,11 +47,13 @@ class ContactPoints:
         Args:
             marker: (C,) numbers of those that may touch.
             position_m: (C, 3) where they are.
+            is_pressed: (C,) whether they are, or will be unless they move: where the contact ends
+                every marker bears its own, or some would sink in.
             normals: the indenter's at positions (C, 3) of these.
         """
         bearer = np.arange(len(self._bearer), dtype=np.int32)
-        given = marker[_is_flat(position_m, normals)]
-        given = given[np.isin(self._bearer[given], marker)]
+        given = marker[is_pressed & _is_flat(position_m, normals)]
+        given = given[np.isin(self._bearer[given], marker[is_pressed])]
         bearer[given] = self._bearer[given]
         return bearer
 
@@ -63,7 +71,7 @@ def borne(force_n: FloatArray, bearer: IndexArray) -> FloatArray:
     return result
 
 
-def _bearers(position_m: FloatArray, is_free: BoolArray) -> IndexArray:
+def _bearers(position_m: FloatArray, is_free: BoolArray, spacing_m: float) -> IndexArray:
     """Return for each marker the one of a coarser choice that is nearest to it."""
     free = np.flatnonzero(is_free)
     bearer = np.arange(len(position_m), dtype=np.int32)
@@ -72,7 +80,7 @@ def _bearers(position_m: FloatArray, is_free: BoolArray) -> IndexArray:
     is_chosen = np.zeros(len(free), dtype=bool)
     is_left = np.ones(len(free), dtype=bool)
     for number, near in enumerate(
-        cKDTree(position_m[free]).query_ball_point(position_m[free], SPACING_M)
+        cKDTree(position_m[free]).query_ball_point(position_m[free], spacing_m)
     ):
         if is_left[number]:
             is_chosen[number] = True

@@ -532,6 +532,7 @@ class ImplicitGel:
         world.bearer = self.points.bearers(
             marker,
             world.skin_position_m[marker],
+            (distance[marker] < 0.0) | (world.history.pressure_pa[marker] > 0.0),
             lambda position_m: self._answer(world, pose, marker, position_m).normal,
         )
         self.contact.set_area(self.points.area_m2(world.bearer))
