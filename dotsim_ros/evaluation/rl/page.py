@@ -67,9 +67,10 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
             "",
             markdown_table(["policy"], seeds, SEED_COLUMNS),
             "",
-            "Minutes are of one core of the machine named below, with another training beside it; "
-            "the paper states 15 minutes and no success rate. Minutes to 90 %: until 90 % of the "
-            "last 50 episodes, which explore, got there.",
+            "Minutes are of one core of the machine named below, which had other work beside it; "
+            f"{figures['steps_per_second']} steps a second with learning. The paper states 15 "
+            "minutes and no success rate. Minutes to 90 %: until 90 % of the last 50 episodes, "
+            "which explore, got there.",
             "",
             f"![success against steps]({curve})",
             "",

@@ -66,6 +66,9 @@ def run_study(
 ) -> dict[str, Any]:
     """Return the figures of a study; what is kept of it in `folder` is not done again.
 
+    `success_rate` is that in the world that was learnt in, with its deviation between the seeds;
+    `minutes` is what the longest training took, and `steps_per_second` holds for all of them.
+
     Args:
         study: what is asked.
         folder: its `kept_folder`.
@@ -85,10 +88,16 @@ def run_study(
     learnt = [rows[seed] for seed in range(study.seeds)]
     blind = [row for of, row in rows.items() if isinstance(of, str)]
     constant = [row for row in blind if row["name"] != BLIND]
+    success_in = {world: _summary([row["success"][world] for row in learnt]) for world in WORLDS}
     return {
         "study": asdict(study),
         "learnt": learnt,
-        "success": {world: _summary([row["success"][world] for row in learnt]) for world in WORLDS},
+        "success_rate": {key: success_in[AS_LEARNT][key] for key in ("mean", "std")},
+        "minutes": max(row["minutes"] for row in learnt),
+        "steps_per_second": round(
+            sum(row["steps"] for row in learnt) / sum(row["seconds"] for row in learnt), 1
+        ),
+        "success": success_in,
         "random_success": next(row for row in blind if row["name"] == BLIND)["success"][AS_LEARNT],
         "best_single_move": max(constant, key=lambda row: row["success"][AS_LEARNT]),
     }
@@ -114,6 +123,7 @@ def learnt_row(study: Study, folder: Path, seed: int) -> dict[str, Any]:
         "success": {world: success(episodes) for world, episodes in judged.items()},
         "frames": _mean_frames(judged[AS_LEARNT]),
         "steps": progress.steps,
+        "seconds": progress.seconds,
         "minutes": round(progress.seconds / 60.0, 1),
         "minutes_to_90": minutes_to(progress, 0.9),
         "curve": progress.curve,
