@@ -33,11 +33,12 @@ def rl_page(figures: Mapping[str, Any], curve: str, rollout: str) -> str:
         ([f"PPO, {world}"], {"success": row["mean"], **row, **common})
         for world, row in ((world, figures["success"][world]) for world in WORLDS)
     ]
-    rows.append((["random moves"], {"success": figures["random_success"], **common, "policies": 1}))
+    blind = {"policies": 1, "episodes": figures["blind_episodes"]}
+    rows.append((["random moves"], {"success": figures["random_success"], **blind}))
     rows.append(
         (
             [f"the best single move ({best['name']})"],
-            {"success": best["success"][AS_LEARNT], **common, "policies": 1},
+            {"success": best["success"][AS_LEARNT], **blind},
         )
     )
     seeds = [

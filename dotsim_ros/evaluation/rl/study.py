@@ -30,6 +30,8 @@ from dotsim_ros.worker_pool import open_worker_pool
 FIRST_EPISODE = 1_000_000
 """Seed of the first episode that policies are judged on; training draws its own below."""
 BLIND = "random moves"
+BLIND_EPISODES = 40
+"""At most, of each kind of blind moves: they mostly play to the end, three times as long."""
 DECIDED_BY = (
     "dotsim_ros.tasks.environments.box_yaw",
     "dotsim_ros.tasks.environments.reinforcement",
@@ -58,7 +60,12 @@ class Study:
     episodes: int = 100
 
     def judged_on(self) -> range:
+        """Return the seeds of the episodes that policies are judged on."""
         return range(FIRST_EPISODE, FIRST_EPISODE + self.episodes)
+
+    def blind_on(self) -> range:
+        """Return the seeds of the episodes that blind moves are judged on, the first of these."""
+        return self.judged_on()[:BLIND_EPISODES]
 
 
 def run_study(
@@ -92,6 +99,7 @@ def run_study(
     return {
         "study": asdict(study),
         "learnt": learnt,
+        "blind_episodes": len(study.blind_on()),
         "success_rate": {key: success_in[AS_LEARNT][key] for key in ("mean", "std")},
         "minutes": max(row["minutes"] for row in learnt),
         "steps_per_second": round(
@@ -141,11 +149,11 @@ def blind_row(study: Study, folder: Path, name: str) -> dict[str, Any]:
 
     def play() -> list[Episode]:
         world = make_world(study.settings)
-        played = run_episodes(world, move, study.judged_on())
+        played = run_episodes(world, move, study.blind_on())
         world.close()
         return played
 
-    episodes = _kept(folder / f"{_file_name(name)}-{study.episodes}.json", play)
+    episodes = _kept(folder / f"{_file_name(name)}-{len(study.blind_on())}.json", play)
     return {
         "name": name,
         "success": {AS_LEARNT: success(episodes)},
