@@ -33,8 +33,8 @@ class ClassifierSettings:
         shift_px: largest shift of an image, pixels of what it sees.
     """
 
-    width_px: int = 80
-    height_px: int = 60
+    width_px: int = 64
+    height_px: int = 48
     epochs: int = 25
     learning_rate: float = 3e-3
     noise_levels: float = 1.2
