@@ -194,8 +194,8 @@ def _add_classification_arguments(classification: argparse.ArgumentParser) -> No
     )
     add("--domains", nargs="+", choices=DOMAINS, default=list(DOMAINS), help="which (all)")
     add("--classifiers", type=int, default=5, help="of each row (5)")
-    add("--presses", type=int, default=40, help="simulated presses of each indenter (40)")
-    add("--epochs", type=int, default=25, help="of a classifier's training (25)")
+    add("--presses", type=int, default=60, help="simulated presses of each indenter (60)")
+    add("--epochs", type=int, default=60, help="of a classifier's training (60)")
     add("--workers", type=int, default=2, help="processes (2)")
     add(
         "--gelsight",

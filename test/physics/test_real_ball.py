@@ -70,7 +70,7 @@ def test_every_real_press_is_told_once_a_seed(recording: Path, tmp_path: Path) -
         models=("taxim",),
         touches=5,
         seeds=2,
-        classifier=ClassifierSettings(width_px=40, height_px=32, epochs=1),
+        classifier=ClassifierSettings(side_px=32, epochs=1),
     )
     told: list[str] = []
     found = evaluate_real_ball(study, tmp_path / "state", tell=told.append, sensor=COARSE)

@@ -50,10 +50,11 @@ def classification_page(figures: Mapping[str, Any], picture: str) -> str:
         "at random places of the sensor's gel, rendered by each image model, every fifth left out. "
         "All indenters are pressed equally deep. They are judged on measured images with contact, "
         f"of trajectories that no image model was fitted on. {study['seeds']} classifiers a row "
-        "differ in their weights and the order of the images. What a classifier sees is the "
-        "difference to the idle image; network, training and noise are the same in every row, and "
-        "nothing was chosen by the measured images. `bound` learns from measured images of "
-        "other trajectories.",
+        "differ in their weights and the order of the images. What a classifier sees is a window "
+        "of the difference to the idle image, around where it is largest, turned at random while "
+        "learning; network, training and noise are the same in every row, and were chosen by "
+        "simulated touches that were not learnt from, not by measured ones. `bound` learns from "
+        "measured images of other trajectories.",
         "",
         f"`{study['data']}` is a synthetic stand-in for a real sensor. The paper's figures are of "
         "its own sensor, indenters and classifier: they say what it reports, no more.",
@@ -119,8 +120,7 @@ def _real_ball(found: Mapping[str, Any]) -> list[str]:
         "but the ball was recorded, so the right answer is always the same one: the second figure "
         "is of touches by the *other* shapes, drawn by an image model that the classifier did not "
         "learn from, fitted on the half that is judged. Chance is one in "
-        f"{len(found['classes'])}. Differences are taken from the median of their image, since "
-        "the light drifted after the idle image was taken.",
+        f"{len(found['classes'])}.",
         "",
         markdown_table(["images"], rows, BALL_COLUMNS),
         "",

@@ -13,7 +13,7 @@ ball.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray, IntArray
+from dotsim_ros.arrays import FloatArray, ImageArray, IntArray
 from dotsim_ros.evaluation.classification.classifier import (
     ClassifierSettings,
     classified,
@@ -89,7 +89,7 @@ class BallStudy:
         models: image models, of `MODELS`.
         touches: simulated, of each shape.
         seeds: classifiers of each model and half.
-        classifier: how they are trained; its size is turned to the recording's upright images.
+        classifier: how they are trained.
         fit: how image models are fitted.
     """
 
@@ -131,11 +131,6 @@ def evaluate_real_ball(
     touches, labels = simulated_pad_touches(scene, sensor, study.touches, study.fit.seed)
     tell(f"{len(touches)} simulated touches beside {len(presses)} real presses of a ball")
     names = tuple(SHAPES)
-    upright = replace(
-        study.classifier,
-        width_px=study.classifier.height_px,
-        height_px=study.classifier.width_px,
-    )
     drawn = {
         (model, half): _drawn(
             model,
@@ -150,7 +145,7 @@ def evaluate_real_ball(
     }
     rows = {}
     for model in study.models:
-        rows[model] = row = _row(model, drawn, presses, idle, labels, upright, study)
+        rows[model] = row = _row(model, drawn, presses, idle, labels, study)
         tell(
             f"{model}: {100.0 * row['called_ball']['mean']:.1f} % of the real presses called a "
             f"ball, and {100.0 * row['others_called_ball']['mean']:.1f} % of other shapes"
@@ -170,10 +165,9 @@ def _row(
     presses: Sequence[BallPress],
     idle: ImageArray,
     labels: IntArray,
-    settings: ClassifierSettings,
     study: BallStudy,
 ) -> dict[str, Any]:
-    ball = list(SHAPES).index(BALL)
+    settings, ball = study.classifier, list(SHAPES).index(BALL)
     apart = np.arange(len(labels)) % APART == 0
     others = labels != ball
     real: list[list[int]] = [[] for _ in range(study.seeds)]
@@ -182,13 +176,13 @@ def _row(
     right = np.zeros((study.seeds, FOLDS))
     for half in range(FOLDS):
         random = np.random.default_rng([study.fit.seed, half])
-        seen = _centred(touched(drawn[model, half], idle, settings, random))
+        seen = touched(drawn[model, half], idle, settings, random)
         # By another model, which was fitted on the half that is judged.
         strange = drawn[OTHER_MODEL[model], 1 - half][others]
-        strange_seen = _centred(touched(strange, idle, settings, random))
+        strange_seen = touched(strange, idle, settings, random)
         judged = np.stack([press.image for press in presses[half::FOLDS]])
-        judged_seen = _centred(touched_as_taken(judged, idle, settings))
-        blank = _centred(touched_as_taken(idle[None], idle, settings))
+        judged_seen = touched_as_taken(judged, idle, settings)
+        blank = touched_as_taken(idle[None], idle, settings)
         for seed in range(study.seeds):
             network = train_classifier(
                 seen[~apart], labels[~apart], len(SHAPES), settings, study.fit.seed + seed
@@ -209,14 +203,6 @@ def _row(
 
 def _summary(shares: FloatArray) -> dict[str, float]:
     return {"mean": float(shares.mean()), "std": float(shares.std())}
-
-
-def _centred(seen: Float32Array) -> Float32Array:
-    """Return differences to the idle image (F, 3, h, w) without what they have everywhere.
-
-    The light of the real sensor drifted between its idle image and the presses.
-    """
-    return seen - np.median(seen, axis=(2, 3), keepdims=True)
 
 
 def _drawn(
