@@ -27,8 +27,8 @@ def test_a_touch_is_seen_alike_wherever_it_lies() -> None:
     seen = touched_as_taken(np.stack([disc(60, 50), disc(102, 74)]), IDLE, SETTINGS)
     assert seen.shape == (2, 4, 30, 30)
     assert np.allclose(seen[0], seen[1], atol=0.1)
-    # The disc is as wide as the half of the window.
-    assert np.mean(seen[0, 3] > 0.3) == pytest.approx(np.pi / 16.0, rel=0.15)
+    # The disc is 31 pixels wide, the window half of the image's height.
+    assert np.mean(seen[0, 3] > 0.5) == pytest.approx(np.pi * (15.5 / 60.0) ** 2, rel=0.1)
 
 
 def test_light_on_the_whole_image_is_not_seen() -> None:
