@@ -178,8 +178,8 @@ def _agent(settings: PpoSettings, space: Any, actions: Any) -> PPO:
         gae_lambda=settings.discount,
         entropy_loss_scale=settings.entropy_share,
         value_loss_scale=VALUE_SHARE,
-        # Held near its old values, the value does not learn which edge is touched before the policy
-        # has settled on a move that serves one of them alone.
+        # The value is to learn which edge is touched before the policy has settled on a move that
+        # serves one of them alone; held near its old values, it learns slowly.
         value_clip=0.0,
         observation_preprocessor=SeenScaler,
         observation_preprocessor_kwargs={"size": space, "device": "cpu"},
