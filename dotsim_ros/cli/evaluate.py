@@ -12,7 +12,8 @@ effects in measured presses and lets the gap finder look for them; it writes gap
 on and on others; a trial that was run before is not run again. `rl` learns policies by
 reinforcement that turn a box, and judges them in worlds that they never saw; what was learnt before
 is not learnt again. `classification` lets classifiers learn which indenter touches from each image
-model's images, and judges them on measured ones; a row that was made before is not made again.
+model's images, and judges them on measured ones (`--gelsight` adds real ones of a ball); a row that
+was made before is not made again.
 docs/evaluation.md says what the figures mean.
 
 examples:
@@ -27,7 +28,7 @@ examples:
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
   dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
-  dotsim_ros evaluate classification --data DIR --sensor sensor_a --out docs/results
+  dotsim_ros evaluate classification --data DIR --sensor FOLDER --gelsight DIR --out docs/results
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ import os
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ IMAGE_MODELS = (
 OPTIONAL_MODELS = ("unet",)
 LEVELS = ("easy", "medium", "hard")
 CLASSIFIED_BY = (
-    "measured",
+    "bound",
     "idle",
     "tacto",
     "taxim",
@@ -72,7 +73,7 @@ CLASSIFIED_BY = (
     "ours",
 )
 BLIND_OR_SLOW = ("idle", "paper_direct", "unet")
-DOMAINS = ("in_domain", "out_of_domain", "all_indenters")
+DOMAINS = ("in_domain", "out_of_domain", "all_six")
 MOTIONS = ("line", "arc", "figure_eight", "press")
 SENSORS = ("simulated", "transferred", "shifted", "reality")
 CLOCKS = ("simulated", "realtime")
@@ -195,9 +196,16 @@ def _add_classification_arguments(classification: argparse.ArgumentParser) -> No
     )
     add("--domains", nargs="+", choices=DOMAINS, default=list(DOMAINS), help="which (all)")
     add("--classifiers", type=int, default=5, help="of each row (5)")
-    add("--presses", type=int, default=40, help="simulated presses of each indenter (40)")
-    add("--epochs", type=int, default=25, help="of a classifier's training (25)")
+    add("--presses", type=int, default=60, help="simulated presses of each indenter (60)")
+    add("--epochs", type=int, default=60, help="of a classifier's training (60)")
     add_worker_arguments(classification)
+    add(
+        "--gelsight",
+        type=Path,
+        metavar="DIR",
+        help="real presses of a ball on a flat sensor, to be told as well (left out)",
+    )
+    add("--images", type=Path, default=Path("docs/images"), help="folder of the picture")
 
 
 def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
@@ -593,7 +601,9 @@ def _trajectory(arguments: argparse.Namespace) -> int:
 def _classification(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.classification.classifier import ClassifierSettings
     from dotsim_ros.evaluation.classification.page import classification_page
+    from dotsim_ros.evaluation.classification.pictures import write_confusions
     from dotsim_ros.evaluation.classification.presses import PressPlan
+    from dotsim_ros.evaluation.classification.real_ball import BallStudy, evaluate_real_ball
     from dotsim_ros.evaluation.classification.study import Study, run_study
     from dotsim_ros.evaluation.optics.models import FitSettings
     from dotsim_ros.files import cache_directory
@@ -610,7 +620,18 @@ def _classification(arguments: argparse.Namespace) -> int:
     )
     kept = arguments.cache or cache_directory() / "classification"
     figures = run_study(study, kept, workers=crew_of(arguments), tell=_say)
-    return _write(arguments, figures, {"sensor": study.sensor}, classification_page)
+    if arguments.gelsight is not None:
+        ball = BallStudy(
+            arguments.gelsight,
+            seeds=study.seeds,
+            classifier=study.classifier,
+            fit=study.fit,
+        )
+        figures["real_ball"] = evaluate_real_ball(ball, kept / "real_ball", tell=_say)
+    picture = arguments.images / "classification.png"
+    write_confusions(picture, figures, study.domains)
+    page = partial(classification_page, picture=os.path.relpath(picture, arguments.out))
+    return _write(arguments, figures, {"sensor": study.sensor}, page)
 
 
 def _rl(arguments: argparse.Namespace) -> int:

@@ -71,7 +71,7 @@ def unit(sensor: SensorSpecification, tmp_path_factory: pytest.TempPathFactory) 
 
 
 def classify(unit: Path, out: Path, *given: str) -> int:
-    places = ["--out", f"{out}/out", "--cache", f"{out}/kept"]
+    places = ["--out", f"{out}/out", "--cache", f"{out}/kept", "--images", f"{out}/images"]
     source = ["--data", str(unit / "data"), "--sensor", str(unit / "small.yaml")]
     few = ["--classifiers", "2", "--presses", "5", "--epochs", "2", "--workers", "1"]
     return main(["evaluate", "classification", *source, *few, *places, *given])
@@ -80,13 +80,16 @@ def classify(unit: Path, out: Path, *given: str) -> int:
 def test_a_table_is_printed_kept_and_not_made_again(
     unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert classify(unit, tmp_path, "--models", "measured", "idle") == 0
+    assert classify(unit, tmp_path, "--models", "bound", "idle") == 0
     page = capsys.readouterr().out
     assert (tmp_path / "out" / "classification.md").read_text("utf-8") in page
     found: dict[str, Any] = json.loads((tmp_path / "out" / "classification.json").read_text())
-    assert list(found["domains"]) == list(DOMAINS)
-    for name, rows in found["domains"].items():
-        classes = 3 if name == "all_indenters" else 2
+    assert "(../images/classification.png)" in page
+    assert cv2.imread(str(tmp_path / "images" / "classification.png")) is not None
+    assert set(DOMAINS) < set(found)
+    for name in DOMAINS:
+        rows = found[name]
+        classes = 3 if name == "all_six" else 2
         for model, row in rows.items():
             assert f"| {model} |" in page
             # Each indenter was filmed twice, with two frames in contact.
@@ -94,16 +97,16 @@ def test_a_table_is_printed_kept_and_not_made_again(
             assert row["trajectories"] == 2 * classes
             assert np.sum(row["confusion"]) == 2 * row["frames"]
             told_right = np.trace(row["confusion"]) / (2 * row["frames"])
-            assert row["accuracy"] == pytest.approx(told_right)
-            assert (row["simulated"] is None) == (model == "measured")
+            assert row["mean"] == pytest.approx(told_right)
+            assert (row["simulated"] is None) == (model == "bound")
         # The idle image shows no touch, so whatever is learnt from it tells nothing apart.
-        assert rows["idle"]["balanced_accuracy"] == pytest.approx(1.0 / classes)
+        assert rows["idle"]["balanced"]["mean"] == pytest.approx(1.0 / classes)
     # Out of the domain nothing measured of the classes is there to learn from: the same bound.
-    bounds = [found["domains"][name]["measured"] for name in ("in_domain", "out_of_domain")]
+    bounds = [found[name]["bound"] for name in ("in_domain", "out_of_domain")]
     assert bounds[0]["seeds"] == bounds[1]["seeds"]
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "kept").rglob("*.json")}
     assert len(kept) == 2 * len(DOMAINS)
-    assert classify(unit, tmp_path, "--models", "measured", "idle") == 0
+    assert classify(unit, tmp_path, "--models", "bound", "idle") == 0
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
 
 

@@ -1,5 +1,9 @@
 """Learning by touch, in small: it runs, goes on where it was, and refuses what it cannot take."""
 
+import json
+import subprocess
+import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -45,6 +49,26 @@ def test_it_goes_on_where_it_was(folder: Path) -> None:
     assert len(told) == 1
     assert any(not torch.equal(before[name], after[name]) for name in before)
     assert not list(folder.glob("*part*"))
+
+
+def test_a_killed_training_goes_on(tmp_path: Path) -> None:
+    program = (
+        "import sys; from pathlib import Path; import torch; torch.set_num_threads(1); "
+        "from dotsim_ros.tasks.environments.reinforcement import PpoSettings, train; "
+        f"train({SMALL!r}, Path(sys.argv[1]), steps=10**6)"
+    )
+    running = subprocess.Popen([sys.executable, "-c", program, str(tmp_path)])
+    checkpoint, seen = tmp_path / CHECKPOINT, set()
+    deadline = time.monotonic() + 120.0
+    while len(seen) < 3 and time.monotonic() < deadline and running.poll() is None:
+        seen |= {checkpoint.stat().st_mtime_ns} if checkpoint.is_file() else set()
+        time.sleep(0.02)
+    running.kill()
+    running.wait()
+    assert len(seen) == 3
+    done = json.loads(torch.load(checkpoint, weights_only=True)["progress"])["steps"]
+    assert done >= 2 * SMALL.rollout
+    assert train(SMALL, tmp_path, steps=done + SMALL.rollout).steps == done + SMALL.rollout
 
 
 def test_a_policy_is_judged_on_given_seeds(folder: Path) -> None:

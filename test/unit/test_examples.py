@@ -66,6 +66,14 @@ def test_a_ball_rests_on_the_sensor_in_a_mujoco_world(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "touch.png")).shape == (480, 640, 3)
 
 
+def test_a_task_of_ones_own_is_solved_by_touch() -> None:
+    printed = run("your_own_task.py")
+    rewards = [float(reward) for reward in re.findall(r"reward (-[\d.]+)", printed)]
+    assert 2 < len(rewards) < 30
+    assert rewards[-1] > -0.02 > max(rewards[:-1])
+    assert number_before("mm", printed) < 0.5
+
+
 def test_a_mesh_of_ones_own_presses(tmp_path: Path) -> None:
     assert number_before("N", run("your_own_stl.py", tmp_path)) > 1.0
     again = run("your_own_stl.py", tmp_path / "given", tmp_path / "hexagon.stl")

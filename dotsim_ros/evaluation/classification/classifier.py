@@ -15,8 +15,12 @@ from dotsim_ros.arrays import Float32Array, ImageArray, IntArray
 
 GREY_LEVELS = 24.0
 """Of a difference that counts as one: about what a press changes."""
-CHANNELS = (3, 24, 48, 64, 96)
+CHANNELS = (4, 24, 48, 64, 96)
 BATCH = 32
+WINDOW_SHARE = 0.5
+"""Side of the window around a touch, of the image's shorter side."""
+BLUR_SHARE = 0.04
+"""Deviation of the blur before the touch is looked for, of the image's shorter side."""
 
 
 @dataclass(frozen=True)
@@ -24,28 +28,29 @@ class ClassifierSettings:
     """How a classifier is trained; the same for every row.
 
     Attributes:
-        width_px, height_px: of what it sees.
+        side_px: of the window that it sees.
         epochs: over the images to learn from.
         learning_rate: the largest of a cycle.
         noise_levels: deviation of the noise added to each pixel of simulated images, grey levels:
             that of the camera.
         gain: largest relative change of a whole image's difference, drawn for each image.
-        shift_px: largest shift of an image, pixels of what it sees.
+        stretch: largest relative change of its size, drawn for each image.
     """
 
-    width_px: int = 80
-    height_px: int = 60
-    epochs: int = 25
+    side_px: int = 32
+    epochs: int = 60
     learning_rate: float = 3e-3
     noise_levels: float = 1.2
     gain: float = 0.15
-    shift_px: int = 1
+    stretch: float = 0.1
 
 
 def touched(
     images: ImageArray, idle: ImageArray, settings: ClassifierSettings, random: np.random.Generator
 ) -> Float32Array:
-    """Return what a touch adds to the idle image, small, (F, 3, h, w).
+    """Return what a touch adds to the idle image, in a window around it, (F, 4, side, side).
+
+    The fourth channel is the size of the change, whatever its colour.
 
     Args:
         images: (F, H, W, 3), simulated.
@@ -67,12 +72,32 @@ def touched_as_taken(
 def _differences(
     images: Float32Array, idle: ImageArray, settings: ClassifierSettings
 ) -> Float32Array:
-    size = (settings.width_px, settings.height_px)
-    small = [
-        cv2.resize(image - idle.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-        for image in images
-    ]
-    return np.ascontiguousarray(np.stack(small).transpose(0, 3, 1, 2) / GREY_LEVELS)
+    windows = [_window(image - idle.astype(np.float32), settings.side_px) for image in images]
+    seen = np.stack(windows) / GREY_LEVELS
+    size = np.sqrt(np.square(seen).mean(axis=-1, keepdims=True))
+    return np.ascontiguousarray(np.concatenate([seen, size], axis=-1).transpose(0, 3, 1, 2))
+
+
+def _window(change: Float32Array, side_px: int) -> Float32Array:
+    """Return a change (H, W, 3) around where it is largest, (side, side, 3).
+
+    What it has everywhere is taken away first: light drifts, and a window must not tell by it.
+    """
+    change = change - np.median(change, axis=(0, 1)).astype(np.float32)
+    shorter = min(change.shape[:2])
+    # What the pattern does by moving averages out; what the light does stays.
+    smooth = cv2.GaussianBlur(change, (0, 0), BLUR_SHARE * shorter)
+    size = np.square(smooth).sum(axis=-1)
+    peak = np.unravel_index(size.argmax(), size.shape)
+    _, parts, _, centres = cv2.connectedComponentsWithStats(
+        (size >= 0.5 * size[peak]).astype(np.uint8)
+    )
+    centre = centres[parts[peak]]
+    scale = side_px / (WINDOW_SHARE * shorter)
+    small = cv2.resize(change, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    moved = 0.5 * (side_px - 1) - ((centre + 0.5) * scale - 0.5)
+    shift = np.array([[1.0, 0.0, moved[0]], [0.0, 1.0, moved[1]]])
+    return np.asarray(cv2.warpAffine(small, shift, (side_px, side_px)), dtype=np.float32)
 
 
 class TouchClassifier(nn.Module):
@@ -92,7 +117,7 @@ class TouchClassifier(nn.Module):
         self.head = nn.Linear(2 * CHANNELS[-1], classes)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
-        """Return the classes' logits (F, classes) of (F, 3, h, w)."""
+        """Return the classes' logits (F, classes) of (F, 4, side, side)."""
         found = self.features(seen).flatten(2)
         pooled = torch.cat([found.mean(dim=2), found.amax(dim=2)], dim=1)
         logits: torch.Tensor = self.head(self.drop(pooled))
@@ -109,7 +134,7 @@ def train_classifier(
     """Return a classifier of images.
 
     Args:
-        seen: (F, 3, h, w), what touches add.
+        seen: (F, 4, side, side), what touches add.
         labels: (F,) from 0.
         classes: how many there are.
         settings: of the training.
@@ -139,15 +164,25 @@ def train_classifier(
 
 
 def _changed(images: torch.Tensor, settings: ClassifierSettings) -> torch.Tensor:
-    """Return images a little brighter or dimmer, and shifted."""
-    gains = 1.0 + settings.gain * (2.0 * torch.rand(len(images), 1, 1, 1) - 1.0)
-    reach = settings.shift_px
-    shift = torch.randint(-reach, reach + 1, (2,)).tolist()
-    return gains * torch.roll(images, shift, dims=(2, 3))
+    """Return images a little brighter or dimmer, larger or smaller, and turned at random.
+
+    How a touch lies and from where its light comes tell nothing of its shape.
+    """
+    count = len(images)
+    gains, sizes = (
+        1.0 + reach * (2.0 * torch.rand(count) - 1.0) for reach in (settings.gain, settings.stretch)
+    )
+    turns = 2.0 * torch.pi * torch.rand(count)
+    cos, sin = sizes * torch.cos(turns), sizes * torch.sin(turns)
+    none = torch.zeros(count)
+    rows = torch.stack([cos, -sin, none, sin, cos, none], dim=1).reshape(count, 2, 3)
+    places = nn.functional.affine_grid(rows, list(images.shape), align_corners=False)
+    turned = nn.functional.grid_sample(images, places, align_corners=False)
+    return gains[:, None, None, None] * turned
 
 
 def classified(network: TouchClassifier, seen: Float32Array) -> IntArray:
-    """Return the class (F,) of each image (F, 3, h, w)."""
+    """Return the class (F,) of each image (F, 4, side, side)."""
     with torch.no_grad():
         logits = [network(part) for part in torch.from_numpy(seen).split(BATCH)]
     return np.asarray(torch.cat(logits).argmax(dim=1).numpy())

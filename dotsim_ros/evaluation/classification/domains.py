@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from dotsim_ros.evaluation.optics.split import UNSEEN_RANKS, FrameKey, Recorded
 
-DOMAINS = ("in_domain", "out_of_domain", "all_indenters")
+DOMAINS = ("in_domain", "out_of_domain", "all_six")
+"""The last takes all indenters, of which the stand-in for a real sensor has six."""
 FOLDS = 2
 
 
@@ -64,7 +65,7 @@ def domain_of(name: str, trajectories: Iterable[Recorded]) -> Domain:
         apart = [trajectory for trajectory in ordered if trajectory.indenter in two]
         others = [trajectory for trajectory in ordered if trajectory.indenter not in two]
         return Domain(name, two, (Fold(_frames(others), _frames(apart)),))
-    classes = tuple(indenters) if name == "all_indenters" else two
+    classes = tuple(indenters) if name == "all_six" else two
     part_of: dict[str, int] = {}
     for indenter in classes:
         own = [trajectory.name for trajectory in ordered if trajectory.indenter == indenter]

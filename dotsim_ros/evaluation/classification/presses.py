@@ -45,7 +45,7 @@ class PressPlan:
         ValueError: no press, or no frame before a slide.
     """
 
-    count: int = 40
+    count: int = 60
     frames: int = 6
     deepest_m: float = 3.0e-3
     widest_rad: float = 0.73

@@ -62,7 +62,7 @@ from dotsim_ros.twin.footage import (
 )
 from dotsim_ros.worker_pool.pool import Crew, open_pool
 
-BOUND = "measured"
+BOUND = "bound"
 """The row that learns from measured images of other trajectories: no simulation passes it."""
 APART = 5
 """Every fifth simulated press is not learnt from."""
@@ -144,15 +144,13 @@ def run_study(study: Study, kept: Path, *, workers: Crew, tell: Progress) -> dic
         for done in as_completed(running):
             domain, model = running[done]
             row = rows[domain][model] = done.result()
-            tell(f"{domain}, {model}: {100.0 * row['accuracy']:.1f} %")
+            tell(f"{domain}, {model}: {100.0 * row['mean']:.1f} %")
     return {
         "study": {
             **asdict(replace(study, data=Path(study.data.name))),
             "data": study.data.name,
         },
-        "domains": {
-            name: {model: rows[name][model] for model in study.models} for name in study.domains
-        },
+        **{name: {model: rows[name][model] for model in study.models} for name in study.domains},
     }
 
 
@@ -160,10 +158,10 @@ def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str
     """Return how classifiers that learnt from a model's images do in a domain.
 
     Returns:
-        `accuracy` and `balanced_accuracy` (mean over the classes of the share recognised) with
-        `..._std` between seeds, `seeds` with the accuracy of each, `confusion` (true class by told
-        class, of all seeds), `classes`, `frames`, `trajectories`, `simulated` (accuracy on
-        simulated touches that no classifier learnt from) and where the row comes from.
+        `mean` and `std` between seeds of the share of frames told right, the same of the
+        `balanced` share (mean over the classes), `seeds` with the share of each, `confusion`
+        (true class by told class, of all seeds), `classes`, `frames`, `trajectories`, `simulated`
+        (share of simulated touches that no classifier learnt from) and where the row comes from.
     """
     measured = _measured(study.data, sensor_file(domain_name, study.sensor))
     # Nothing measured of the classes may be fitted on out of the domain, which no bound can do
@@ -219,10 +217,9 @@ def _made(
     balanced = recalls.mean(axis=0)
     accuracy = right.mean(axis=1)
     return {
-        "accuracy": float(accuracy.mean()),
-        "accuracy_std": float(accuracy.std()),
-        "balanced_accuracy": float(balanced.mean()),
-        "balanced_accuracy_std": float(balanced.std()),
+        "mean": float(accuracy.mean()),
+        "std": float(accuracy.std()),
+        "balanced": {"mean": float(balanced.mean()), "std": float(balanced.std())},
         "seeds": accuracy.tolist(),
         "confusion": confusion(truth * study.seeds, [t for one in told for t in one], len(rank)),
         "classes": list(domain.classes),
