@@ -140,7 +140,9 @@ class SoftLayer:
         pad = Pad((s.side_m, s.side_m, self._reference_m))
         # The grid needs no marker: the top is evaluated wherever it is touched.
         flat = discretize(pad, np.zeros((0, 3)), s.spacing_m)
-        self.body = ElasticBody(self._fitted(flat), NeoHookean(s.youngs_modulus_pa, s.poisson_ratio))
+        self.body = ElasticBody(
+            self._fitted(flat), NeoHookean(s.youngs_modulus_pa, s.poisson_ratio)
+        )
 
     @property
     def node_count(self) -> int:
