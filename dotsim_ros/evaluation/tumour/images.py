@@ -72,16 +72,19 @@ class Eye:
         self._skin = skin
         self._renderer = SkinRenderer(self._camera, skin)
         self._sensor = sensor
+        self._image_under: dict[Light, ImageRenderer] = {}
 
     def images(self, skin_m: Float32Array, light: Light = AS_ASSUMED) -> ImageArray:
         """Return images (F, H, W, 3) of skins (F, V, 3), without noise."""
-        image = ImageRenderer(
-            self._camera,
-            self._skin,
-            self.idle,
-            lighting=self._lit(light),
-            vignetting=self._vignetting,
-        )
+        if light not in self._image_under:
+            self._image_under[light] = ImageRenderer(
+                self._camera,
+                self._skin,
+                self.idle,
+                lighting=self._lit(light),
+                vignetting=self._vignetting,
+            )
+        image = self._image_under[light]
         taken = np.stack([image.warp(self._renderer.render(skin)) for skin in skin_m])
         return _scaled(taken, light.brightness)
 

@@ -25,7 +25,9 @@ Progress = Callable[[str], None]
 
 GRID_M = 3.6e-3
 MARKERS_M = 1.2e-3
-"""Spacing of the gel's grid and of its skin's markers: forces are within 2 % of a grid of 2.4 mm."""
+"""Of the gel's grid and its skin's markers: forces are within 2 % of those of a grid of 2.4 mm."""
+STEP_M = 1.0e-3
+"""Between two equilibria the sensor goes no deeper than this."""
 SAME_M = 1.0e-7
 """Markers this close lie at one place."""
 DECIDED_BY = ("dotsim_ros.gel.pair.equilibrium", "dotsim_ros.gel.make", __name__)
@@ -118,8 +120,13 @@ class Simulation:
         force, is_solved = np.zeros(count), np.zeros(count, dtype=np.bool_)
         state = self._pair.put(SoftLayer(layer, press.insert))
         try:
-            for frame, pose in enumerate(press.poses(layer, s.gel.outer_radius_m)):
-                state = self._pair.press(state, pose)
+            reached = 0.0
+            for frame, depth in enumerate(press.depths_m):
+                steps = int(np.ceil((depth - reached) / STEP_M))
+                for between in np.linspace(reached, depth, steps + 1)[1:]:
+                    pose = press.pose(layer, s.gel.outer_radius_m, float(between))
+                    state = self._pair.press(state, pose)
+                reached = depth
                 skin[frame] = state.skin_position_m
                 force[frame] = np.linalg.norm(state.wrench.force_n)
                 is_solved[frame] = True
@@ -147,7 +154,7 @@ def skin_turns(count: int) -> FloatArray:
     """
     if not 1 <= count <= 5:
         raise ValueError(f"{count} turns of each press, expected 1 to 5")
-    return 2.0 * np.pi / 5.0 * np.arange(count)
+    return np.asarray(2.0 * np.pi / 5.0 * np.arange(count), dtype=np.float64)
 
 
 def turned_skins(skin: SkinMesh, position_m: Float32Array, count: int) -> Float32Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +38,8 @@ def calculix_presses(
     progress: Progress,
 ) -> list[SolvedPress]:
     """Return presses that CalculiX solved with both bodies deformable; every second pair of a
-    tumour and none with friction, which our own presses have not.
+    tumour and none with friction, which our own presses have not. Each is returned in its turns,
+    beside the press that is its first one.
 
     Args:
         sensor: as `coarse` returns it.
@@ -66,7 +68,8 @@ def calculix_presses(
         if not known["is_solved"].all():
             progress(f"{name} was not solved by CalculiX and is left out")
             continue
-        found.append(SolvedPress(press, known["skin_m"], known["force_n"]))
+        turned = replace(press, azimuth_rad=float(turns[0]))
+        found.append(SolvedPress(turned, known["skin_m"], known["force_n"]))
     return found
 
 

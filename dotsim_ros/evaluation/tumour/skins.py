@@ -14,9 +14,9 @@ from dotsim_ros.geometry.pose import Pose
 
 SKINS: Mapping[str, LayerSpecification] = MappingProxyType(
     {
-        "skin_1": LayerSpecification(thickness_m=5.0e-3, youngs_modulus_pa=30.0e3),
-        "skin_2": LayerSpecification(thickness_m=4.0e-3, youngs_modulus_pa=60.0e3),
-        "skin_3": LayerSpecification(thickness_m=3.0e-3, youngs_modulus_pa=120.0e3),
+        "skin_1": LayerSpecification(thickness_m=5.0e-3, youngs_modulus_pa=40.0e3),
+        "skin_2": LayerSpecification(thickness_m=4.0e-3, youngs_modulus_pa=80.0e3),
+        "skin_3": LayerSpecification(thickness_m=3.0e-3, youngs_modulus_pa=160.0e3),
     }
 )
 """From the softest and thickest, which hides most, to the stiffest and thinnest."""
@@ -105,7 +105,7 @@ class PressPlan:
     radius_m: tuple[float, float] = (4.0e-3, 6.0e-3)
     aside_m: float = 2.0e-3
     tilt_rad: float = 0.09
-    deepest_m: tuple[float, float] = (1.4e-3, 2.2e-3)
+    deepest_m: tuple[float, float] = (1.5e-3, 2.2e-3)
     seed: int = 0
 
     def __post_init__(self) -> None:

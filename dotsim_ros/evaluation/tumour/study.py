@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.arrays import Float32Array, IntArray
+from dotsim_ros.arrays import Float32Array, FloatArray, IntArray
 from dotsim_ros.evaluation.classification.classifier import (
     ClassifierSettings,
     TouchClassifier,
@@ -31,6 +31,8 @@ APART = 5
 LEARNT, JUDGED, SHIFTED = 0, 1, 2
 """Streams of the draws: presses to learn from, those of the stand-in, those of changed skins."""
 OTHER_LIGHT = "other lights"
+MOVED_M = 0.05e-3
+"""Markers that move farther count where our skin is compared with CalculiX's."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,7 @@ def _skin_rows(
         "simulated": _row(networks, checked)["accuracy"],
         "presses_asked": asked,
     }
+    again = simulation.solved(layer, [press.press for press in real], 1)
     shifts = {OTHER_LIGHT: _row(networks, _taken(study, eye, real, OTHER))}
     if study.shifted:
         shifts |= _changed_rows(study, layer, stream, simulation, eye, networks)
@@ -175,9 +178,8 @@ def _skin_rows(
         "learnt_presses": len(learnt),
         "learnt_images": sum(p.skin_m.shape[0] * p.skin_m.shape[1] for p in learnt),
         "refused_presses": len(drawn) - len(simulated),
-        "mean_force_n": {
-            kind: _mean_forces(presses) for kind, presses in (("ours", simulated), ("real", real))
-        },
+        "chance": {"accuracy": 1.0 / len(CLASSES)},
+        "difference": _difference(simulation.skin.rest_position_m, again, real),
     }
 
 
@@ -257,9 +259,28 @@ def _figures(told: Sequence[IntArray], judged: _Judged) -> dict[str, Any]:
     }
 
 
-def _mean_forces(presses: Sequence[SolvedPress]) -> dict[str, float]:
-    """Return the mean force of the last frames, by class."""
+def _difference(
+    rest_m: FloatArray, ours: Sequence[SolvedPress], real: Sequence[SolvedPress]
+) -> dict[str, float]:
+    """Return how far our presses are from CalculiX's.
+
+    Returns:
+        `skin_rms_mm` over the markers that CalculiX moves by more than `MOVED_M`, `moved_rms_mm`
+        (how far it moves them), and `force_error`, the mean relative one.
+    """
+    solved = {press.press: press for press in ours}
+    pairs = [(solved[press.press], press) for press in real if press.press in solved]
+    if not pairs:
+        return {}
+    found, true, forces = [], [], []
+    for own, other in pairs:
+        moved = np.linalg.norm(other.skin_m[0] - rest_m, axis=-1)
+        apart = np.linalg.norm(other.skin_m[0] - own.skin_m[0], axis=-1)
+        found.append(apart[moved > MOVED_M])
+        true.append(moved[moved > MOVED_M])
+        forces.append(np.abs(own.force_n / other.force_n - 1.0))
     return {
-        name: float(np.mean([p.force_n[-1] for p in presses if p.press.label == label] or [0.0]))
-        for label, name in enumerate(CLASSES)
+        "skin_rms_mm": 1e3 * float(np.sqrt(np.mean(np.concatenate(found) ** 2))),
+        "moved_rms_mm": 1e3 * float(np.sqrt(np.mean(np.concatenate(true) ** 2))),
+        "force_error": float(np.mean(forces)),
     }
