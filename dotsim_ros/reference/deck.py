@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.implicit.contact import ONSET_M, REFERENCE_SPACING_M, SMOOTHING_M
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import IndenterMesh
@@ -109,18 +109,22 @@ class Deck:
         wedge = np.concatenate([self.surface.triangles, self.surface.triangles + half], axis=1)
         gel_elements = len(self.gel.element)
         yield "*NODE, NSET=GEL"
-        yield from node_rows(1, MM * self.gel.node_m)
+        yield from _rows(1, MM * self.gel.node_m)
         yield "*NODE, NSET=INDENTER"
-        yield from node_rows(first, MM * start)
+        yield from _rows(first, MM * start)
         yield "*ELEMENT, TYPE=C3D20R, ELSET=GEL"
-        yield from brick_rows(1, self.gel.element + 1)
+        for number, nodes in enumerate(self.gel.element + 1, start=1):
+            text = list(map(str, nodes.tolist()))
+            # A line holds at most 16 entries.
+            yield f"{number}, {', '.join(text[:10])},"
+            yield ", ".join(text[10:])
         yield "*ELEMENT, TYPE=C3D6, ELSET=INDENTER"
         for number, nodes in enumerate(wedge + first, start=gel_elements + 1):
             yield f"{number}, {', '.join(map(str, nodes.tolist()))}"
         yield "*NSET, NSET=BONDED"
-        yield from listed(self.gel.bonded + 1)
+        yield from _listed(self.gel.bonded + 1)
         yield "*NSET, NSET=SKIN"
-        yield from listed(np.unique(self.gel.skin_face) + 1)
+        yield from _listed(np.unique(self.gel.skin_face) + 1)
         yield "*SURFACE, NAME=SKIN_FACES, TYPE=ELEMENT"
         # The second face of a brick and of a wedge is that of their outer nodes.
         yield from (f"{number}, S2" for number in (self.gel.skin_element + 1).tolist())
@@ -157,23 +161,9 @@ def material_lines(law: ElasticLaw) -> Iterator[str]:
     Raises:
         ValueError: CalculiX has no form of the law.
     """
-    yield from law_lines("SILICONE", law)
-    yield "*MATERIAL, NAME=RIGID"
-    yield "*ELASTIC"
-    yield "1.0, 0.3"
-    yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
-    yield "*SOLID SECTION, ELSET=INDENTER, MATERIAL=RIGID"
-
-
-def law_lines(name: str, law: ElasticLaw) -> Iterator[str]:
-    """Yield the material of a name.
-
-    Raises:
-        ValueError: CalculiX has no form of the law.
-    """
     c10, c01, c20, c30, bulk = (MEGAPASCAL * law.coefficients_pa()).tolist()
     d1 = 2.0 / bulk
-    yield f"*MATERIAL, NAME={name}"
+    yield "*MATERIAL, NAME=SILICONE"
     if c20 or c30:
         if c01:
             raise ValueError("a law with C01 and C20 or C30 has no form in the reference")
@@ -186,12 +176,15 @@ def law_lines(name: str, law: ElasticLaw) -> Iterator[str]:
         yield "*HYPERELASTIC, NEO HOOKE"
         constants = [c10, d1]
     yield ", ".join(f"{constant:.9e}" for constant in constants)
+    yield "*MATERIAL, NAME=RIGID"
+    yield "*ELASTIC"
+    yield "1.0, 0.3"
+    yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
+    yield "*SOLID SECTION, ELSET=INDENTER, MATERIAL=RIGID"
 
 
-def contact_lines(
-    law: ElasticLaw, contact: ContactSpecification, other: str = "INDENTER_FACES"
-) -> Iterator[str]:
-    """Yield the contact of the surface SKIN_FACES and another, as stiff as a law's body asks."""
+def contact_lines(law: ElasticLaw, contact: ContactSpecification) -> Iterator[str]:
+    """Yield the contact of the surfaces SKIN_FACES and INDENTER_FACES."""
     youngs_modulus, _ = small_strain_moduli_pa(law)
     stiffness = contact.stiffness * MEGAPASCAL * youngs_modulus / (MM * REFERENCE_SPACING_M)
     yield "*SURFACE INTERACTION, NAME=TOUCH"
@@ -202,24 +195,15 @@ def contact_lines(
         stick = contact.tangential_ratio * stiffness
         yield f"{contact.friction_coefficient:.9e}, {stick:.9e}"
     yield "*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE"
-    yield f"SKIN_FACES, {other}"
+    yield "SKIN_FACES, INDENTER_FACES"
 
 
-def node_rows(first: int, values: FloatArray) -> Iterator[str]:
+def _rows(first: int, values: FloatArray) -> Iterator[str]:
     for number, row in enumerate(values.tolist(), start=first):
         yield f"{number}, {', '.join(f'{value:.9e}' for value in row)}"
 
 
-def brick_rows(first: int, nodes: IntArray) -> Iterator[str]:
-    """Yield elements of 20 nodes (E, 20), numbered from `first`."""
-    for number, row in enumerate(nodes.tolist(), start=first):
-        text = list(map(str, row))
-        # A line holds at most 16 entries.
-        yield f"{number}, {', '.join(text[:10])},"
-        yield ", ".join(text[10:])
-
-
-def listed(numbers: Iterable[int]) -> Iterator[str]:
+def _listed(numbers: Iterable[int]) -> Iterator[str]:
     entries = [str(int(number)) for number in numbers]
     for start in range(0, len(entries), 16):
         yield ", ".join(entries[start : start + 16]) + ","

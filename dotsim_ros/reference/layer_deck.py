@@ -15,16 +15,7 @@ from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean
 from dotsim_ros.gel.pair.layer import Insert, LayerSpecification
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.reference.deck import (
-    MM,
-    NEVER,
-    StepControl,
-    brick_rows,
-    contact_lines,
-    law_lines,
-    listed,
-    node_rows,
-)
+from dotsim_ros.reference.deck import MM, NEVER, StepControl, contact_lines, material_lines
 from dotsim_ros.reference.mesh import DomeMesh
 from dotsim_ros.specification import ContactSpecification
 
@@ -158,13 +149,13 @@ class LayerDeck:
         start = self.poses[0].apply(layer.node_m)
         elements = len(gel.element)
         yield "*NODE, NSET=GEL"
-        yield from node_rows(1, MM * gel.node_m)
+        yield from _node_rows(1, MM * gel.node_m)
         yield "*NODE, NSET=LAYER"
-        yield from node_rows(first, MM * start)
+        yield from _node_rows(first, MM * start)
         yield "*ELEMENT, TYPE=C3D20R, ELSET=GEL"
-        yield from brick_rows(1, gel.element + 1)
+        yield from _brick_rows(1, gel.element + 1)
         yield "*ELEMENT, TYPE=C3D20R, ELSET=LAYER"
-        yield from brick_rows(elements + 1, layer.element + first)
+        yield from _brick_rows(elements + 1, layer.element + first)
         in_plane = np.abs(np.concatenate([gel.node_m[:, 1], start[:, 1]])) < ON_PLANE_M
         for name, members in (
             ("BONDED", gel.bonded + 1),
@@ -173,15 +164,17 @@ class LayerDeck:
             ("PLANE", np.flatnonzero(in_plane) + 1),
         ):
             yield f"*NSET, NSET={name}"
-            yield from listed(members)
+            yield from _listed(members)
         yield "*SURFACE, NAME=SKIN_FACES, TYPE=ELEMENT"
         yield from (f"{number}, S2" for number in (gel.skin_element + 1).tolist())
-        yield "*SURFACE, NAME=LAYER_FACES, TYPE=ELEMENT"
+        # Contact is told for an indenter, in whose place the layer is.
+        yield "*SURFACE, NAME=INDENTER_FACES, TYPE=ELEMENT"
         yield from (f"{number}, S2" for number in (layer.top_element + elements + 1).tolist())
         for name, law in (("GEL", self.gel_law), ("LAYER", self.layer_law)):
-            yield from law_lines(f"OF_{name}", law)
+            _, kind, constants, *_ = material_lines(law)
+            yield from (f"*MATERIAL, NAME=OF_{name}", kind, constants)
             yield f"*SOLID SECTION, ELSET={name}, MATERIAL=OF_{name}"
-        yield from contact_lines(self.layer_law, self.contact, "LAYER_FACES")
+        yield from contact_lines(self.layer_law, self.contact)
         yield "*BOUNDARY"
         yield "BONDED, 1, 3"
         yield "PLANE, 2, 2"
@@ -201,3 +194,19 @@ class LayerDeck:
         yield f"*NODE PRINT, NSET=HELD, FREQUENCY={NEVER}"
         yield "RF"
         yield "*END STEP"
+
+
+def _node_rows(first: int, values: FloatArray) -> Iterator[str]:
+    for number, row in enumerate(values.tolist(), start=first):
+        yield f"{number}, {', '.join(f'{value:.9e}' for value in row)}"
+
+
+def _brick_rows(first: int, nodes: IntArray) -> Iterator[str]:
+    for number, row in enumerate(nodes.tolist(), start=first):
+        # A line holds at most 16 entries.
+        yield f"{number}, {', '.join(map(str, row[:10]))},"
+        yield ", ".join(map(str, row[10:]))
+
+
+def _listed(numbers: IntArray) -> Iterator[str]:
+    yield from (f"{number}," for number in numbers.tolist())

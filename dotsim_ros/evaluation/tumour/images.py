@@ -1,23 +1,25 @@
-"""What the sensor's camera sees of solved presses."""
+"""What the sensor's camera sees of solved presses, and what a classifier is shown of it.
+
+A soft skin moves the gel's pattern by a pixel or less. The difference to the idle image shows the
+pattern's edges more than where they went, so classifiers are shown the motion itself: an optical
+flow from the idle image to the image, which any camera's images give, and the change of brightness
+that is left once the image is carried back along it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, ImageArray, IntArray
-from dotsim_ros.evaluation.classification.classifier import (
-    ClassifierSettings,
-    touched,
-    touched_as_taken,
-)
 from dotsim_ros.evaluation.tumour.presses import SolvedPress
 from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.optics.idle import lights_of, read_idle_frame
+from dotsim_ros.optics.idle import lights_of, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.noise import with_noise
@@ -25,11 +27,18 @@ from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import LightingSpecification, SensorSpecification
 
 WIDTH_PX = 320
+SEEN_PX = (40, 30)
+"""Width and height of what a classifier is shown: the gel's motion has no finer parts."""
+MOTION_PX = 0.5
+BRIGHTNESS_LEVELS = 6.0
+"""Of a motion and of a change of brightness that count as one."""
+RIM_PX = 9
+"""What lies closer to the rim of the lit disc, within which the flow is not known, is left out."""
 
 
 @dataclass(frozen=True)
 class Light:
-    """How a stand-in's images are lit and taken; learning assumes none of it but the noise's kind.
+    """How images are lit and taken.
 
     Attributes:
         brightness: factor on all that the camera sees, the idle image too.
@@ -45,6 +54,7 @@ class Light:
 
 
 AS_ASSUMED = Light()
+TO_LEARN_FROM = Light(noise_levels=1.2)
 OTHER = Light(brightness=0.75, turned_deg=20.0, ambient=2.0, noise_levels=2.5)
 
 
@@ -72,6 +82,10 @@ class Eye:
         self._skin = skin
         self._renderer = SkinRenderer(self._camera, skin)
         self._sensor = sensor
+        rim = np.ones((2 * RIM_PX + 1, 2 * RIM_PX + 1), dtype=np.uint8)
+        lit = lit_region(self.idle).astype(np.uint8)
+        self._inside = cv2.erode(lit, rim, borderValue=0) > 0
+        self._flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
         self._image_under: dict[Light, ImageRenderer] = {}
 
     def images(self, skin_m: Float32Array, light: Light = AS_ASSUMED) -> ImageArray:
@@ -101,41 +115,41 @@ class Eye:
             ambient_fraction=light.ambient * self._lighting.ambient_fraction,
         )
 
-    def to_learn_from(
-        self, presses: Sequence[SolvedPress], settings: ClassifierSettings, seed: int
-    ) -> tuple[Float32Array, IntArray]:
-        """Return what simulated touches add to the idle image, and their classes."""
-        random = np.random.default_rng(seed)
-        seen, labels = [], []
-        for press in presses:
-            for skins in press.skin_m:
-                seen.append(touched(self.images(skins), self.idle, settings, random))
-                labels += [press.press.label] * len(skins)
-        return np.concatenate(seen), np.array(labels)
-
-    def as_taken(
-        self,
-        presses: Sequence[SolvedPress],
-        light: Light,
-        settings: ClassifierSettings,
-        seed: int,
+    def taken(
+        self, presses: Sequence[SolvedPress], light: Light, seed: int
     ) -> tuple[Float32Array, IntArray, IntArray]:
-        """Return what touches add as a camera with noise takes them, their classes, and the number
-        of the press that each belongs to."""
+        """Return what is shown of presses (N, 3, h, w), their classes (N,), and the number of the
+        press that each belongs to (N,).
+
+        Args:
+            presses: all turns and frames of each.
+            light: under which, and with which noise.
+            seed: of the noise.
+        """
         idle = _scaled(self.idle, light.brightness)
         seen, labels, numbers = [], [], []
         for number, press in enumerate(presses):
             for turn, skins in enumerate(press.skin_m):
-                images = np.stack(
-                    [
-                        with_noise(image, light.noise_levels, (seed, number, turn, frame))
-                        for frame, image in enumerate(self.images(skins, light))
-                    ]
-                )
-                seen.append(touched_as_taken(images, idle, settings))
+                for frame, image in enumerate(self.images(skins, light)):
+                    noisy = with_noise(image, light.noise_levels, (seed, number, turn, frame))
+                    seen.append(self._shown(noisy, idle))
                 labels += [press.press.label] * len(skins)
                 numbers += [number] * len(skins)
-        return np.concatenate(seen), np.array(labels), np.array(numbers)
+        return np.stack(seen), np.array(labels), np.array(numbers)
+
+    def _shown(self, image: ImageArray, idle: ImageArray) -> Float32Array:
+        """Return motion and change of brightness (3, h, w) of an image."""
+        before, after = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in (idle, image))
+        height, width = before.shape
+        motion = self._flow.calc(before, after, np.zeros((height, width, 2), dtype=np.float32))
+        column, row = np.meshgrid(np.arange(width), np.arange(height))
+        source = np.stack([column, row], axis=-1).astype(np.float32) + motion
+        carried = cv2.remap(after, source[..., 0], source[..., 1], cv2.INTER_LINEAR)
+        brighter = carried.astype(np.float32) - before
+        shown = np.dstack([motion / MOTION_PX, brighter / BRIGHTNESS_LEVELS])
+        shown = np.where(self._inside[..., None], shown, 0.0).astype(np.float32)
+        small = cv2.resize(shown, SEEN_PX, interpolation=cv2.INTER_AREA)
+        return np.ascontiguousarray(small.transpose(2, 0, 1))
 
 
 def _scaled(image: ImageArray, brightness: float) -> ImageArray:

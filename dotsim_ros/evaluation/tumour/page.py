@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -47,21 +48,21 @@ def tumour_page(figures: Mapping[str, Any], picture: str) -> str:
     parts = [
         "# A tumour below a soft skin: learnt in simulation, judged on another solver's presses",
         "",
-        "A soft skin of even top covers a rigid insert that is convex (a tumour) or concave (none), "
-        f"{least:g} to {most:g} mm high or deep. The sensor presses onto it, {low:g} to {high:g} mm "
-        "deep at the end, up to "
-        f"{1e3 * plan['aside_m']:g} mm beside the insert's middle and tilted by up to "
-        f"{57.29578 * plan['tilt_rad']:.0f} degrees, all drawn alike for both classes. Gel and skin "
-        "both deform.",
+        "A soft skin of even top covers a rigid insert that is convex (a tumour) or concave "
+        f"(none), {least:g} to {most:g} mm high or deep. The sensor presses onto it, {low:g} to "
+        f"{high:g} mm deep at the end, up to {1e3 * plan['aside_m']:g} mm beside the insert's "
+        f"middle and tilted by up to {math.degrees(plan['tilt_rad']):.0f} degrees, all drawn alike "
+        "for both classes. Gel and skin both deform.",
         "",
-        "Classifiers see the difference to the idle image and learn from our own gel and skin alone, "
-        "one set for each skin. They are judged on a stand-in for reality: CalculiX with both bodies "
-        "deformable, on meshes of its own, half of the presses with friction of 0.3 that our skins "
-        "have not, images with the camera's noise. Images are ours in both cases: optics are not "
-        "judged here. Nothing was chosen by the judged presses. The independent units are the "
-        f"presses; each gives {len(study['judged_shares'])} depths and {study['judged_turns']} "
-        "turns about the sensor's axis. The paper's figures are of 36, 13 and 29 real images of "
-        "its own foams: they say what it reports, no more.",
+        "Classifiers see how the image moved against the idle image, and how its brightness "
+        "changed. They learn from our own gel and skin alone, one set for each skin, and are "
+        "judged on a stand-in for reality: CalculiX with both bodies deformable, on meshes of its "
+        "own, about half of the presses with friction of 0.3 that our skins have not, images with "
+        "noise of 1.5 grey levels. Images are ours in both cases: optics are not judged here. "
+        "Nothing was chosen by the judged presses. The independent units are the presses; each "
+        f"gives {len(study['judged_shares'])} depths and {study['judged_turns']} turns about the "
+        "sensor's axis. The paper's figures are of 36, 13 and 29 real images of its own foams: "
+        "they say what it reports, no more.",
         "",
         markdown_table(
             ["skin", "learnt from"],

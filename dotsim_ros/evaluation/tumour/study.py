@@ -18,7 +18,7 @@ from dotsim_ros.evaluation.classification.classifier import (
     confusion,
     train_classifier,
 )
-from dotsim_ros.evaluation.tumour.images import AS_ASSUMED, OTHER, Eye, Light
+from dotsim_ros.evaluation.tumour.images import AS_ASSUMED, OTHER, TO_LEARN_FROM, Eye, Light
 from dotsim_ros.evaluation.tumour.presses import Progress, Simulation, SolvedPress, coarse
 from dotsim_ros.evaluation.tumour.reality import calculix_presses
 from dotsim_ros.evaluation.tumour.rigid import rigid_presses
@@ -202,15 +202,15 @@ def _changed_rows(
 
 
 def _taken(study: Study, eye: Eye, presses: Sequence[SolvedPress], light: Light) -> _Judged:
-    return _Judged(*eye.as_taken(presses, light, study.classifier, study.plan.seed))
+    return _Judged(*eye.taken(presses, light, study.plan.seed))
 
 
 def _learnt(
     study: Study, eye: Eye, presses: Sequence[SolvedPress]
 ) -> tuple[list[TouchClassifier], tuple[float, float]]:
-    """Return classifiers of presses, and the threshold and the sign of the mean difference that
+    """Return classifiers of presses, and the threshold and the sign of the mean motion that
     tells most of the same images right."""
-    seen, labels = eye.to_learn_from(presses, study.classifier, study.plan.seed)
+    seen, labels, _ = eye.taken(presses, TO_LEARN_FROM, study.plan.seed)
     networks = [
         train_classifier(seen, labels, len(CLASSES), study.classifier, study.plan.seed + seed)
         for seed in range(study.seeds)
