@@ -22,7 +22,7 @@ from dotsim_ros.specification import SensorSpecification
 
 SOLVED_BY = ("dotsim_ros.reference.layer_press", __name__)
 CALCULIX = tuple(
-    LayerPressSettings(gel_spacing_m=2.5e-3, layer_spacing_m=2.0e-3, friction=friction)
+    LayerPressSettings(gel_spacing_m=3.0e-3, layer_spacing_m=2.4e-3, friction=friction)
     for friction in (0.0, 0.3)
 )
 """In turn, for pairs of a tumour and none."""
