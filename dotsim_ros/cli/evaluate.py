@@ -40,7 +40,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -249,7 +249,7 @@ def _add_tumour_arguments(tumour: argparse.ArgumentParser) -> None:
     add("--judged", type=int, default=4, help="presses that CalculiX solves, each class (4)")
     add("--shifted", type=int, default=2, help="presses for each changed skin, each class (2)")
     add("--classifiers", type=int, default=3, help="of each skin (3)")
-    add("--epochs", type=int, default=12, help="of a classifier's training (12)")
+    add("--epochs", type=int, default=25, help="of a classifier's training (25)")
     add("--seed", type=int, default=0, help="seed of the draws (0)")
     add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the picture")
@@ -659,11 +659,10 @@ def _rl(arguments: argparse.Namespace) -> int:
 
 
 def _tumour(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.classification.classifier import ClassifierSettings
     from dotsim_ros.evaluation.tumour.page import tumour_page
     from dotsim_ros.evaluation.tumour.pictures import write_presses
     from dotsim_ros.evaluation.tumour.skins import PressPlan
-    from dotsim_ros.evaluation.tumour.study import Study, run_study
+    from dotsim_ros.evaluation.tumour.study import TRAINING, Study, run_study
     from dotsim_ros.files import cache_directory, write_json, write_text
     from dotsim_ros.provenance import provenance
     from dotsim_ros.reference.run import calculix_path, calculix_version
@@ -677,7 +676,7 @@ def _tumour(arguments: argparse.Namespace) -> int:
         judged=arguments.judged,
         shifted=arguments.shifted,
         plan=PressPlan(seed=arguments.seed),
-        classifier=ClassifierSettings(epochs=arguments.epochs),
+        classifier=replace(TRAINING, epochs=arguments.epochs),
     )
     cache = arguments.cache or cache_directory() / "tumour"
     figures = run_study(study, cache, _say)
