@@ -14,7 +14,7 @@ from dotsim_ros import load_sensor
 from dotsim_ros.arrays import Float32Array
 from dotsim_ros.cli.evaluate import SOFT_SKINS
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.tumour import reality
+from dotsim_ros.evaluation.tumour import presses, reality
 from dotsim_ros.evaluation.tumour.images import OTHER, Eye, Light
 from dotsim_ros.evaluation.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
 from dotsim_ros.evaluation.tumour.rigid import rigid_presses
@@ -44,8 +44,9 @@ def detect(folder: Path, *given: str) -> int:
 def test_a_table_is_printed_kept_and_not_made_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quick = LayerPressSettings(gel_spacing_m=3.5e-3, layer_spacing_m=4.0e-3)
+    quick = LayerPressSettings(gel_spacing_m=3.5e-3, layer_spacing_m=3.0e-3)
     monkeypatch.setattr(reality, "CALCULIX", (quick,))
+    monkeypatch.setattr(presses, "MARKERS_M", 2.0e-3)
     assert detect(tmp_path, "--skins", "skin_2") == 0
     page = capsys.readouterr().out
     assert (tmp_path / "out" / "tumour.md").read_text("utf-8") in page
@@ -59,13 +60,14 @@ def test_a_table_is_printed_kept_and_not_made_again(
         assert rows[name]["accuracy"] == pytest.approx(told_right)
     assert rows["chance"]["accuracy"] == 0.5
     assert rows["learnt_presses"] + rows["refused_presses"] == 4
-    assert rows["difference"]["force_error"] < 0.1
+    assert rows["difference"]["force_error"] < 0.15
     assert rows["difference"]["skin_rms_mm"] < 0.2 * rows["difference"]["moved_rms_mm"]
     assert found["provenance"]["calculix"] != ""
     with Image.open(tmp_path / "images" / "tumour.png") as picture:
-        assert picture.size == (4 * 320, 2 * 240)
-    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "kept").rglob("*.npz")}
-    assert len(kept) == 4 + 2 + 2
+        assert picture.size == (4 * 320, 240 + 120)
+    kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "kept").rglob("*.*") if p.is_file()}
+    # Presses to learn from, CalculiX's, our own of these, and the skin's rows.
+    assert len(kept) == 4 + 2 + 2 + 1
     assert detect(tmp_path, "--skins", "skin_2") == 0
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     again: dict[str, Any] = json.loads((tmp_path / "out" / "tumour.json").read_text())

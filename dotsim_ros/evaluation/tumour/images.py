@@ -132,13 +132,14 @@ class Eye:
             for turn, skins in enumerate(press.skin_m):
                 for frame, image in enumerate(self.images(skins, light)):
                     noisy = with_noise(image, light.noise_levels, (seed, number, turn, frame))
-                    seen.append(self._shown(noisy, idle))
+                    seen.append(self.shown(noisy, idle))
                 labels += [press.press.label] * len(skins)
                 numbers += [number] * len(skins)
         return np.stack(seen), np.array(labels), np.array(numbers)
 
-    def _shown(self, image: ImageArray, idle: ImageArray) -> Float32Array:
-        """Return motion and change of brightness (3, h, w) of an image."""
+    def shown(self, image: ImageArray, idle: ImageArray) -> Float32Array:
+        """Return motion along x and y and change of brightness (3, h, w) from the idle image to
+        another, both (H, W, 3)."""
         before, after = (cv2.cvtColor(one, cv2.COLOR_RGB2GRAY) for one in (idle, image))
         height, width = before.shape
         motion = self._flow.calc(before, after, np.zeros((height, width, 2), dtype=np.float32))

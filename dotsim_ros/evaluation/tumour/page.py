@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from dotsim_ros.evaluation.table import Column, markdown_table
+from dotsim_ros.evaluation.tumour.images import MOTION_PX, WIDTH_PX
+from dotsim_ros.evaluation.tumour.pictures import STRENGTH
 
 COLUMNS = (
     Column("accuracy", "accuracy % ↑", 1, 100.0),
@@ -15,7 +17,7 @@ COLUMNS = (
     Column("published", "paper %", 1, 100.0),
     Column("simulated", "on simulated presses %", 1, 100.0),
     Column("presses", "presses", 0),
-    Column("wrong_presses", "presses told wrong", 1),
+    Column("wrong_presses", "presses told wrong", 0),
     Column("images", "images", 0),
 )
 SHIFT_COLUMNS = (
@@ -33,7 +35,7 @@ PUBLISHED: Mapping[str, Mapping[str, float]] = {
 ROWS = {
     "ours": "ours: gel and skin deform",
     "rigid": "rigid: the insert's shape cut out of the gel, as Tacto",
-    "load": "load: a threshold on how much the image changes",
+    "load": "load: a threshold on how far the image moved",
     "chance": "chance",
 }
 
@@ -114,8 +116,10 @@ def tumour_page(figures: Mapping[str, Any], picture: str) -> str:
         ),
         f"![presses onto the skins]({picture})",
         "",
-        "From the left, for each skin: a tumour and none in images of our gel and skin, then of "
-        "CalculiX. Above the image, below its difference to the idle image, four times as strong.",
+        "From the left, for each skin: a tumour and none, drawn apart, in our gel and skin, then "
+        "the same two presses in CalculiX. Above the image; below how it moved along x and "
+        f"along y, as classifiers are shown it: {MOTION_PX:g} pixels of {WIDTH_PX} across are "
+        f"{STRENGTH:g} grey levels.",
         "",
         "## Shifts after learning",
         "",

@@ -15,8 +15,9 @@ from dotsim_ros.evaluation.tumour.study import Study, judged_presses
 from dotsim_ros.files import whole_file
 from dotsim_ros.specification import load_sensor
 
-STRONGER = 4.0
+STRENGTH = 100.0
 MIDDLE = 128.0
+"""Grey levels of one unit of motion, and of none."""
 WHITE = (255, 255, 255)
 
 
@@ -48,11 +49,14 @@ def write_presses(file: Path, study: Study, cache: Path, tell: Progress) -> None
 
 
 def _column(eye: Eye, press: SolvedPress, title: str) -> ImageArray:
-    """Return the last image of a press above what it adds to the idle image."""
+    """Return the last image of a press above what a classifier is shown of its motion."""
     (image,) = eye.images(press.skin_m[0, -1:])
-    added = image.astype(np.float32) - eye.idle.astype(np.float32)
-    strong = np.clip(np.rint(MIDDLE + STRONGER * added), 0, 255).astype(np.uint8)
-    column = np.vstack([image, strong])
+    height, width = image.shape[:2]
+    column = np.vstack([image, np.zeros((height // 2, width, 3), dtype=np.uint8)])
+    for part, motion in enumerate(eye.shown(image, eye.idle)[:2]):
+        grey = np.clip(MIDDLE + STRENGTH * motion, 0.0, 255.0).astype(np.uint8)
+        large = cv2.resize(grey, (width // 2, height // 2), interpolation=cv2.INTER_NEAREST)
+        column[height:, part * width // 2 : (part + 1) * width // 2] = large[..., None]
     place, size = (6, 14), 0.42
     cv2.putText(column, title, place, cv2.FONT_HERSHEY_SIMPLEX, size, WHITE, 1, cv2.LINE_AA)
     return column
