@@ -31,7 +31,7 @@ examples:
   dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
   dotsim_ros evaluate classification --data DIR --sensor sensor_a --out docs/results
-  dotsim_ros evaluate tumour --presses 30 --judged 4 --out docs/results
+  dotsim_ros evaluate tumour --presses 30 --judged 6 --out docs/results
 """
 
 from __future__ import annotations
@@ -246,7 +246,7 @@ def _add_tumour_arguments(tumour: argparse.ArgumentParser) -> None:
     add("--sensor", default="densetact2", help="name or file of the sensor, a dome (densetact2)")
     add("--skins", nargs="+", choices=SOFT_SKINS, default=list(SOFT_SKINS), help="which (all)")
     add("--presses", type=int, default=30, help="simulated presses to learn from, each class (30)")
-    add("--judged", type=int, default=4, help="presses that CalculiX solves, each class (4)")
+    add("--judged", type=int, default=6, help="presses that CalculiX solves, each class (6)")
     add("--shifted", type=int, default=2, help="presses for each changed skin, each class (2)")
     add("--classifiers", type=int, default=3, help="of each skin (3)")
     add("--epochs", type=int, default=25, help="of a classifier's training (25)")

@@ -61,7 +61,7 @@ def tumour_page(figures: Mapping[str, Any], picture: str) -> str:
         "judged on a stand-in for reality: CalculiX with both bodies deformable, on meshes of its "
         "own, about half of the presses with friction of 0.3 that our skins have not, images with "
         "noise of 1.5 grey levels. Images are ours in both cases: optics are not judged here. "
-        "Nothing was chosen by the judged presses. The independent units are the presses; each "
+        "The training was chosen on simulated presses. The independent units are the presses; each "
         f"gives {len(study['judged_shares'])} depths and {study['judged_turns']} turns about the "
         "sensor's axis. The paper's figures are of 36, 13 and 29 real images of its own foams: "
         "they say what it reports, no more.",
