@@ -40,7 +40,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
@@ -659,6 +659,8 @@ def _rl(arguments: argparse.Namespace) -> int:
 
 
 def _tumour(arguments: argparse.Namespace) -> int:
+    from dataclasses import replace
+
     from dotsim_ros.evaluation.tumour.page import tumour_page
     from dotsim_ros.evaluation.tumour.pictures import write_presses
     from dotsim_ros.evaluation.tumour.skins import PressPlan
