@@ -13,7 +13,10 @@ on and on others; a trial that was run before is not run again. `rl` learns poli
 reinforcement that turn a box, and judges them in worlds that they never saw; what was learnt before
 is not learnt again. `classification` lets classifiers learn which indenter touches from each image
 model's images, and judges them on measured ones (`--gelsight` adds real ones of a ball); a row that
-was made before is not made again.
+was made before is not made again. `tumour` presses the sensor onto soft skins over a bulge or a
+dent: classifiers learn in simulation which it is, and are judged on presses that CalculiX solved
+with both bodies deformable (ccx must be installed); presses that were solved before are not solved
+again.
 docs/evaluation.md says what the figures mean.
 
 examples:
@@ -29,6 +32,7 @@ examples:
   dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
   dotsim_ros evaluate classification --data DIR --sensor FOLDER --gelsight DIR --out docs/results
+  dotsim_ros evaluate tumour --presses 30 --judged 6 --out docs/results
 """
 
 from __future__ import annotations
@@ -81,6 +85,7 @@ BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "our
 RUNTIME_PRESS_COUNT = 3
 ROLLOUT_EPISODES = 4
 SEEN = ("depth", "image")
+SOFT_SKINS = ("skin_1", "skin_2", "skin_3")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -150,6 +155,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         subjects.add_parser("trajectory", help="paths that a policy follows by touch")
     )
     _add_rl_arguments(subjects.add_parser("rl", help="a box turned by touch, learnt with PPO"))
+    _add_tumour_arguments(
+        subjects.add_parser("tumour", help="a bulge or a dent below a soft skin, told by touch")
+    )
     _add_optics_arguments(optics)
     gelsight.add_argument(
         "--models", nargs="+", choices=BALL_MODELS, default=list(BALL_MODELS), help="which (all)"
@@ -252,6 +260,22 @@ def _add_rl_arguments(rl: argparse.ArgumentParser) -> None:
     add("--images", type=Path, default=Path("docs/images"), help="folder of the pictures")
     add("--json", type=Path, help="write the figures here as well")
     add("--cache", type=Path, help="folder of what was learnt before (the user's cache)")
+
+
+def _add_tumour_arguments(tumour: argparse.ArgumentParser) -> None:
+    add = tumour.add_argument
+    add("--sensor", default="densetact2", help="name or file of the sensor, a dome (densetact2)")
+    add("--skins", nargs="+", choices=SOFT_SKINS, default=list(SOFT_SKINS), help="which (all)")
+    add("--presses", type=int, default=30, help="simulated presses to learn from, each class (30)")
+    add("--judged", type=int, default=6, help="presses that CalculiX solves, each class (6)")
+    add("--shifted", type=int, default=2, help="presses for each changed skin, each class (2)")
+    add("--classifiers", type=int, default=3, help="of each skin (3)")
+    add("--epochs", type=int, default=25, help="of a classifier's training (25)")
+    add("--seed", type=int, default=0, help="seed of the draws (0)")
+    add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
+    add("--images", type=Path, default=Path("docs/images"), help="folder of the picture")
+    add("--json", type=Path, help="write the figures here as well")
+    add("--cache", type=Path, help="folder of the presses solved before (the user's cache)")
 
 
 def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
@@ -692,6 +716,44 @@ def _tried(given: list[list[str]]) -> dict[str, list[float]]:
     return values
 
 
+def _tumour(arguments: argparse.Namespace) -> int:
+    from dataclasses import replace
+
+    from dotsim_ros.evaluation.tumour.page import tumour_page
+    from dotsim_ros.evaluation.tumour.pictures import write_presses
+    from dotsim_ros.evaluation.tumour.skins import PressPlan
+    from dotsim_ros.evaluation.tumour.study import TRAINING, Study, run_study
+    from dotsim_ros.files import cache_directory, write_json, write_text
+    from dotsim_ros.provenance import provenance
+    from dotsim_ros.reference.run import calculix_path, calculix_version
+
+    calculix_path()
+    study = Study(
+        str(arguments.sensor),
+        skins=tuple(arguments.skins),
+        seeds=arguments.classifiers,
+        presses=arguments.presses,
+        judged=arguments.judged,
+        shifted=arguments.shifted,
+        plan=PressPlan(seed=arguments.seed),
+        classifier=replace(TRAINING, epochs=arguments.epochs),
+    )
+    cache = arguments.cache or cache_directory() / "tumour"
+    figures = run_study(study, cache, _say)
+    figures["provenance"] = provenance() | {
+        "seed": str(arguments.seed),
+        "calculix": calculix_version(),
+    }
+    picture = arguments.images / "tumour.png"
+    write_presses(picture, study, cache, _say)
+    page = tumour_page(figures, os.path.relpath(picture, arguments.out))
+    for path in filter(None, (arguments.out / "tumour.json", arguments.json)):
+        write_json(path, figures)
+    write_text(arguments.out / "tumour.md", page)
+    print(page)
+    return 0
+
+
 _SUBJECTS = {
     "geometry": _geometry,
     "optics": _optics,
@@ -702,4 +764,5 @@ _SUBJECTS = {
     "trajectory": _trajectory,
     "rl": _rl,
     "classification": _classification,
+    "tumour": _tumour,
 }

@@ -15,7 +15,7 @@ from dotsim_ros.arrays import Float32Array, ImageArray, IntArray
 
 GREY_LEVELS = 24.0
 """Of a difference that counts as one: about what a press changes."""
-CHANNELS = (4, 24, 48, 64, 96)
+CHANNELS = (24, 48, 64, 96)
 BATCH = 32
 WINDOW_SHARE = 0.5
 """Side of the window around a touch, of the image's shorter side."""
@@ -35,6 +35,7 @@ class ClassifierSettings:
             that of the camera.
         gain: largest relative change of a whole image's difference, drawn for each image.
         stretch: largest relative change of its size, drawn for each image.
+        turn_rad: largest turn of it, drawn for each image.
     """
 
     side_px: int = 32
@@ -43,6 +44,7 @@ class ClassifierSettings:
     noise_levels: float = 1.2
     gain: float = 0.15
     stretch: float = 0.1
+    turn_rad: float = np.pi
 
 
 def touched(
@@ -103,10 +105,10 @@ def _window(change: Float32Array, side_px: int) -> Float32Array:
 class TouchClassifier(nn.Module):
     """Four convolutions with stride, a mean over the image, and one linear layer."""
 
-    def __init__(self, classes: int) -> None:
+    def __init__(self, channels: int, classes: int) -> None:
         super().__init__()
         layers: list[nn.Module] = []
-        for before, after in pairwise(CHANNELS):
+        for before, after in pairwise((channels, *CHANNELS)):
             layers += [
                 nn.Conv2d(before, after, 3, stride=2, padding=1, bias=False),
                 nn.BatchNorm2d(after),
@@ -117,7 +119,7 @@ class TouchClassifier(nn.Module):
         self.head = nn.Linear(2 * CHANNELS[-1], classes)
 
     def forward(self, seen: torch.Tensor) -> torch.Tensor:
-        """Return the classes' logits (F, classes) of (F, 4, side, side)."""
+        """Return the classes' logits (F, classes) of (F, channels, h, w)."""
         found = self.features(seen).flatten(2)
         pooled = torch.cat([found.mean(dim=2), found.amax(dim=2)], dim=1)
         logits: torch.Tensor = self.head(self.drop(pooled))
@@ -134,14 +136,14 @@ def train_classifier(
     """Return a classifier of images.
 
     Args:
-        seen: (F, 4, side, side), what touches add.
+        seen: (F, channels, h, w), what touches add.
         labels: (F,) from 0.
         classes: how many there are.
         settings: of the training.
         seed: of the weights, the order and the changes to the images.
     """
     torch.manual_seed(seed)
-    network = TouchClassifier(classes)
+    network = TouchClassifier(seen.shape[1], classes)
     optimizer = torch.optim.AdamW(network.parameters(), weight_decay=1e-2)
     batches = -(-len(seen) // BATCH)
     schedule = torch.optim.lr_scheduler.OneCycleLR(
@@ -164,7 +166,7 @@ def train_classifier(
 
 
 def _changed(images: torch.Tensor, settings: ClassifierSettings) -> torch.Tensor:
-    """Return images a little brighter or dimmer, larger or smaller, and turned at random.
+    """Return images a little brighter or dimmer, larger or smaller, and turned.
 
     How a touch lies and from where its light comes tell nothing of its shape.
     """
@@ -172,7 +174,7 @@ def _changed(images: torch.Tensor, settings: ClassifierSettings) -> torch.Tensor
     gains, sizes = (
         1.0 + reach * (2.0 * torch.rand(count) - 1.0) for reach in (settings.gain, settings.stretch)
     )
-    turns = 2.0 * torch.pi * torch.rand(count)
+    turns = settings.turn_rad * (2.0 * torch.rand(count) - 1.0)
     cos, sin = sizes * torch.cos(turns), sizes * torch.sin(turns)
     none = torch.zeros(count)
     rows = torch.stack([cos, -sin, none, sin, cos, none], dim=1).reshape(count, 2, 3)
@@ -182,7 +184,7 @@ def _changed(images: torch.Tensor, settings: ClassifierSettings) -> torch.Tensor
 
 
 def classified(network: TouchClassifier, seen: Float32Array) -> IntArray:
-    """Return the class (F,) of each image (F, 4, side, side)."""
+    """Return the class (F,) of each image (F, channels, h, w)."""
     with torch.no_grad():
         logits = [network(part) for part in torch.from_numpy(seen).split(BATCH)]
     return np.asarray(torch.cat(logits).argmax(dim=1).numpy())

@@ -1,0 +1,1 @@
+"""A gel in contact with a second deformable body, both solved together."""

@@ -1,0 +1,174 @@
+"""Tumour detection in small: the command presses, learns, judges, and goes on where it stopped."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dotsim_ros import load_sensor
+from dotsim_ros.arrays import Float32Array
+from dotsim_ros.cli.evaluate import SOFT_SKINS
+from dotsim_ros.cli.main import main
+from dotsim_ros.evaluation.tumour import presses, reality
+from dotsim_ros.evaluation.tumour.images import OTHER, Eye, Light
+from dotsim_ros.evaluation.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
+from dotsim_ros.evaluation.tumour.rigid import rigid_presses
+from dotsim_ros.evaluation.tumour.skins import CLASSES, FACTORS, SKINS, PressPlan, changed
+from dotsim_ros.evaluation.tumour.study import Study
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.reference.layer_press import LayerPressSettings
+
+needs_calculix = pytest.mark.skipif(
+    shutil.which("ccx") is None, reason="CalculiX is not installed: apt-get install calculix-ccx"
+)
+
+
+@pytest.fixture(scope="module")
+def skin() -> SkinMesh:
+    return skin_of(coarse(load_sensor("densetact2")).gel)
+
+
+def detect(folder: Path, *given: str) -> int:
+    places = ["--out", f"{folder}/out", "--images", f"{folder}/images", "--cache", f"{folder}/kept"]
+    few = ["--presses", "2", "--judged", "1", "--shifted", "0", "--classifiers", "1"]
+    return main(["evaluate", "tumour", *few, "--epochs", "1", *places, *given])
+
+
+@needs_calculix
+def test_a_table_is_printed_kept_and_not_made_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = LayerPressSettings(gel_spacing_m=3.5e-3, layer_spacing_m=3.0e-3)
+    monkeypatch.setattr(reality, "CALCULIX", (quick,))
+    monkeypatch.setattr(presses, "MARKERS_M", 2.0e-3)
+    assert detect(tmp_path, "--skins", "skin_2") == 0
+    page = capsys.readouterr().out
+    assert (tmp_path / "out" / "tumour.md").read_text("utf-8") in page
+    found: dict[str, Any] = json.loads((tmp_path / "out" / "tumour.json").read_text())
+    assert set(found) == {"skin_2", "study", "provenance"}
+    rows = found["skin_2"]
+    for name in ("ours", "rigid", "load"):
+        # Two presses, of each two depths and three turns.
+        assert (rows[name]["presses"], rows[name]["images"]) == (2, 12)
+        told_right = np.trace(rows[name]["confusion"]) / np.sum(rows[name]["confusion"])
+        assert rows[name]["accuracy"] == pytest.approx(told_right)
+    assert rows["chance"]["accuracy"] == 0.5
+    assert rows["learnt_presses"] + rows["refused_presses"] == 4
+    assert rows["difference"]["force_error"] < 0.15
+    assert rows["difference"]["skin_rms_mm"] < 0.2 * rows["difference"]["moved_rms_mm"]
+    assert found["provenance"]["calculix"] != ""
+    with Image.open(tmp_path / "images" / "tumour.png") as picture:
+        assert picture.size == (4 * 320, 240 + 120)
+    kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "kept").rglob("*.*") if p.is_file()}
+    # Presses to learn from, CalculiX's, our own of these, and the skin's rows.
+    assert len(kept) == 4 + 2 + 2 + 1
+    assert detect(tmp_path, "--skins", "skin_2") == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    again: dict[str, Any] = json.loads((tmp_path / "out" / "tumour.json").read_text())
+    assert again["skin_2"] == rows
+
+
+def test_what_cannot_be_asked_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _name: "/bin/false")
+    for given, told in (
+        (("--seed", "-1"), "seed is -1, expected 0 or more"),
+        (("--presses", "1"), "1 simulated presses of each class, expected 2 at least"),
+        (("--judged", "0"), "judged is 0, expected 1 or more"),
+        (("--classifiers", "0"), "seeds is 0, expected 1 or more"),
+        (("--sensor", "flat_pad"), "expected 'dome': skins are pressed by a dome"),
+    ):
+        assert detect(tmp_path, *given) == 1
+        assert told in capsys.readouterr().err
+    monkeypatch.setattr(shutil, "which", lambda _name: None)
+    assert detect(tmp_path) == 1
+    assert "apt-get install calculix-ccx" in capsys.readouterr().err
+    assert not list(tmp_path.rglob("*.json"))
+    with pytest.raises(ValueError, match="no skin skin_9; known are skin_1"):
+        Study(skins=("skin_9",))
+
+
+def test_the_command_offers_what_there_is() -> None:
+    assert tuple(SKINS) == SOFT_SKINS
+    assert Study().skins == SOFT_SKINS
+
+
+def test_only_the_sign_of_the_insert_tells_the_classes() -> None:
+    drawn = PressPlan().drawn(400, 0)
+    assert [press.label for press in drawn[:4]] == [1, 0, 1, 0]
+    parts = [[press for press in drawn if press.label == label] for label in range(len(CLASSES))]
+    for value in (
+        lambda press: press.depths_m[-1],
+        lambda press: abs(press.insert.height_m),
+        lambda press: press.insert.radius_m,
+        lambda press: press.tilt_rad,
+    ):
+        values = [np.array([value(press) for press in part]) for part in parts]
+        error = np.hypot(*(part.std() / np.sqrt(len(part)) for part in values))
+        assert abs(values[0].mean() - values[1].mean()) < 4.0 * error
+    assert PressPlan().drawn(3, 0) == drawn[:6]
+    assert PressPlan().drawn(3, 1) != drawn[:6]
+    with pytest.raises(ValueError, match="expected positive ones that grow to 1"):
+        PressPlan(shares=(1.0, 0.5))
+
+
+def test_a_press_touches_the_skin_however_it_is_tilted() -> None:
+    layer = SKINS["skin_1"]
+    for press in PressPlan().drawn(3, 0):
+        pose = press.pose(layer, 15.75e-3, 0.0)
+        assert pose.apply([0.0, 0.0, layer.thickness_m]) == pytest.approx(
+            -15.75e-3 * pose.rotation()[:, 2]
+        )
+        assert np.arccos(-pose.rotation()[2, 2]) == pytest.approx(press.tilt_rad, abs=1e-6)
+    for press in PressPlan().drawn(3, 0, in_plane=True):
+        assert np.abs(press.pose(layer, 15.75e-3, 1e-3).rotation()[1]) == pytest.approx([0, 1, 0])
+
+
+def test_a_turned_press_is_the_press_from_another_side(skin: SkinMesh) -> None:
+    (press, _) = PressPlan().drawn(1, 0)
+    layer = SKINS["skin_1"]
+    (straight,) = rigid_presses(skin, layer, 15.75e-3, [press], 2)
+    turn = float(skin_turns(2)[1])
+    aside = replace(press, azimuth_rad=press.azimuth_rad + turn)
+    (turned,) = rigid_presses(skin, layer, 15.75e-3, [aside], 1)
+    assert straight.skin_m[1] == pytest.approx(turned.skin_m[0], abs=2e-7)
+    with pytest.raises(ValueError, match="6 turns of each press, expected 1 to 5"):
+        turned_skins(skin, np.zeros((1, skin.vertex_count, 3), dtype=np.float32), 6)
+
+
+def test_a_changed_skin_is_another_one() -> None:
+    for name, (stiffness, thickness) in FACTORS.items():
+        layer = changed(SKINS["skin_2"], name)
+        assert layer.youngs_modulus_pa == stiffness * SKINS["skin_2"].youngs_modulus_pa
+        assert layer.thickness_m == thickness * SKINS["skin_2"].thickness_m
+
+
+def test_what_is_shown_is_how_the_image_moved(skin: SkinMesh) -> None:
+    """Gel that is turned about the sensor's axis moves the image along circles."""
+    eye = Eye(coarse(load_sensor("densetact2")), skin)
+    rest = skin.rest_position_m.astype(np.float32)
+    c, s = np.cos(0.02), np.sin(0.02)
+    turned: Float32Array = (rest @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])).astype(np.float32)
+    (press, _) = PressPlan(shares=(0.5, 1.0)).drawn(1, 0)
+    solved = SolvedPress(press, np.stack([rest, turned])[None], np.zeros(2))
+    for light in (Light(noise_levels=0.0), OTHER):
+        seen, labels, numbers = eye.taken([solved], light, seed=0)
+        assert labels.tolist() == [1, 1]
+        assert numbers.tolist() == [0, 0]
+        still, moved = seen
+        row, column = np.mgrid[0:30, 0:40]
+        away = np.stack([column - 19.5, row - 14.5])
+        ring = (np.hypot(*away) > 5.0) & (np.hypot(*away) < 11.0)
+        # From +x towards +y, the image's x towards its y: 0.02 rad of 8 pixels a cell, in halves.
+        along = 0.02 * 8.0 / 0.5 * np.stack([-away[1], away[0]])
+        assert np.abs(still[:2, ring]).mean() < 0.15
+        assert (
+            np.abs(moved[:2, ring] - along[:, ring]).mean() < 0.25 * np.abs(along[:, ring]).mean()
+        )
