@@ -46,9 +46,13 @@ def client(session: Session) -> Iterator[ArmClient]:
 
 
 def velocities(stamps: Any, positions: Any) -> Any:
-    """Return the velocities between poses; their times are multiples of the arm's grid."""
+    """Return the velocities between poses; their times are multiples of the arm's grid. Poses of
+    one time, as after a halt, must be of one place."""
     steps = 0.005 * np.round(np.diff(stamps) / 0.005)
-    return np.diff(positions, axis=0) / steps[:, None], steps
+    ways = np.diff(positions, axis=0)
+    is_later = steps > 0.0
+    assert not ways[~is_later].any()
+    return ways[is_later] / steps[is_later, None], steps[is_later]
 
 
 def settled(client: ArmClient) -> Any:
