@@ -259,5 +259,4 @@ def test_what_cannot_be_pressed_is_refused(pair: GelAndLayer) -> None:
     with pytest.raises(PairError, match=r"expected 0\.001 m at most; press in smaller steps"):
         pair.press(reached, facing(small, RADIUS_M, 2.5e-3))
     with pytest.raises(PairError, match="reaches over the rim of the layer"):
-        for depth in (1.3e-3, 2.1e-3, 2.9e-3):
-            reached = pair.press(reached, facing(small, RADIUS_M, depth))
+        pair.press(reached, facing(small, RADIUS_M, 1.3e-3))
