@@ -284,15 +284,17 @@ def solve_contact(
     best: tuple[float, _ContactState] = (np.inf, known)
     if problem.farthest(problem.out_of_balance(known)) < NEAR * tolerance_m:
         best = _corrected(problem, known, tolerance_m)
+    if best[0] < tolerance_m:
+        return problem.solution(best[1], is_solved=True)
     close_m = CLOSE * tolerance_m
     states = (problem.limited(known, lag), problem.begin_with(guess.force_n - force_n, lag))
     state = min(states, key=lambda begun: begun.energy_j)
     for _ in range(passes):
-        if best[0] < tolerance_m:
-            break
         state = _descended(problem, state, lag, close_m)
         known = problem.at(state.reduced, state.change, state.caused, None)
         best = min(best, _corrected(problem, known, tolerance_m), key=lambda found: found[0])
+        if best[0] < tolerance_m:
+            break
         lag = Lag(known.response.pressure_pa, known.response.normal)
         state, close_m = problem.limited(known, lag), CLOSER * close_m
     left_m, state = best

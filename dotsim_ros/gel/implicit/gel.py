@@ -72,9 +72,8 @@ REGION_GRADIENT = 0.2
 cells keep the stiffness that they have at rest, Newton's method diverges once theirs is twice that:
 at 0.4, it does so in presses of 3 mm."""
 REGION_GRADIENT_KEPT = 0.25
-"""A region is kept while no cell outside is strained by more..."""
-SLOW_REGION_GRADIENT = 0.2
-"""...and, once a search converges slowly, by more than this."""
+"""A region is kept while no cell outside is strained by more; once a search converges slowly, only
+while none is by more than `REGION_GRADIENT`."""
 FAR_SLIDE_M = 0.1e-3
 """A marker that slides farther in a substep follows the indenter's surface, not a straight line."""
 NEIGHBOURS = 4
@@ -610,7 +609,7 @@ class ImplicitGel:
                 world.region = region
             else:
                 # For this substep alone: it makes each of them slower.
-                limits = (SLOW_REGION_GRADIENT, SLOW_REGION_GRADIENT)
+                limits = (REGION_GRADIENT, REGION_GRADIENT)
                 region = wide = self._region(
                     world, wide, near, local, gradient, limits, environment
                 )
