@@ -17,8 +17,8 @@ import gymnasium
 import numpy as np
 
 import dotsim_ros.tasks.environments  # noqa: F401
+from dotsim_ros.cores import available_core_count
 from dotsim_ros.files import write_json
-from dotsim_ros.gel.batch import available_core_count
 from dotsim_ros.provenance import provenance
 
 NAME = "DenseTactBoxYaw-v0"

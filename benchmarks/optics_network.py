@@ -78,12 +78,17 @@ def whole_optics(
     camera = FisheyeCamera.from_specification(sensor.camera)
     skin = skin_of(sensor.gel)
     idle = read_idle_frame(given_path(sensor.camera.idle_image), camera)
-    renderer = SkinRenderer(camera, skin)
+    renderer = SkinRenderer(camera, skin, band_count=threads)
     untouched = renderer.render(skin.rest_position_m)
     network = CompletionNetwork(directory, sensor=sensor.name, camera=camera, thread_count=threads)
     completion = network.at_rest(untouched, idle.image)
     images = ImageRenderer(
-        camera, skin, idle.image, lighting=idle.lighting, vignetting=idle.vignetting
+        camera,
+        skin,
+        idle.image,
+        lighting=idle.lighting,
+        vignetting=idle.vignetting,
+        band_count=threads,
     )
     card = network.card
     fineness = FINENESS[card.kind]

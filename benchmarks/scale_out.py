@@ -21,8 +21,8 @@ import numpy as np
 import trimesh
 
 from dotsim_ros.cache import content_key
+from dotsim_ros.cores import available_core_count
 from dotsim_ros.files import write_json
-from dotsim_ros.gel.batch import available_core_count
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import values_of

@@ -6,7 +6,6 @@ a step gives what single gels give, to the last bit.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,6 +13,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
+from dotsim_ros.cores import available_core_count
 from dotsim_ros.gel.implicit.gel import GelState
 from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter
@@ -201,13 +201,6 @@ class GelBatch:
         if failures:
             raise failures[0]
         return answers
-
-
-def available_core_count() -> int:
-    """Return on how many cores this process may run."""
-    # Linux and some others alone tell it.
-    allowed = getattr(os, "sched_getaffinity", None)
-    return len(allowed(0)) if allowed is not None else os.cpu_count() or 1
 
 
 def _work(

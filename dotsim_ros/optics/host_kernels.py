@@ -4,7 +4,8 @@ Warp makes a CPU's code one pixel and one number at a time. These hand the inner
 compiler's vector types instead: eight pixels of a row at once, or the three parts of a colour or a
 direction. Numbers are added and multiplied in the same order, so the results are the same to the
 last bit; the tests hold both against each other. The types are those of Clang, which Warp compiles
-for a CPU with: any CPU has them, whatever the width of its registers.
+for a CPU with: any CPU has them, whatever the width of its registers. Threads share a frame by
+bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
 
 `fill_view` and `warp_idle` take what their namesakes in `kernels` take.
 """
@@ -19,7 +20,7 @@ from dotsim_ros.optics.kernels import NO_TRIANGLE, Lens
 wp.set_module_options({"enable_backward": False})
 
 LANES = 8
-"""Pixels that the rasteriser tests at once; an image must have as many."""
+"""Pixels that the rasteriser tests at once; a band of rows must have as many."""
 
 _NO_TRIANGLE = wp.constant(NO_TRIANGLE)
 _CRACK_TOLERANCE = wp.constant(1.0e-5)
@@ -32,11 +33,13 @@ _NEAREST_IN_BOX = """
     const flags number = {0, 1, 2, 3, 4, 5, 6, 7};
     const int width = triangle_seen.shape[1];
     const int count = triangle_seen.shape[0] * width;
+    // What lies beyond may be another thread's.
+    const int last_start = row_end * width - 8;
     for (int row = y_first; row <= y_last; ++row) {
         const int end = row * width + x_last + 1;
         for (int first = row * width + x_first; first < end; first += 8) {
-            // The last lanes of the image start earlier, and leave out what lies before.
-            const int start = first < count - 8 ? first : count - 8;
+            // The last lanes of the band start earlier, and leave out what lies before.
+            const int start = first < last_start ? first : last_start;
             const flags place = start + number;
             const float* direction = ray.data + start;
             const lanes x = *(const lanes*)direction;
@@ -76,6 +79,7 @@ def nearest_in_box(
     x_last: int,
     y_first: int,
     y_last: int,
+    row_end: int,
     normal_all: wp.vec3,
     normal_b: wp.vec3,
     normal_c: wp.vec3,
@@ -86,7 +90,10 @@ def nearest_in_box(
     barycentric: wp.array2d(dtype=wp.vec2),
     depth: wp.array2d(dtype=wp.float32),
 ):
-    """Note a triangle where it is nearer than what the box's rays have met so far."""
+    """Note a triangle where it is nearer than what the box's rays have met so far.
+
+    The lanes beyond the box get back what they held, up to the end of the row before `row_end`.
+    """
     ...
 
 
@@ -97,11 +104,14 @@ def rasterize(
     triangles: wp.array2d(dtype=wp.int32),
     ray: wp.array3d(dtype=wp.float32),
     lens: Lens,
+    row_first: int,
+    row_end: int,
     triangle_seen: wp.array2d(dtype=wp.int32),
     barycentric: wp.array2d(dtype=wp.vec2),
     depth: wp.array2d(dtype=wp.float32),
 ):
-    """Nearest triangle along every ray; one thread at a time (a CPU), since pixels are shared.
+    """Nearest triangle along every ray of a band of rows; one thread at a time has a band (a CPU),
+    since its triangles share pixels. A band has at least `LANES` pixels.
 
     The box around the projected corners only chooses the pixels; each is tested with its own ray,
     so the fisheye's curved edges cost no accuracy. The rays are (3, H, W): their parts lie apart.
@@ -123,8 +133,8 @@ def rasterize(
     margin = 0.2 * extent * extent / lens.focal_px + 0.01
     x_first = wp.max(int(wp.ceil(left - margin)), 0)
     x_last = wp.min(int(wp.floor(right + margin)), triangle_seen.shape[1] - 1)
-    y_first = wp.max(int(wp.ceil(top - margin)), 0)
-    y_last = wp.min(int(wp.floor(bottom + margin)), triangle_seen.shape[0] - 1)
+    y_first = wp.max(int(wp.ceil(top - margin)), row_first)
+    y_last = wp.min(int(wp.floor(bottom + margin)), row_end - 1)
     if x_first > x_last or y_first > y_last:
         return
 
@@ -147,6 +157,7 @@ def rasterize(
         x_last,
         y_first,
         y_last,
+        row_end,
         normal_all,
         normal_b,
         normal_c,
@@ -361,13 +372,14 @@ def warp_idle(
     vignetting: wp.array2d(dtype=wp.float32),
     fine_flat: wp.array2d(dtype=wp.vec3),
     idle: wp.array3d(dtype=wp.uint8),
+    row_first: int,
     run: int,
     image: wp.array3d(dtype=wp.uint8),
 ):
     """`kernels.warp_idle`, the three colours at once."""
-    y, block = wp.tid()
+    row, block = wp.tid()
     warp_block(
-        y,
+        row_first + row,
         block * run,
         wp.min(block * run + run, lit.shape[1]),
         _NO_TRIANGLE,

@@ -6,7 +6,7 @@ LEDs of the cosine of incidence over the squared distance (a Lambertian coat), r
 rest. A glossy coat also mirrors the LEDs, in a lobe around the half-way direction (Blinn, "Models
 of light reflection for computer synthesized pictures", 1977). At rest the image is the idle frame,
 bit for bit. What this leaves out (shadows, light between parts of the dome) is left to a completion
-that may be learned.
+that may be learned. On a CPU threads share the rows and the vertices, see `bands`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
+from dotsim_ros.optics.bands import cut, launch_bands, thread_count
 from dotsim_ros.optics.frame_memory import FrameMemory
 from dotsim_ros.optics.idle import check_fine, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -77,7 +78,12 @@ def leds_of(lighting: Lighting, camera: FisheyeCamera, device: wp.Device) -> wp.
 
 
 def direct_light(
-    position: wp.array, outward: wp.array, leds: wp.array, lighting: Lighting
+    position: wp.array,
+    outward: wp.array,
+    leds: wp.array,
+    lighting: Lighting,
+    *,
+    band_count: int = 1,
 ) -> wp.array:
     """Return (N,) vec3 light that the inner side of points sends to the camera.
 
@@ -86,15 +92,23 @@ def direct_light(
         outward: (N,) vec3 unit normals out of the gel.
         leds: the LEDs, in the optical frame.
         lighting: the gloss of the coat.
+        band_count: bands of points that threads share.
     """
     irradiance = wp.empty_like(position)
-    wp.launch(
-        kernels.irradiate,
-        dim=len(position),
-        inputs=[position, outward, leds, lighting.gloss, lighting.gloss_exponent],
-        outputs=[irradiance],
-        device=position.device,
-    )
+    gloss = (lighting.gloss, lighting.gloss_exponent)
+
+    def irradiate(first: int, end: int) -> wp.Launch:
+        points = slice(first, end)
+        return wp.launch(
+            kernels.irradiate,
+            dim=end - first,
+            inputs=[position[points], outward[points], leds, *gloss],
+            outputs=[irradiance[points]],
+            device=position.device,
+            record_cmd=True,
+        )
+
+    launch_bands(cut(len(position), band_count), irradiate)
     return irradiance
 
 
@@ -111,6 +125,8 @@ class ImageRenderer:
             and with the rim's colours beyond the lit disc; None to interpolate them.
         completion: what to add to the warped image; None for nothing.
         device: Warp's name of the device.
+        band_count: bands of rows and of vertices that threads share; None for as many as
+            `bands.thread_count` on a CPU, else one. Any number gives the same to the last bit.
 
     Attributes:
         pixel_kernels: the module whose kernel colours the image; both give the same.
@@ -134,6 +150,7 @@ class ImageRenderer:
         fine: ImageArray | None = None,
         completion: Completion | None = None,
         device: str = "cpu",
+        band_count: int | None = None,
     ) -> None:
         check_image(idle_image)
         if idle_image.shape[:2] != (camera.height, camera.width):
@@ -151,6 +168,10 @@ class ImageRenderer:
         self._device = wp.get_device(device)
         self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
         self._run = camera.width if self._device.is_cpu else 1
+        if band_count is None:
+            band_count = thread_count() if self._device.is_cpu else 1
+        self._band_count = band_count
+        self._bands = cut(camera.height, band_count)
         self._memory = FrameMemory(self._device)
         self._leds = leds_of(self._lighting, camera, self._device)
         self._triangles = self._upload(skin_mesh.triangles, wp.int32)
@@ -192,6 +213,7 @@ class ImageRenderer:
             self._upload(view.vertex_normal, wp.vec3),
             self._leds,
             self._lighting,
+            band_count=self._band_count,
         )
 
     def _gain(self, view: View) -> wp.array:
@@ -218,25 +240,34 @@ class ImageRenderer:
         """Return the image (H, W, 3) without the completion."""
         gain = self._gain(view)
         image = self._memory.array(self._idle.shape, wp.uint8)
-        wp.launch(
-            self.pixel_kernels.warp_idle,
-            dim=(self._camera.height, self._camera.width // self._run),
-            inputs=[
-                self._upload(view.triangle, wp.int32),
-                self._upload(view.barycentric, wp.vec2),
-                self._triangles,
-                self._upload(view.vertex_pixel, wp.vec2),
-                self._rest_pixel,
-                gain,
-                self._lit,
-                self._brightness,
-                self._fine_flat,
-                self._idle,
-                self._run,
-            ],
-            outputs=[image],
-            device=self._device,
-        )
+        triangle = self._upload(view.triangle, wp.int32)
+        barycentric = self._upload(view.barycentric, wp.vec2)
+        vertex_pixel = self._upload(view.vertex_pixel, wp.vec2)
+
+        def warp_idle(first: int, end: int) -> wp.Launch:
+            return wp.launch(
+                self.pixel_kernels.warp_idle,
+                dim=(end - first, self._camera.width // self._run),
+                inputs=[
+                    triangle,
+                    barycentric,
+                    self._triangles,
+                    vertex_pixel,
+                    self._rest_pixel,
+                    gain,
+                    self._lit,
+                    self._brightness,
+                    self._fine_flat,
+                    self._idle,
+                    first,
+                    self._run,
+                ],
+                outputs=[image],
+                device=self._device,
+                record_cmd=True,
+            )
+
+        launch_bands(self._bands, warp_idle)
         return np.asarray(image.numpy(), dtype=np.uint8)
 
     def render(self, view: View) -> ImageArray:

@@ -213,16 +213,19 @@ def warp_idle(
     vignetting: wp.array2d(dtype=wp.float32),
     fine_flat: wp.array2d(dtype=wp.vec3),
     idle: wp.array3d(dtype=wp.uint8),
+    row_first: int,
     run: int,
     image: wp.array3d(dtype=wp.uint8),
 ):
-    """Colour of `run` pixels: the idle frame where the material point lay, times its gain.
+    """Colour of `run` pixels of a row, counted from one on: the idle frame where the material point
+    lay, times its gain.
 
     The idle pixel is the pixel plus the interpolated way back of the triangle's corners, which is
     exactly zero at rest, and exact to first order in the size of a triangle elsewhere. The idle
     frame has twice the resolution (2 H - 1, 2 W - 1).
     """
-    y, block = wp.tid()
+    row_number, block = wp.tid()
+    y = row_first + row_number
     last_x = float(fine_flat.shape[1] - 1)
     last_y = float(fine_flat.shape[0] - 1)
     loaded = int(_NO_TRIANGLE)

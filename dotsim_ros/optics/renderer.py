@@ -2,7 +2,7 @@
 
 The skin is a triangle mesh of fixed topology; its corners are warped by the gel. Within a
 triangle, depth is that of the plane, normals and material points are interpolated from the
-corners.
+corners. On a CPU threads share the rows, see `bands`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from dotsim_ros.arrays import BoolArray, Float32Array, IndexArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
+from dotsim_ros.optics.bands import cut, launch_bands, thread_count
 from dotsim_ros.optics.frame_memory import FrameMemory
 from dotsim_ros.optics.visibility import (
     EmbreeFinder,
@@ -82,6 +83,8 @@ class SkinRenderer:
             ray query on CUDA.
         region: (H, W) where the camera sees anything, such as the lit disc of its idle frame;
             elsewhere the view is empty. None for the whole image.
+        band_count: bands of rows that threads share; None for as many as `bands.thread_count` on a
+            CPU, else one. Any number gives the same to the last bit.
 
     Attributes:
         pixel_kernels: the module whose kernel fills the view; both give the same to the last bit.
@@ -99,6 +102,7 @@ class SkinRenderer:
         device: str = "cpu",
         visibility: Visibility | None = None,
         region: BoolArray | None = None,
+        band_count: int | None = None,
     ) -> None:
         self.camera = camera
         self.skin_mesh = skin_mesh
@@ -129,15 +133,20 @@ class SkinRenderer:
         self.pixel_kernels = host_kernels if self._device.is_cpu else kernels
         # A CPU kernel costs less when one thread does a whole row.
         self._run = camera.width if self._device.is_cpu else 1
-        self._finder = self._make_finder(visibility, rays)
+        if band_count is None:
+            band_count = thread_count() if self._device.is_cpu else 1
+        self._bands = cut(camera.height, band_count)
+        self._finder = self._make_finder(visibility, rays, band_count)
 
     def _upload(self, array: NDArray[np.generic], dtype: type) -> wp.array:
         return wp.array(np.ascontiguousarray(array), dtype=dtype, device=self._device)
 
-    def _make_finder(self, visibility: Visibility, rays: Float32Array) -> VisibilityFinder:
+    def _make_finder(
+        self, visibility: Visibility, rays: Float32Array, band_count: int
+    ) -> VisibilityFinder:
         match visibility:
             case Visibility.RASTER:
-                return RasterFinder(self.camera, rays, self._triangles)
+                return RasterFinder(self.camera, rays, self._triangles, band_count)
             case Visibility.EMBREE:
                 return EmbreeFinder(rays, self.skin_mesh.triangles)
             case Visibility.RAY_QUERY:
@@ -189,20 +198,26 @@ class SkinRenderer:
             device=self._device,
         )
         self._finder.find(vertices, vertex_pixel, triangle, barycentric, depth)
-        wp.launch(
-            self.pixel_kernels.fill_view,
-            dim=(self.camera.height, self.camera.width // self._run),
-            inputs=[
-                triangle,
-                self._rays,
-                self._triangles,
-                vertex_normal,
-                self._rest_position,
-                self._run,
-            ],
-            outputs=[normal, material_point, depth, barycentric],
-            device=self._device,
-        )
+
+        def fill(first: int, end: int) -> wp.Launch:
+            rows = slice(first, end)
+            return wp.launch(
+                self.pixel_kernels.fill_view,
+                dim=(end - first, self.camera.width // self._run),
+                inputs=[
+                    triangle[rows],
+                    self._rays[rows],
+                    self._triangles,
+                    vertex_normal,
+                    self._rest_position,
+                    self._run,
+                ],
+                outputs=[normal[rows], material_point[rows], depth[rows], barycentric[rows]],
+                device=self._device,
+                record_cmd=True,
+            )
+
+        launch_bands(self._bands, fill)
         # On a CPU these share memory with Warp's arrays, which live as long as they do.
         return View(
             depth_m=depth.numpy(),

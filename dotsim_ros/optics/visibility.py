@@ -2,8 +2,9 @@
 
 All three send the same ray through each pixel's centre, in single precision.
 
-- RASTER walks over the triangles and tests the pixels in the box around each: one core of a CPU
-  does a 640x480 frame in a few milliseconds, since the skin's triangles are a few pixels large.
+- RASTER walks over the triangles and tests the pixels in the box around each: a CPU does a 640x480
+  frame in a few milliseconds, since the skin's triangles are a few pixels large. Threads share it
+  by bands of rows.
 - EMBREE traces the rays through Intel's Embree: the reference on a CPU, by a library that shares
   no code with the others.
 - RAY_QUERY traces them through Warp's bounding-volume hierarchy: the way on CUDA.
@@ -20,6 +21,7 @@ import warp as wp
 from dotsim_ros.arrays import Float32Array, IndexArray
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.optics import host_kernels, kernels
+from dotsim_ros.optics.bands import cut, launch_bands
 
 _MILLIMETRES = 1e3
 
@@ -66,13 +68,21 @@ def lens_of(camera: FisheyeCamera) -> Any:
 
 
 class RasterFinder:
-    """The rasteriser; CPU only, since its threads share pixels.
+    """The rasteriser; CPU only, since its triangles share pixels.
+
+    Args:
+        camera: the camera.
+        rays: (H, W, 3) in the optical frame; one that is not finite meets nothing.
+        triangles: (T, 3) int32 vertices of each.
+        band_count: bands of rows that threads share.
 
     Raises:
         ValueError: the image has fewer pixels than are tested at once.
     """
 
-    def __init__(self, camera: FisheyeCamera, rays: Float32Array, triangles: wp.array) -> None:
+    def __init__(
+        self, camera: FisheyeCamera, rays: Float32Array, triangles: wp.array, band_count: int
+    ) -> None:
         if camera.width * camera.height < host_kernels.LANES:
             raise ValueError(
                 f"image is {camera.width}x{camera.height}, the rasteriser needs at least "
@@ -82,6 +92,8 @@ class RasterFinder:
         parts = np.ascontiguousarray(np.moveaxis(rays, 2, 0))
         self._rays: wp.array = wp.array(parts, dtype=wp.float32, device="cpu")
         self._triangles = triangles
+        fewest_rows = -(-host_kernels.LANES // camera.width)
+        self._bands = cut(camera.height, band_count, smallest=fewest_rows)
 
     def find(
         self,
@@ -92,13 +104,18 @@ class RasterFinder:
         depth: wp.array,
     ) -> None:
         triangle.fill_(kernels.NO_TRIANGLE)
-        wp.launch(
-            host_kernels.rasterize,
-            dim=len(self._triangles),
-            inputs=[position, pixel, self._triangles, self._rays, self._lens],
-            outputs=[triangle, barycentric, depth],
-            device="cpu",
-        )
+
+        def rasterize(first: int, end: int) -> wp.Launch:
+            return wp.launch(
+                host_kernels.rasterize,
+                dim=len(self._triangles),
+                inputs=[position, pixel, self._triangles, self._rays, self._lens, first, end],
+                outputs=[triangle, barycentric, depth],
+                device="cpu",
+                record_cmd=True,
+            )
+
+        launch_bands(self._bands, rasterize)
 
 
 class RayQueryFinder:

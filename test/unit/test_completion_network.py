@@ -312,6 +312,30 @@ def test_the_stand_in_sensor_ships_with_its_network():
     assert 1.0 < np.abs(added).max() < 100.0
 
 
+def test_two_threads_add_what_one_adds_to_the_last_bit():
+    shipped = load_sensor("sensor_a")
+    camera = FisheyeCamera.from_specification(shipped.camera)
+    dome = dome_skin(RADIUS_M, 0.5e-3)
+    renderer = SkinRenderer(camera, dome)
+    idle = read_idle_frame(given_path(shipped.camera.idle_image), camera).image
+    untouched = renderer.render(dome.rest_position_m)
+    axis = np.array([0.3, 0.2, 0.9]) / np.linalg.norm([0.3, 0.2, 0.9])
+    view = renderer.render(dented(dome, axis, 0.003, 0.004))
+    warped = ImageRenderer(camera, dome, idle).warp(view)
+    one, two, by_default = (
+        CompletionNetwork(
+            given_path(shipped.camera.residual),
+            sensor=shipped.name,
+            camera=camera,
+            thread_count=thread_count,
+        ).at_rest(untouched, idle)(view, warped)
+        for thread_count in (1, 2, None)
+    )
+    assert np.abs(one).max() > 1.0
+    assert np.array_equal(one, two)
+    assert np.array_equal(one, by_default)
+
+
 def test_running_a_network_loads_no_torch(made):
     program = (
         "import sys; from pathlib import Path; import dotsim_ros.sensor; "

@@ -4,7 +4,8 @@ An indenter's pose or velocity goes in; images, depth, the skin and the wrench c
 
 The real-time clock has one thread that presses, renders and publishes. Two, one for the gel and one
 for the camera, were measured: on two cores, which the readers of the images need as well, they slow
-each other down, and every image comes later.
+each other down, and every image comes later. Within a frame the camera uses the second core where
+it is free, see `optics.bands`.
 """
 
 from __future__ import annotations

@@ -9,13 +9,12 @@ import numpy as np
 
 from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.optics import bands
 from dotsim_ros.optics.network.card import BASES, FINENESS, NETWORK, check_card, read_network
 from dotsim_ros.optics.network.carded_weights import GRAPH
 from dotsim_ros.optics.network.input import FADE, FRAME, CompletionInput, resized
 from dotsim_ros.optics.network.session import Network
 from dotsim_ros.optics.renderer import View
-
-THREADS = 1
 
 
 class CompletionNetwork:
@@ -25,7 +24,8 @@ class CompletionNetwork:
         directory: that `dotsim_ros train-optics` wrote.
         sensor: name of the sensor that uses it.
         camera: of that sensor, at any resolution of the view that was trained on.
-        thread_count: of the network.
+        thread_count: of the network; None for as many as `bands.thread_count`. One and two give the
+            same to the last bit.
 
     Attributes:
         card: what the network is.
@@ -42,7 +42,7 @@ class CompletionNetwork:
         *,
         sensor: str,
         camera: FisheyeCamera,
-        thread_count: int = THREADS,
+        thread_count: int | None = None,
     ) -> None:
         self.card = read_network(directory)
         check_card(self.card, sensor=sensor, camera=camera, source=directory)
@@ -58,7 +58,7 @@ class CompletionNetwork:
                 "image": (1, 3, height, width),
             },
             output=(1, 3, height, width),
-            thread_count=thread_count,
+            thread_count=bands.thread_count() if thread_count is None else thread_count,
             noun=NETWORK.noun,
         )
 
