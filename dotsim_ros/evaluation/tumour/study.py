@@ -182,13 +182,13 @@ def _skin_rows(
         min(study.turns, RIGID_TURNS),
     )
     rigid_networks, _ = _learnt(replace(study, seeds=RIGID_SEEDS), eye, rigid)
-    ours = _row(networks, reality) | {
-        "simulated": (
-            _row(networks, _taken(study, eye, apart, AS_ASSUMED))["accuracy"] if apart else None
-        ),
-        "presses_asked": asked,
-    }
     again = simulation.solved(layer, [press.press for press in real], 1)
+    simulated_rows = {
+        name: _row(networks, _taken(study, eye, presses, AS_ASSUMED))["accuracy"]
+        for name, presses in (("simulated", apart), ("same_presses", again))
+        if presses
+    }
+    ours = _row(networks, reality) | simulated_rows | {"presses_asked": asked}
     shifts = {OTHER_LIGHT: _row(networks, _taken(study, eye, real, OTHER))}
     if study.shifted:
         shifts |= _changed_rows(study, layer, stream, simulation, eye, networks)
