@@ -77,8 +77,8 @@ def tumour_page(figures: Mapping[str, Any], picture: str) -> str:
             COLUMNS,
         ),
         "Presses told wrong: by most of their images and classifiers. On simulated presses: our "
-        "own, which no classifier learnt from. On the judged ones, simulated: our own solves of the "
-        "presses that CalculiX was given; what is lost against them is lost to the difference "
+        "own, which no classifier learnt from. On the judged ones, simulated: our own solves of "
+        "the presses that CalculiX was given; what is lost against them is lost to the difference "
         "between both solvers.",
         "",
         markdown_table(
