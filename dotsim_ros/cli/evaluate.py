@@ -67,6 +67,9 @@ IMAGE_MODELS = (
     "paper_direct",
     "unet",
     "carried",
+    "tacto_warped",
+    "taxim_warped",
+    "difftactile_warped",
     "ours",
 )
 OPTIONAL_MODELS = ("unet",)
