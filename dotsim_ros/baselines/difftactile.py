@@ -39,6 +39,7 @@ from dotsim_ros.baselines.tetrahedra import (
     edge_matrices,
 )
 from dotsim_ros.baselines.training import (
+    MeasuredSurface,
     check_training,
     indenter_of,
     measured_surface,
@@ -227,7 +228,7 @@ class DynamicGel:
         pose to pose.
 
         Raises:
-            DivergenceError: the explicit steps have left every bound.
+            DiffTactileDivergenceError: the explicit steps have left every bound.
         """
         c = constants
         wave = float(np.sqrt(lame_constants(c.poisson_ratio)[0]))
@@ -399,7 +400,7 @@ class DiffTactile:
         """Return skin and force at the poses of a press; see `measured.presses.Model`.
 
         Raises:
-            DivergenceError: the explicit steps have left every bound.
+            DiffTactileDivergenceError: the explicit steps have left every bound.
         """
         gel = self.gel
         if skin is not gel.skin:
@@ -409,22 +410,34 @@ class DiffTactile:
 
 
 @dataclass(frozen=True)
+class FitTarget:
+    """What the runs of a press are compared with.
+
+    Attributes:
+        surfaces: measured skin of each frame.
+        motion_m2: squared distance of the skin at rest to the measured one, mean over vertices,
+            summed over the frames.
+        measured_n2: squared measured force, summed over the frames.
+    """
+
+    surfaces: tuple[MeasuredSurface, ...]
+    motion_m2: float
+    measured_n2: float
+
+
+@dataclass(frozen=True)
 class FitScore:
     """How a run compares with a press: sums over its frames, which add up over presses.
 
     Attributes:
         skin_m2: squared distance to the measured skin, mean over vertices.
-        motion_m2: squared distance of the skin at rest to the measured one, mean over vertices.
         unit_force: squared force of unit modulus.
         product: force of unit modulus times measured force.
-        measured_n2: squared measured force.
     """
 
     skin_m2: float
-    motion_m2: float
     unit_force: float
     product: float
-    measured_n2: float
 
 
 class FitTrials:
@@ -440,7 +453,23 @@ class FitTrials:
 
     def __init__(self, gel: DynamicGel, indenters: Mapping[str, Indenter]) -> None:
         self.gel, self.indenters = gel, indenters
+        self._targets: dict[str, FitTarget] = {}
         self._done: dict[tuple[str, GelConstants], FitScore | None] = {}
+
+    def target(self, press: Press) -> FitTarget:
+        """Return what the runs of a press are compared with."""
+        if press.name not in self._targets:
+            assert press.skin_position_m is not None
+            assert press.force_n is not None
+            skin = self.gel.skin
+            surfaces = tuple(measured_surface(measured, skin) for measured in press.skin_position_m)
+            rest = np.repeat(skin.rest_position_m[None], press.frame_count, axis=0)
+            self._targets[press.name] = FitTarget(
+                surfaces,
+                press.frame_count * surface_rms_m(rest, surfaces) ** 2,
+                float(np.sum(press.force_n**2)),
+            )
+        return self._targets[press.name]
 
     def score(self, press: Press, constants: GelConstants) -> FitScore | None:
         """Return how a run compares with a press, None where it diverged."""
@@ -450,23 +479,17 @@ class FitTrials:
         return self._done[key]
 
     def _run(self, press: Press, constants: GelConstants) -> FitScore | None:
-        assert press.skin_position_m is not None
         assert press.force_n is not None
-        skin, count = self.gel.skin, press.frame_count
-        surfaces = [measured_surface(measured, skin) for measured in press.skin_position_m]
         try:
             position, force = self.gel.run(
                 press.poses, indenter_of(press, self.indenters), constants
             )
         except DiffTactileDivergenceError:
             return None
-        rest = np.repeat(skin.rest_position_m[None], count, axis=0)
         return FitScore(
-            count * surface_rms_m(position, surfaces) ** 2,
-            count * surface_rms_m(rest, surfaces) ** 2,
+            press.frame_count * surface_rms_m(position, self.target(press).surfaces) ** 2,
             float(np.sum(force**2)),
             float(np.sum(force * press.force_n)),
-            float(np.sum(press.force_n**2)),
         )
 
 
@@ -475,7 +498,6 @@ def fit(
     indenters: Mapping[str, Indenter],
     skin: SkinMesh,
     *,
-    seed: int = 0,
     grid: Mapping[str, Sequence[float]] | None = None,
     shell: Shell | None = None,
     device: str = "cpu",
@@ -484,14 +506,13 @@ def fit(
     """Return DiffTactile with the best constants of a grid and the modulus of least squares.
 
     Coordinate descent from `START`: each constant in turn is set to the value of its row that makes
-    the squared relative errors of skin and force, added up, smallest; at most `ROUNDS` rounds. One
-    press of each indenter, drawn by the seed, is run.
+    the squared relative errors of skin and force over all presses, added up, smallest; at most
+    `ROUNDS` rounds. A value is given up as soon as the presses run so far show that it is behind.
 
     Args:
         train: presses with skin and force.
         indenters: their indenters, by name.
         skin: the measured skin at rest, of a dome.
-        seed: of the presses.
         grid: values to try of the constants that it names, by default `GRID`.
         shell: how the gel is cut, by default `Shell()`; not read where trials are given.
         device: Warp's name of the device; not read where trials are given.
@@ -504,56 +525,62 @@ def fit(
     shell = Shell() if shell is None else shell
     if trials is None:
         trials = FitTrials(DynamicGel(shell.mesh(skin), skin, device=device), indenters)
-    presses = _one_of_each_indenter(train, seed)
+    targets = [trials.target(press) for press in train]
+    if not (any(t.motion_m2 for t in targets) and any(t.measured_n2 for t in targets)):
+        raise ValueError(
+            "the skin does not move, or no force is measured, in the presses to fit on; a modulus "
+            "cannot be estimated"
+        )
+    # The largest first: they show soonest that a value is behind.
+    presses = sorted(train, key=lambda press: -trials.target(press).motion_m2)
     best = START
+    lowest = _cost(trials, presses, best, float("inf"))
     for _ in range(ROUNDS):
         before = best
         for name, values in (GRID if grid is None else grid).items():
-            candidates = [replace(best, **{name: value}) for value in values]
-            costs = [_cost(trials, presses, candidate) for candidate in candidates]
-            if np.isfinite(costs).any():
-                best = candidates[int(np.argmin(costs))]
+            for value in values:
+                candidate = replace(best, **{name: value})
+                cost = _cost(trials, presses, candidate, lowest)
+                if cost < lowest:
+                    best, lowest = candidate, cost
         if best == before:
             break
     return DiffTactile(best, _modulus(trials, presses, best), shell, trials.gel)
 
 
-def _one_of_each_indenter(train: Sequence[Press], seed: int) -> list[Press]:
-    # Shuffled by the name alone, so that splits of one data set agree on the presses they share.
-    names = sorted({press.name for press in train})
-    order = {name: np.random.default_rng([seed, *name.encode()]).integers(2**62) for name in names}
-    by_order = sorted(train, key=lambda press: order[press.name])
-    first = {press.indenter: press for press in reversed(by_order)}
-    return [first[indenter] for indenter in sorted(first)]
+def _cost(
+    trials: FitTrials, presses: Sequence[Press], constants: GelConstants, limit: float
+) -> float:
+    """Return the squared relative errors of skin and force, added up.
 
-
-def _scores(trials: FitTrials, presses: Sequence[Press], constants: GelConstants) -> list[FitScore]:
-    """Return the scores of all presses, none where one of them diverged."""
-    scores = []
-    for press in presses:
+    Infinity where a run diverged, and where the presses run so far alone cost more than the limit:
+    the rest cannot take anything off, since no modulus does better for all than each one's own.
+    """
+    targets = [trials.target(press) for press in presses]
+    motion = sum(target.motion_m2 for target in targets)
+    measured = sum(target.measured_n2 for target in targets)
+    skin = unit = product = known = cost = 0.0
+    for press, target in zip(presses, targets, strict=True):
         score = trials.score(press, constants)
         if score is None:
-            return []
-        scores.append(score)
-    return scores
-
-
-def _cost(trials: FitTrials, presses: Sequence[Press], constants: GelConstants) -> float:
-    scores = _scores(trials, presses, constants)
-    if not scores:
-        return float("inf")
-    modulus = _modulus(trials, presses, constants)
-    measured = sum(s.measured_n2 for s in scores)
-    missed = measured - modulus * sum(s.product for s in scores)
-    return sum(s.skin_m2 for s in scores) / sum(s.motion_m2 for s in scores) + missed / measured
+            return float("inf")
+        skin += score.skin_m2
+        unit += score.unit_force
+        product += score.product
+        known += target.measured_n2
+        missed = known - (product**2 / unit if unit else 0.0)
+        cost = skin / motion + missed / measured
+        if cost > limit:
+            return float("inf")
+    return cost
 
 
 def _modulus(trials: FitTrials, presses: Sequence[Press], constants: GelConstants) -> float:
-    scores = _scores(trials, presses, constants)
-    unit = sum(s.unit_force for s in scores)
-    if unit == 0.0:
+    scores = [trials.score(press, constants) for press in presses]
+    unit = sum(score.unit_force for score in scores if score is not None)
+    if unit == 0.0 or None in scores:
         raise ValueError(
             "no indenter touches the skin in the presses to fit on, or every run diverged; a "
             "modulus cannot be estimated"
         )
-    return sum(s.product for s in scores) / unit
+    return sum(score.product for score in scores if score is not None) / unit

@@ -1,7 +1,9 @@
 """Compare simulators with measured presses: geometry and force, images, or cost and error.
 
 `geometry` fits every model on 19 presses drawn by the seed and judges it on the other 9, then
-leaves each indenter out in turn; it writes geometry.md and geometry.json. `runtime` lets the
+leaves each indenter out in turn; it writes geometry.md and geometry.json. `geometry_later` fits
+every model on all presses of one data set and judges it on all of another that was recorded later;
+it writes geometry_later.md and geometry_later.json. `runtime` lets the
 implicit and the explicit gel follow a few presses at several resolutions; it writes runtime.md and
 runtime.json. `optics` fits every model of the image on the frames of six splits and judges it on
 their others; it writes optics.md, optics.json and sheets of images. A row that was made before is
@@ -23,6 +25,7 @@ examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
   dotsim_ros evaluate geometry --data DIR --models ours tacto --splits held_out --out out
   dotsim_ros evaluate geometry --data DIR --models explicit --splits held_out --keep --out out
+  dotsim_ros evaluate geometry_later --data LATER --fit-data DIR --sensor FILE --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
   dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
@@ -40,15 +43,19 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import cache, lru_cache, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from dotsim_ros.cli._workers import add_worker_arguments, crew_of
 
-MODELS = ("ours", "explicit", "tacto", "taxim", "difftactile")
+if TYPE_CHECKING:
+    from dotsim_ros.evaluation.geometry.report import Measured
+    from dotsim_ros.measured.split import Split
+
+MODELS = ("ours", "explicit", "explicit_fitted", "tacto", "taxim", "difftactile")
 IMAGE_MODELS = (
     "idle",
     "idle_refined",
@@ -60,6 +67,9 @@ IMAGE_MODELS = (
     "paper_direct",
     "unet",
     "carried",
+    "tacto_warped",
+    "taxim_warped",
+    "difftactile_warped",
     "ours",
 )
 OPTIONAL_MODELS = ("unet",)
@@ -92,6 +102,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     subjects = parser.add_subparsers(dest="subject", required=True, metavar="SUBJECT")
     geometry = subjects.add_parser("geometry", help="surfaces and forces of every model")
+    later = subjects.add_parser(
+        "geometry_later", help="the same on presses recorded after those that are fitted on"
+    )
     optics = subjects.add_parser("optics", help="images of every model")
     runtime = subjects.add_parser("runtime", help="frames a second against the error")
     gelsight = subjects.add_parser("gelsight", help="images of a real flat sensor")
@@ -100,14 +113,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     classification = subjects.add_parser(
         "classification", help="which indenter touches, learnt from simulated images"
     )
-    for subject in (geometry, optics, gelsight, real_pair, runtime, gap, classification):
+    for subject in (geometry, later, optics, gelsight, real_pair, runtime, gap, classification):
         subject.add_argument("--data", type=Path, required=True, help="folder of a data set")
         subject.add_argument(
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
         )
         subject.add_argument("--json", type=Path, help="write the figures here as well")
         subject.add_argument("--seed", type=int, default=0, help="seed of the draws (0)")
-    for subject in (geometry, optics, real_pair, runtime, gap, classification):
+    for subject in (geometry, later, optics, real_pair, runtime, gap, classification):
         subject.add_argument(
             "--sensor",
             default="densetact2",
@@ -126,9 +139,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="only estimate the model's own error and the effects' limits, and write them here",
     )
-    geometry.add_argument(
-        "--models", nargs="+", choices=MODELS, default=list(MODELS), help="which (all)"
+    later.add_argument(
+        "--fit-data",
+        type=Path,
+        required=True,
+        help="folder of the data set to fit on, of the same sensor, with its indenters' meshes",
     )
+    for subject in (geometry, later):
+        subject.add_argument(
+            "--models", nargs="+", choices=MODELS, default=list(MODELS), help="which (all)"
+        )
+        subject.add_argument(
+            "--stated",
+            default="densetact2",
+            help="sensor as its maker states it, for the explicit gels",
+        )
+        subject.add_argument(
+            "--from-depth-mm",
+            type=float,
+            default=2.0,
+            help="least depth of the frames that are judged (2)",
+        )
     geometry.add_argument(
         "--splits",
         choices=("held_out", "all"),
@@ -136,16 +167,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the drawn one only, or with each indenter left out as well (all)",
     )
     geometry.add_argument("--count", type=int, default=9, help="presses held out (9)")
-    geometry.add_argument(
-        "--stated", default="densetact2", help="sensor as its maker states it, for the explicit gel"
-    )
-    geometry.add_argument(
-        "--from-depth-mm",
-        type=float,
-        default=2.0,
-        help="least depth of the frames that are judged (2)",
-    )
-    for subject in (geometry, optics):
+    for subject in (geometry, later, optics):
         subject.add_argument(
             "--keep",
             action="store_true",
@@ -324,28 +346,9 @@ def _write(
 
 
 def _geometry(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.evaluation.geometry.registry import factory_of
-    from dotsim_ros.evaluation.geometry.report import (
-        definitions,
-        evaluate_geometry,
-        geometry_page,
-        read_measured,
-        splits_of,
-    )
-    from dotsim_ros.evaluation.kept_rows import (
-        check_judged_alike,
-        read_geometry,
-        with_kept_rows,
-        with_origin,
-    )
+    from dotsim_ros.evaluation.geometry.report import read_measured, splits_of
     from dotsim_ros.measured.data_set import read_data_set
-    from dotsim_ros.provenance import provenance
 
-    before = read_geometry(arguments.out / "geometry.json") if arguments.keep else None
-    factories = {
-        name: factory_of(name, sensor=arguments.sensor, stated=arguments.stated)
-        for name in arguments.models
-    }
     measured = read_measured(read_data_set(arguments.data))
     splits = splits_of(
         measured,
@@ -353,8 +356,47 @@ def _geometry(arguments: argparse.Namespace) -> int:
         seed=arguments.seed,
         with_indenters=arguments.splits == "all",
     )
+    return _judge_geometry(arguments, measured, splits)
+
+
+def _geometry_later(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.geometry.report import read_with_later
+    from dotsim_ros.measured.data_set import read_data_set
+
+    measured, split = read_with_later(
+        read_data_set(arguments.fit_data), read_data_set(arguments.data)
+    )
+    return _judge_geometry(arguments, measured, [split], fitted_on=arguments.fit_data.name)
+
+
+def _judge_geometry(
+    arguments: argparse.Namespace,
+    measured: Measured,
+    splits: Sequence[Split],
+    *,
+    fitted_on: str | None = None,
+) -> int:
+    from dotsim_ros.evaluation.geometry.registry import factories_of
+    from dotsim_ros.evaluation.geometry.report import (
+        definitions,
+        evaluate_geometry,
+        geometry_page,
+    )
+    from dotsim_ros.evaluation.kept_rows import (
+        check_judged_alike,
+        read_geometry,
+        with_kept_rows,
+        with_origin,
+    )
+    from dotsim_ros.provenance import provenance
+
+    table = arguments.out / f"{arguments.subject}.json"
+    before = read_geometry(table) if arguments.keep else None
+    factories = factories_of(arguments.models, sensor=arguments.sensor, stated=arguments.stated)
     from_depth_m = 1e-3 * arguments.from_depth_mm
     origin = {"sensor": str(arguments.sensor), "seed": str(arguments.seed)}
+    if fitted_on is not None:
+        origin["fitted_on"] = fitted_on
     source = provenance() | {"data": arguments.data.name} | origin
     if before is not None:
         # Before models are fitted for an hour.
@@ -375,7 +417,7 @@ def _geometry(arguments: argparse.Namespace) -> int:
     figures = with_origin(figures, arguments.models, source) | {"provenance": source}
     if arguments.keep:
         # Read anew: another run may have added rows meanwhile.
-        figures = with_kept_rows(figures, read_geometry(arguments.out / "geometry.json"), MODELS)
+        figures = with_kept_rows(figures, read_geometry(table), MODELS)
     models = [name for name in MODELS if name in figures]
     return _write(arguments, figures, origin, lambda f: geometry_page(f, models))
 
@@ -756,6 +798,7 @@ def _tumour(arguments: argparse.Namespace) -> int:
 
 _SUBJECTS = {
     "geometry": _geometry,
+    "geometry_later": _geometry_later,
     "optics": _optics,
     "gelsight": _gelsight,
     "real_pair": _real_pair,

@@ -12,12 +12,17 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.baselines import taxim
+from dotsim_ros.baselines import difftactile, taxim
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.geometry.explicit import ExplicitModel
-from dotsim_ros.evaluation.geometry.registry import factory_of, sensor_for
-from dotsim_ros.evaluation.geometry.report import read_measured
+from dotsim_ros.evaluation.geometry.explicit import (
+    COARSE_SETTINGS,
+    ExplicitFit,
+    ExplicitModel,
+)
+from dotsim_ros.evaluation.geometry.registry import factories_of, sensor_for
+from dotsim_ros.evaluation.geometry.report import read_measured, read_with_later
 from dotsim_ros.evaluation.geometry.runtime import Effort, model_of
+from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, tip_depth_m
@@ -111,13 +116,18 @@ def write_data_set(directory: Path) -> DataSet:
         write_ball(directory / "indenters" / f"{name[:-2]}.stl")
     records = [{"bag": f"bags/{name}", "indenter": name[:-2], "frames": 4} for name in names]
     (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
+    write_skin(directory, SKIN.rest_position_m)
+    return read_data_set(directory)
+
+
+def write_skin(directory: Path, position_m: FloatArray) -> None:
+    """Write the skin's mesh with vertices at (V, 3)."""
     np.savez(
         directory / "skin_mesh.npz",
-        rest_position_m=SKIN.rest_position_m,
+        rest_position_m=position_m,
         triangles=SKIN.triangles,
         on_base=SKIN.on_base,
     )
-    return read_data_set(directory)
 
 
 @pytest.fixture(scope="module")
@@ -380,7 +390,7 @@ def test_broken_bag_is_left_out_and_named(tmp_path: Path) -> None:
 
 def test_unknown_model_is_named() -> None:
     with pytest.raises(ValueError, match="no model 'gelsight'; known are ours"):
-        factory_of("gelsight", sensor="densetact2", stated="densetact2")
+        factories_of(["gelsight"], sensor="densetact2", stated="densetact2")
 
 
 def test_folder_of_sensors_holds_one_for_each_split(tmp_path: Path) -> None:
@@ -447,6 +457,88 @@ def test_a_model_is_added_to_a_table(
     assert figures["tacto"]["origin_indenter_left_out"] == first["tacto"]["origin"]
     assert figures["tacto"]["origin"]["date"] >= first["tacto"]["origin"]["date"]
     assert "- tacto, indenters left out: commit" in (tmp_path / "geometry.md").read_text()
+
+
+def write_later(directory: Path, names: tuple[str, ...] = ("later_0", "later_1")) -> DataSet:
+    """Write presses of the ball that come without its mesh."""
+    for number, name in enumerate(names):
+        write_trajectory(directory / "bags" / name, trajectory(seed=10 + number))
+    records = [{"bag": f"bags/{name}", "indenter": "ball", "frames": 4} for name in names]
+    (directory / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": records}))
+    write_skin(directory, SKIN.rest_position_m)
+    return read_data_set(directory)
+
+
+def test_all_presses_are_fitted_on_and_all_later_ones_judged(
+    data_set: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_later(tmp_path / "later")
+    seen: list[list[str]] = []
+    fit = taxim.fit
+
+    def watched(train: list[Press], *rest: Any) -> Any:
+        seen.append([press.name for press in train])
+        return fit(train, *rest)
+
+    monkeypatch.setattr(taxim, "fit", watched)
+    command = ["evaluate", "geometry_later", "--data", str(tmp_path / "later")]
+    command += ["--fit-data", str(data_set.directory), "--out", str(tmp_path / "out")]
+    assert main([*command, "--models", "taxim"]) == 0
+    assert seen == [sorted(entry.name for entry in data_set.entries)]
+    written = json.loads((tmp_path / "out" / "geometry_later.json").read_text())
+    assert written["splits"]["held_out"]["test"] == ["later_0", "later_1"]
+    assert written["judged_frames"] == {"later_0": [2, 3], "later_1": [2, 3]}
+    assert written["taxim"]["held_out"]["presses"] == 2
+    assert written["provenance"]["data"] == "later"
+    assert written["provenance"]["fitted_on"] == data_set.directory.name
+    assert "judged on 2" in (tmp_path / "out" / "geometry_later.md").read_text()
+    assert main([*command, "--models", "tacto", "--keep"]) == 0
+    both = json.loads((tmp_path / "out" / "geometry_later.json").read_text())
+    assert both["taxim"] == written["taxim"]
+    assert both["tacto"]["held_out"]["frames"] == 4
+
+
+def test_later_presses_of_another_skin_are_refused(data_set: DataSet, tmp_path: Path) -> None:
+    later = write_later(tmp_path)
+    write_skin(tmp_path, 1.01 * SKIN.rest_position_m)
+    with pytest.raises(ValueError, match="is not that of"):
+        read_with_later(data_set, later)
+
+
+def test_a_press_is_not_judged_that_was_fitted_on(data_set: DataSet, tmp_path: Path) -> None:
+    later = write_later(tmp_path, ("later_0", "ball_1"))
+    with pytest.raises(ValueError, match=r"ball_1 in both .*give the later ones other names"):
+        read_with_later(data_set, later)
+
+
+def test_difftactile_is_fitted_on_all_presses(
+    data_set: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(difftactile, "GRID", {"friction": (0.4,)})
+    measured, split = read_with_later(data_set, write_later(tmp_path))
+    make = factories_of(["difftactile"], sensor="densetact2", stated="densetact2")["difftactile"]
+    train = [measured.presses[name] for name in split.train[:2]]
+    model = make(split, train, measured.indenters, measured.skin)
+    answer = model.predict(train[0], measured.indenters["ball"], measured.skin)
+    assert answer.force_n is not None
+    assert answer.force_n[-1, 2] == pytest.approx(STIFFNESS_N_M * DEPTHS_M[-1], rel=0.5)
+
+
+def test_the_explicit_gels_modulus_is_that_of_the_forces() -> None:
+    sensor = SensorSpecification()
+    truth = ExplicitModel(sensor, NeoHookean(1.0e5, 0.45), COARSE_SETTINGS)
+    answer = truth.predict(press(), BALL, SKIN)
+    measured = press(skin_position_m=answer.skin_position_m, force_n=answer.force_n)
+    fits = ExplicitFit(sensor, COARSE_SETTINGS)
+    fitted = fits.fit_with_force([measured], {"ball": BALL}, SKIN)
+    assert fitted.material.poisson_ratio == 0.45
+    assert fitted.material.youngs_modulus_pa == pytest.approx(1.0e5, rel=1e-3)
+    as_published = fits.fit([measured], {"ball": BALL}, SKIN)
+    assert as_published.material.youngs_modulus_pa == 27_575.0
+    with pytest.raises(ValueError, match="ball_0: no force was measured"):
+        ExplicitFit(sensor, COARSE_SETTINGS).fit_with_force(
+            [replace(measured, force_n=None)], {"ball": BALL}, SKIN
+        )
 
 
 def test_the_runtime_tables_explicit_gel_has_the_moduli_of_the_sensors_law() -> None:

@@ -11,7 +11,12 @@ from numpy.typing import NDArray
 from dotsim_ros.baselines.clipping import clip_depths, clipped_skin
 from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
 from dotsim_ros.baselines.optics.clipped import clipped_press
-from dotsim_ros.baselines.optics.pixels import pixel_grid, relative_normal, seen_region
+from dotsim_ros.baselines.optics.pixels import (
+    pixel_grid,
+    relative_normal,
+    seen_region,
+    warped_ground,
+)
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
@@ -167,6 +172,42 @@ def test_tacto_finds_its_lights_again(monkeypatch: pytest.MonkeyPatch) -> None:
     for press in (shone(press, light, intensity) for press in TEST):
         assert idle_error(press) > 2.0
         assert error(model.predict(press, REST), press) < 0.5 * idle_error(press)
+
+
+def over_pattern(press: OpticalPress, seed: int) -> OpticalPress:
+    """Return a press with a pattern, moved in each frame, under what its measured images show."""
+    random = np.random.default_rng(seed)
+    shape = (*press.measured.shape[:3], 1)
+    pattern = REST.lit[None, ..., None] * random.integers(-40, 40, shape)
+    moved = (press.warped + pattern).astype(np.uint8)
+    return replace(press, warped=moved, measured=(press.measured + pattern).astype(np.uint8))
+
+
+@pytest.mark.parametrize("kind", ["taxim", "difftactile", "tacto"])
+def test_on_the_warped_image_only_the_rest_is_learned(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    light = tacto.PhongLight(0.010, -0.001, (1.0, 3.1, 5.3), 8.0)
+    intensity = np.concatenate([0.4 * np.eye(3), 0.1 * np.eye(3)])
+    presses = [
+        over_pattern(shone(press, light, intensity) if kind == "tacto" else coloured(press), seed)
+        for seed, press in enumerate([*TRAIN, *TEST])
+    ]
+    train, test = presses[: len(TRAIN)], presses[len(TRAIN) :]
+    model: tacto.TactoImage | taxim.TaximImage | per_pixel.PerPixelImage
+    if kind == "tacto":
+        monkeypatch.setattr(tacto, "GENERATIONS", 12)
+        monkeypatch.setattr(tacto, "SEARCH_PIXELS", 3000)
+        model = tacto.fit(train, REST, CAMERA, ground=warped_ground)
+    elif kind == "taxim":
+        model = taxim.fit(train, REST, CAMERA, ground=warped_ground)
+    else:
+        pytest.importorskip("torch", reason="the network is trained with torch")
+        settings = per_pixel.PerPixelSettings("difftactile", (24, 24), steps=500, batch=1024)
+        model = per_pixel.fit(train, REST, CAMERA, settings=settings, ground=warped_ground)
+    for press in test:
+        assert error(press.warped, press) > 2.0
+        assert error(model.predict(press, REST), press) < 0.5 * error(press.warped, press)
 
 
 @pytest.mark.parametrize("kind", ["taxim", "tacto"])

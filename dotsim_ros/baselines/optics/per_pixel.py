@@ -21,7 +21,13 @@ from itertools import pairwise
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, ImageArray
-from dotsim_ros.baselines.optics.pixels import TOWARDS_CAMERA, draw_pixels, pixel_grid
+from dotsim_ros.baselines.optics.pixels import (
+    TOWARDS_CAMERA,
+    Ground,
+    draw_pixels,
+    idle_ground,
+    pixel_grid,
+)
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
@@ -59,21 +65,23 @@ class PerPixelImage:
         layers: (weight (inputs, outputs), bias (outputs,)) of each layer; the last has three
             outputs, the change of the colour, full scale 1.
         name: how tables call it.
+        ground: what the change is added to.
     """
 
     layers: tuple[tuple[Float32Array, Float32Array], ...]
     name: str
+    ground: Ground = idle_ground
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`."""
         grid = pixel_grid(rest)
         images = []
-        for normal in press.normal:
+        for normal, below in zip(press.normal, self.ground(press, rest), strict=True):
             values = network_input(grid.position, *grid.normals(normal))
             for weight, bias in self.layers[:-1]:
                 values = np.maximum(values @ weight + bias, 0.0)
             weight, bias = self.layers[-1]
-            images.append(grid.changed(rest.idle, values @ weight + bias))
+            images.append(grid.changed(below, values @ weight + bias))
         return np.stack(images)
 
 
@@ -94,6 +102,7 @@ def fit(
     *,
     seed: int = 0,
     settings: PerPixelSettings = DIFFTACTILE,
+    ground: Ground = idle_ground,
 ) -> PerPixelImage:
     """Return the network of least squared error of the colour over the seen pixels.
 
@@ -103,6 +112,7 @@ def fit(
         camera: plays no part.
         seed: of the pixels drawn, of the network's first weights and of the order.
         settings: size and training.
+        ground: what the change is added to.
 
     Raises:
         ValueError: no frame.
@@ -110,7 +120,7 @@ def fit(
     # Loaded on use: predicting needs no torch.
     import torch
 
-    samples = draw_pixels(train, rest, count=SAMPLES, seed=seed)
+    samples = draw_pixels(train, rest, count=SAMPLES, seed=seed, ground=ground)
     inputs = torch.from_numpy(network_input(samples.position, samples.normal, samples.relative))
     target = torch.from_numpy(samples.change)
     generator = torch.Generator().manual_seed(seed)
@@ -139,4 +149,4 @@ def fit(
         (weight.detach().numpy(), bias.detach().numpy())
         for weight, bias in zip(weights, biases, strict=True)
     )
-    return PerPixelImage(layers, settings.name)
+    return PerPixelImage(layers, settings.name, ground)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,20 @@ from dotsim_ros.twin.footage import OpticalPress, Rest
 
 FULL_SCALE = 255.0
 TOWARDS_CAMERA = np.array([0.0, 0.0, -1.0], dtype=np.float32)
+
+
+Ground = Callable[[OpticalPress, Rest], ImageArray]
+"""Gives the images (F, H, W, 3) of a press that a model's change of the colour is added to."""
+
+
+def idle_ground(press: OpticalPress, rest: Rest) -> ImageArray:
+    """Return the idle image for every frame, as the published simulators take it."""
+    return np.broadcast_to(rest.idle, press.measured.shape)
+
+
+def warped_ground(press: OpticalPress, _rest: Rest) -> ImageArray:
+    """Return the idle image warped by the skin and shaded to first order, for every frame."""
+    return press.warped
 
 
 def check_frames(train: Sequence[OpticalPress]) -> None:
@@ -69,7 +83,7 @@ class PixelSamples:
         position: (N, 2) as `pixel_positions`.
         normal: (N, 3) in the optical frame.
         relative: (N, 3) as `relative_normal`.
-        change: (N, 3) colour measured less that of the idle image, full scale 1.
+        change: (N, 3) colour measured less that of the ground, full scale 1.
     """
 
     position: Float32Array
@@ -97,10 +111,10 @@ class PixelGrid:
         turned = filled_normal(normal[self.seen], self.rest_normal)
         return turned, relative_normal(turned, self.rest_normal)
 
-    def changed(self, idle: ImageArray, change: NDArray[np.floating]) -> ImageArray:
+    def changed(self, ground: ImageArray, change: NDArray[np.floating]) -> ImageArray:
         """Return the image (H, W, 3) with colours (N, 3), full scale 1, added where it is seen."""
-        image = idle.copy()
-        level = idle[self.seen] + FULL_SCALE * change
+        image = ground.copy()
+        level = ground[self.seen] + FULL_SCALE * change
         image[self.seen] = np.clip(np.rint(level), 0.0, FULL_SCALE).astype(np.uint8)
         return image
 
@@ -112,7 +126,12 @@ def pixel_grid(rest: Rest) -> PixelGrid:
 
 
 def draw_pixels(
-    train: Sequence[OpticalPress], rest: Rest, *, count: int, seed: int
+    train: Sequence[OpticalPress],
+    rest: Rest,
+    *,
+    count: int,
+    seed: int,
+    ground: Ground = idle_ground,
 ) -> PixelSamples:
     """Return pixels drawn evenly from the seen region of all frames, at most all of them.
 
@@ -121,6 +140,7 @@ def draw_pixels(
         rest: of the gel untouched.
         count: how many pixels.
         seed: of the draw.
+        ground: what the change is measured from.
 
     Raises:
         ValueError: no frame.
@@ -130,12 +150,12 @@ def draw_pixels(
     seen_count = len(grid.position)
     share = min(1.0, count / (sum(len(press.measured) for press in train) * seen_count))
     random = np.random.default_rng(seed)
-    idle = rest.idle[grid.seen].astype(np.float32)
     parts = []
     for press in train:
-        for normal, measured in zip(press.normal, press.measured, strict=True):
+        frames = zip(press.normal, press.measured, ground(press, rest), strict=True)
+        for normal, measured, below in frames:
             turned, relative = grid.normals(normal)
-            change = (measured[grid.seen] - idle) / FULL_SCALE
+            change = (measured[grid.seen] - below[grid.seen].astype(np.float32)) / FULL_SCALE
             drawn = random.choice(seen_count, size=round(share * seen_count), replace=False)
             parts.append([a[drawn] for a in (grid.position, turned, relative, change)])
     return PixelSamples(*(np.concatenate(column) for column in zip(*parts, strict=True)))

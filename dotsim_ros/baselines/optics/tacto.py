@@ -22,8 +22,10 @@ from scipy.optimize import differential_evolution, nnls
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.baselines.optics.pixels import (
     FULL_SCALE,
+    Ground,
     check_frames,
     filled_normal,
+    idle_ground,
     pixel_grid,
     seen_region,
 )
@@ -127,12 +129,14 @@ class TactoImage:
         intensity: (2 lights, 3) what each gives to red, green and blue, full scale 1.
         camera: whose pixels the surface is seen through.
         name: how tables call it.
+        ground: what the change is added to.
     """
 
     light: PhongLight
     intensity: FloatArray
     camera: FisheyeCamera
     name: str = "tacto"
+    ground: Ground = idle_ground
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`.
@@ -145,9 +149,11 @@ class TactoImage:
         grid = pixel_grid(rest)
         untouched = self._shaded(rest.depth_m, rest.normal, rest, rays)
         images = []
-        for depth, normal in zip(press.depth_m, press.normal, strict=True):
+        for depth, normal, below in zip(
+            press.depth_m, press.normal, self.ground(press, rest), strict=True
+        ):
             change = self._shaded(depth, normal, rest, rays) - untouched
-            images.append(grid.changed(rest.idle, change))
+            images.append(grid.changed(below, change))
         return np.stack(images)
 
     def _shaded(
@@ -157,7 +163,12 @@ class TactoImage:
 
 
 def fit(
-    train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera, *, seed: int = 0
+    train: Sequence[OpticalPress],
+    rest: Rest,
+    camera: FisheyeCamera,
+    *,
+    seed: int = 0,
+    ground: Ground = idle_ground,
 ) -> TactoImage:
     """Return the lights of least squared error of the colour over the seen pixels.
 
@@ -170,12 +181,13 @@ def fit(
         rest: of the gel untouched.
         camera: whose pixels the surface is seen through.
         seed: of the pixels and of the search.
+        ground: what the change is added to.
 
     Raises:
         ValueError: no frame.
     """
     check_frames(train)
-    pressed, untouched, change = _search_pixels(train, rest, camera, seed)
+    pressed, untouched, change = _search_pixels(train, rest, camera, seed, ground)
 
     def solved(parameters: FloatArray) -> tuple[PhongLight, FloatArray, float]:
         light = _light_of(parameters)
@@ -193,7 +205,7 @@ def fit(
         tol=0.0,
     )
     light, intensity, _ = solved(found.x)
-    return TactoImage(light, intensity, camera)
+    return TactoImage(light, intensity, camera, ground=ground)
 
 
 def _light_of(parameters: FloatArray) -> PhongLight:
@@ -214,7 +226,11 @@ def _intensities(basis: FloatArray, change: FloatArray) -> tuple[FloatArray, flo
 
 
 def _search_pixels(
-    train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera, seed: int
+    train: Sequence[OpticalPress],
+    rest: Rest,
+    camera: FisheyeCamera,
+    seed: int,
+    ground: Ground,
 ) -> tuple[Surface, Surface, FloatArray]:
     rays = camera.rays()[0]
     seen: BoolArray = seen_region(rest)
@@ -224,11 +240,11 @@ def _search_pixels(
     share = max(1, SEARCH_PIXELS // frame_count)
     parts = []
     for press in train:
-        for depth, normal, measured in zip(
-            press.depth_m, press.normal, press.measured, strict=True
+        for depth, normal, measured, below in zip(
+            press.depth_m, press.normal, press.measured, ground(press, rest), strict=True
         ):
             surface = surface_of(depth, normal, rest, rays)
-            change = (measured[seen].astype(np.float64) - rest.idle[seen]) / FULL_SCALE
+            change = (measured[seen].astype(np.float64) - below[seen]) / FULL_SCALE
             drawn = random.choice(len(change), size=min(share, len(change)), replace=False)
             parts.append(
                 (

@@ -24,9 +24,11 @@ from scipy import ndimage
 
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.baselines.optics.pixels import (
+    Ground,
     PixelGrid,
     PixelSamples,
     draw_pixels,
+    idle_ground,
     pixel_grid,
 )
 from dotsim_ros.geometry.camera import FisheyeCamera
@@ -121,28 +123,40 @@ class TaximImage:
         bins: number of bins each way.
         table: (bins^2, 6, 3) coefficients of the change of each colour, full scale 1.
         name: how tables call it.
+        ground: what the change is added to.
     """
 
     bins: int
     table: Float32Array
     name: str = "taxim"
+    ground: Ground = idle_ground
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return images (F, H, W, 3); see `evaluation.optics.judge.ImageModel`."""
         grid = pixel_grid(rest)
         terms = polynomial_terms(grid.position).astype(np.float32)
-        return np.stack([self._frame(normal, grid, terms, rest) for normal in press.normal])
+        return np.stack(
+            [
+                self._frame(normal, grid, terms, below)
+                for normal, below in zip(press.normal, self.ground(press, rest), strict=True)
+            ]
+        )
 
     def _frame(
-        self, normal: Float32Array, grid: PixelGrid, terms: Float32Array, rest: Rest
+        self, normal: Float32Array, grid: PixelGrid, terms: Float32Array, below: ImageArray
     ) -> ImageArray:
         entry = slope_bins(grid.normals(normal)[1], self.bins)
         change = np.einsum("nt,ntc->nc", terms, self.table[entry])
-        return grid.changed(rest.idle, change)
+        return grid.changed(below, change)
 
 
 def fit(
-    train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera, *, seed: int = 0
+    train: Sequence[OpticalPress],
+    rest: Rest,
+    camera: FisheyeCamera,
+    *,
+    seed: int = 0,
+    ground: Ground = idle_ground,
 ) -> TaximImage:
     """Return the table with the bins and the pull that do best on presses held back from it.
 
@@ -153,6 +167,7 @@ def fit(
         rest: of the gel untouched.
         camera: plays no part.
         seed: of the pixels drawn, where there are more than four millions.
+        ground: what the change is added to.
 
     Raises:
         ValueError: no frame.
@@ -161,16 +176,16 @@ def fit(
     if len(train) >= HELD_BACK:
         back = train[HELD_BACK - 1 :: HELD_BACK]
         front = [press for press in train if all(press is not other for other in back)]
-        fitted = draw_pixels(front, rest, count=SAMPLES // 2, seed=seed)
-        judged = draw_pixels(back, rest, count=SAMPLES // 4, seed=seed)
+        fitted = draw_pixels(front, rest, count=SAMPLES // 2, seed=seed, ground=ground)
+        judged = draw_pixels(back, rest, count=SAMPLES // 4, seed=seed, ground=ground)
         errors = {}
         for count in CANDIDATE_BINS:
             sums = table_sums(fitted, count)
             for pull in CANDIDATE_RIDGES:
                 errors[count, pull] = _error(sums.table(pull), judged, count)
         bins, ridge = min(errors, key=lambda candidate: errors[candidate])
-    samples = draw_pixels(train, rest, count=SAMPLES, seed=seed)
-    return TaximImage(bins, table_sums(samples, bins).table(ridge))
+    samples = draw_pixels(train, rest, count=SAMPLES, seed=seed, ground=ground)
+    return TaximImage(bins, table_sums(samples, bins).table(ridge), ground=ground)
 
 
 def _error(table: Float32Array, judged: PixelSamples, bins: int) -> float:

@@ -1,14 +1,15 @@
-"""The paper's explicit gel as a model of measured presses, fitted as the paper fits it.
+"""The paper's explicit gel as a model of measured presses, fitted as the paper does, or to forces.
 
 The paper fits E and nu to the surfaces of each trajectory and takes the median. Where the gel's
 mass is scaled until its step is stable, the scale follows E and the surfaces are the same for every
-E, which therefore stays where the paper's fit ended.
+E, which therefore stays where the paper's fit ended. The force is then in proportion to E, so that
+one run of each press tells which E the measured forces ask for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -132,16 +133,47 @@ def best_poisson_ratio(
     return SEARCHED_POISSON_RATIOS[int(np.argmin(errors))]
 
 
+@dataclass(frozen=True)
+class ForceSums:
+    """How predicted forces compare with measured ones: sums over frames and axes.
+
+    Attributes:
+        predicted_n2: squared predicted force.
+        product_n2: predicted force times measured force.
+    """
+
+    predicted_n2: float
+    product_n2: float
+
+
+def force_sums(model: ExplicitModel, press: Press, indenter: Indenter, skin: SkinMesh) -> ForceSums:
+    """Return how a model's forces compare with those of a press.
+
+    Raises:
+        ValueError: no force was measured.
+        SolveError: the gel became unstable.
+    """
+    if press.force_n is None:
+        raise ValueError(f"{press.name}: no force was measured, so no modulus can be fitted to it")
+    force_n = model.predict(press, indenter, skin).force_n
+    assert force_n is not None
+    return ForceSums(float(np.sum(force_n**2)), float(np.sum(force_n * press.force_n)))
+
+
 class ExplicitFit:
-    """Fits explicit gels; a press's own optimum is found once, whatever splits it is in.
+    """Fits explicit gels; a press's own runs are done once, whatever splits it is in.
 
     Args:
         specification: its body, density and friction are taken.
+        settings: grid and substeps of what is fitted.
     """
 
-    def __init__(self, specification: SensorSpecification) -> None:
-        self._specification = specification
+    def __init__(
+        self, specification: SensorSpecification, settings: ExplicitSettings = SETTINGS
+    ) -> None:
+        self._specification, self._settings = specification, settings
         self._ratio: dict[str, float] = {}
+        self._force: dict[tuple[str, float], ForceSums] = {}
 
     def fit(
         self, train: Sequence[Press], indenters: Mapping[str, Indenter], skin: SkinMesh
@@ -153,4 +185,31 @@ class ExplicitFit:
                     self._specification, press, indenters[press.indenter], skin
                 )
         median = float(np.median([self._ratio[press.name] for press in train]))
-        return ExplicitModel(self._specification, NeoHookean(PAPER_YOUNGS_MODULUS_PA, median))
+        material = NeoHookean(PAPER_YOUNGS_MODULUS_PA, median)
+        return ExplicitModel(self._specification, material, self._settings)
+
+    def fit_with_force(
+        self, train: Sequence[Press], indenters: Mapping[str, Indenter], skin: SkinMesh
+    ) -> ExplicitModel:
+        """Return the same gel with Young's modulus by least squares of the forces of all presses.
+
+        Raises:
+            ValueError: a press without force, or no indenter touches the gel.
+            SolveError: the gel became unstable.
+        """
+        model = self.fit(train, indenters, skin)
+        ratio = model.material.poisson_ratio
+        for press in train:
+            key = (press.name, ratio)
+            if key not in self._force:
+                self._force[key] = force_sums(model, press, indenters[press.indenter], skin)
+        sums = [self._force[press.name, ratio] for press in train]
+        predicted = sum(s.predicted_n2 for s in sums)
+        factor = sum(s.product_n2 for s in sums) / predicted if predicted else 0.0
+        if not factor > 0.0:
+            raise ValueError(
+                "the forces of the presses to fit on tell no Young's modulus: no indenter touches "
+                "the gel, or they point the other way"
+            )
+        material = NeoHookean(factor * PAPER_YOUNGS_MODULUS_PA, ratio)
+        return ExplicitModel(self._specification, material, self._settings, name="explicit_fitted")

@@ -7,7 +7,7 @@ import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 from dotsim_ros.evaluation.geometry.explicit import ExplicitFit
 from dotsim_ros.geometry.indenter import Indenter
@@ -20,7 +20,9 @@ from dotsim_ros.twin.model import ImplicitModel
 
 BASELINES = ("tacto", "taxim", "difftactile")
 """Each is a module of `dotsim_ros.baselines` with `fit(train, indenters, skin) -> Model`."""
-NAMES = ("ours", "explicit", *BASELINES)
+EXPLICIT = ("explicit", "explicit_fitted")
+"""The paper's gel with the paper's modulus, and with one that is fitted to the forces."""
+NAMES = ("ours", *EXPLICIT, *BASELINES)
 
 
 def sensor_file(split: str, sensor: str | Path) -> str | Path:
@@ -70,23 +72,24 @@ def _ours(sensor: str | Path) -> Factory:
     return make
 
 
-def _explicit(stated: str | Path) -> Factory:
-    fits = ExplicitFit(load_sensor(stated))
-
+def _explicit(fits: ExplicitFit, *, with_force: bool) -> Factory:
     def make(
         _split: Split,
         train: Sequence[Press],
         indenters: Mapping[str, Indenter],
         skin: SkinMesh,
     ) -> Model:
-        return fits.fit(train, indenters, skin)
+        fit = fits.fit_with_force if with_force else fits.fit
+        return fit(train, indenters, skin)
 
     return make
 
 
 def _difftactile() -> Factory:
     """Return what makes DiffTactile; the fits of several splits share their runs."""
-    trials: list[Any] = []
+    from dotsim_ros.baselines.difftactile import DynamicGel, FitTrials, Shell, fit
+
+    trials: list[FitTrials] = []
 
     def make(
         _split: Split,
@@ -94,16 +97,14 @@ def _difftactile() -> Factory:
         indenters: Mapping[str, Indenter],
         skin: SkinMesh,
     ) -> Model:
-        module = importlib.import_module("dotsim_ros.baselines.difftactile")
         if not trials:
-            gel = module.DynamicGel(module.Shell().mesh(skin), skin)
-            trials.append(module.Trials(gel, indenters))
-        return cast(Model, module.fit(train, indenters, skin, trials=trials[0]))
+            trials.append(FitTrials(DynamicGel(Shell().mesh(skin), skin), indenters))
+        return fit(train, indenters, skin, trials=trials[0])
 
     return make
 
 
-def _baseline(name: str) -> Factory:
+def _fitted_baseline(name: str) -> Factory:
     def make(
         _split: Split,
         train: Sequence[Press],
@@ -116,25 +117,36 @@ def _baseline(name: str) -> Factory:
     return make
 
 
-def factory_of(name: str, *, sensor: str | Path, stated: str | Path) -> Factory:
-    """Return what makes a model.
+def factories_of(
+    names: Sequence[str], *, sensor: str | Path, stated: str | Path
+) -> dict[str, Factory]:
+    """Return what makes each model; the two explicit gels share the runs of their fits.
 
     Args:
-        name: one of `NAMES`.
+        names: some of `NAMES`.
         sensor: of "ours", see `sensor_for`.
         stated: name or file of the sensor as its maker states it, for body, density and friction
-            of "explicit".
+            of the explicit gels.
 
     Raises:
         ValueError: no such model, or one that this installation lacks.
     """
-    if name == "ours":
-        return _ours(sensor)
-    if name == "explicit":
-        return _explicit(stated)
+    explicit = ExplicitFit(load_sensor(stated)) if set(names) & set(EXPLICIT) else None
+    factories = {}
+    for name in names:
+        if name == "ours":
+            factories[name] = _ours(sensor)
+        elif name in EXPLICIT and explicit is not None:
+            factories[name] = _explicit(explicit, with_force=name == "explicit_fitted")
+        else:
+            factories[name] = _baseline(name)
+    return factories
+
+
+def _baseline(name: str) -> Factory:
     if name not in BASELINES:
         raise ValueError(f"no model {name!r}; known are {', '.join(NAMES)}")
     module = f"dotsim_ros.baselines.{name}"
     if importlib.util.find_spec(module) is None:
         raise ValueError(f"model {name!r} is not installed: there is no module {module}")
-    return _difftactile() if name == "difftactile" else _baseline(name)
+    return _difftactile() if name == "difftactile" else _fitted_baseline(name)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.evaluation.table import GEOMETRY_COLUMNS, entry_list, markdown_table
-from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.presses import Press
@@ -56,20 +56,31 @@ class Measured:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def read_measured(data: DataSet) -> Measured:
+def read_measured(data: DataSet, *, meshes: DataSet | None = None) -> Measured:
     """Read every press of a data set; one that cannot be read is left out and named.
+
+    Args:
+        data: that holds the presses.
+        meshes: the data set that holds the indenters; None takes the same.
 
     Raises:
         FileNotFoundError: the data set has no skin.
         ValueError: no press could be read.
     """
     skin = data.skin_mesh()
+    source = data if meshes is None else meshes
     presses: dict[str, Press] = {}
     indenters: dict[str, Indenter] = {}
     left_out: dict[str, str] = {}
     for entry in data.entries:
         try:
-            found = read_observation(data, entry, skin=skin, has_vertices=True)
+            found = read_observation(
+                data,
+                entry,
+                skin=skin,
+                has_vertices=True,
+                indenter_of=lambda name: load_mesh(source.indenter_mesh(name)),
+            )
         except (ValueError, OSError) as error:
             left_out[entry.name] = str(error)
             continue
@@ -79,6 +90,43 @@ def read_measured(data: DataSet) -> Measured:
         reasons = few_of(list(left_out.values()))
         raise ValueError(f"{data.directory}: no press can be read: {reasons}")
     return Measured(presses, indenters, skin, left_out)
+
+
+def read_with_later(earlier: DataSet, later: DataSet) -> tuple[Measured, Split]:
+    """Read all presses of a data set to fit on, and all of a later one of the same sensor to judge.
+
+    The indenters are those of the earlier one.
+
+    Raises:
+        FileNotFoundError: one of them has no skin.
+        ValueError: no press of one of them could be read, their skins differ, or both have a press
+            of one name.
+    """
+    fitted, judged = read_measured(earlier), read_measured(later, meshes=earlier)
+    if not _is_same_skin(fitted.skin, judged.skin):
+        raise ValueError(
+            f"{later.directory}: its skin_mesh.npz is not that of {earlier.directory}; what is "
+            "fitted on one sensor's skin is judged on presses of the same one"
+        )
+    twice = sorted(set(fitted.presses) & set(judged.presses))
+    if twice:
+        raise ValueError(
+            f"{few_of(twice)} in both {earlier.directory} and {later.directory}; a press that was "
+            "fitted on cannot be judged on, so give the later ones other names"
+        )
+    both = Measured(
+        fitted.presses | judged.presses,
+        fitted.indenters | judged.indenters,
+        fitted.skin,
+        fitted.left_out | judged.left_out,
+    )
+    return both, Split(HELD_OUT, tuple(sorted(fitted.presses)), tuple(sorted(judged.presses)))
+
+
+def _is_same_skin(skin: SkinMesh, other: SkinMesh) -> bool:
+    return np.array_equal(skin.triangles, other.triangles) and np.array_equal(
+        skin.rest_position_m, other.rest_position_m
+    )
 
 
 def splits_of(

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
+from dotsim_ros.baselines.optics.pixels import idle_ground, warped_ground
 from dotsim_ros.code_version import version_of
 from dotsim_ros.evaluation.optics.judge import Factory, Idle, ImageModel, WarpedIdle
 from dotsim_ros.geometry.camera import FisheyeCamera
@@ -28,11 +29,16 @@ NAMES = (
     "paper_direct",
     "unet",
     "carried",
+    "tacto_warped",
+    "taxim_warped",
+    "difftactile_warped",
     "ours",
 )
-CLIPPED = ("tacto", "tacto_refined")
+CLIPPED = ("tacto", "tacto_refined", "tacto_warped")
 """Models that get the clipped skin instead of the gel's."""
-REFINED = ("idle_refined", "tacto_refined", "carried", "ours")
+WARPED = ("tacto_warped", "taxim_warped", "difftactile_warped")
+"""Published models that complete the warped image, in place of our network."""
+REFINED = ("idle_refined", "tacto_refined", "carried", *WARPED, "ours")
 """Models that get an idle image refined by the frames that they are fitted on, with samples between
 its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is
 what they would gain."""
@@ -46,6 +52,9 @@ _MADE_BY = {
     "carried": (_PATTERN,),
     "taxim": (f"{_BASELINES}.taxim",),
     "difftactile": (f"{_BASELINES}.per_pixel",),
+    "tacto_warped": (f"{_BASELINES}.tacto", f"{_BASELINES}.clipped", _PATTERN),
+    "taxim_warped": (f"{_BASELINES}.taxim", _PATTERN),
+    "difftactile_warped": (f"{_BASELINES}.per_pixel", _PATTERN),
     **dict.fromkeys(PUBLISHED, (_NETWORK,)),
     "ours": (_NETWORK, _PATTERN),
 }
@@ -109,18 +118,19 @@ def factory_of(
     Raises:
         ValueError: no such model, or one that needs torch where that is not installed.
     """
+    ground = warped_ground if name in WARPED else idle_ground
     match name:
         case "idle" | "idle_refined":
             return lambda _train, _rest, _camera: Idle(name)
         case "carried":
             return lambda _train, _rest, _camera: WarpedIdle()
-        case "tacto" | "tacto_refined":
-            return lambda t, r, c: tacto.fit(t, r, c, seed=settings.seed)
-        case "taxim":
-            return lambda t, r, c: taxim.fit(t, r, c, seed=settings.seed)
-        case "difftactile":
+        case "tacto" | "tacto_refined" | "tacto_warped":
+            return lambda t, r, c: tacto.fit(t, r, c, seed=settings.seed, ground=ground)
+        case "taxim" | "taxim_warped":
+            return lambda t, r, c: taxim.fit(t, r, c, seed=settings.seed, ground=ground)
+        case "difftactile" | "difftactile_warped":
             _need_torch(name)
-            return lambda t, r, c: per_pixel.fit(t, r, c, seed=settings.seed)
+            return lambda t, r, c: per_pixel.fit(t, r, c, seed=settings.seed, ground=ground)
     if name not in NETWORKS:
         raise ValueError(f"no model {name!r}; known are {', '.join(NAMES)}")
     _need_torch(name)
