@@ -32,7 +32,9 @@ from dotsim_ros.reference.deck import (
 )
 
 LARGEST_CREEP_CHANGE = 1.0
-"""CETOL: so much that the increments are set by the contact alone."""
+"""CETOL: so much that it never sets an increment."""
+CREEP_INCREMENT_S = 0.15
+"""Longest increment of a gel that relaxes: a quarter of the fast branch's time."""
 
 
 @dataclass(frozen=True)
@@ -60,12 +62,12 @@ class MaxwellBranch:
 
 @dataclass(frozen=True)
 class OgdenStiffening:
-    """A share of the shear modulus that stiffens as powers of the stretches do, both ways alike.
+    """A share of the shear modulus that stiffens as powers of the stretches do.
 
-    The law is Ogden's with the exponents 2, a and -a, the last two with half of the share each
-    (Ogden, "Large deformation isotropic elasticity", 1972). Its energy is even in the logarithmic
-    strain but for the first term, and to fourth order that of Yeoh's with
-    C20 / C10 = share (a^2 - 4) / 48.
+    The law is Ogden's with the exponents 2, a and -a (Ogden, "Large deformation isotropic
+    elasticity", 1972). The last two have parts of the share, 1/2 + 1/a and 1/2 - 1/a, with which
+    the energy of an incompressible gel is to fourth order in the logarithmic strain that of
+    Yeoh's with C20 / C10 = share (a^2 - 4) / 48.
 
     Attributes:
         share: of the shear modulus.
@@ -73,10 +75,10 @@ class OgdenStiffening:
     """
 
     share: float
-    exponent: float = 8.0
+    exponent: float = 6.0
 
     @classmethod
-    def like(cls, c20_ratio: float, exponent: float = 8.0) -> OgdenStiffening:
+    def like(cls, c20_ratio: float, exponent: float = 6.0) -> OgdenStiffening:
         """Return the law that is to fourth order Yeoh's with a C20 of so many C10."""
         return cls(48.0 * c20_ratio / (exponent**2 - 4.0), exponent)
 
@@ -90,8 +92,8 @@ class OgdenStiffening:
     def lines(self, shear_pa: float, bulk_pa: float) -> Iterator[str]:
         """Yield the law of a gel with these small-strain moduli, in the form of CalculiX."""
         mu, d1 = MEGAPASCAL * shear_pa, 2.0 / (MEGAPASCAL * bulk_pa)
-        half = 0.5 * self.share * mu
-        constants = [(1.0 - self.share) * mu, 2.0, half, self.exponent, half, -self.exponent]
+        up, down = (self.share * mu * (0.5 + sign / self.exponent) for sign in (1.0, -1.0))
+        constants = [(1.0 - self.share) * mu, 2.0, up, self.exponent, down, -self.exponent]
         constants += [d1, NEGLIGIBLE * d1, NEGLIGIBLE * d1]
         yield "*HYPERELASTIC, OGDEN, N=3"
         # A line holds eight constants.
@@ -239,7 +241,8 @@ class UnitDeck(Deck):
             return
         c, duration = self.controls[index], self.duration_s[index]
         yield f"*VISCO, CETOL={LARGEST_CREEP_CHANGE}"
-        increments = (c.first, 1.0, c.smallest, c.largest)
+        longest = min(1.0, CREEP_INCREMENT_S / duration)
+        increments = (min(c.first, longest), 1.0, c.smallest, min(c.largest, longest))
         yield ", ".join(f"{share * duration:.9e}" for share in increments)
 
 

@@ -106,11 +106,10 @@ def test_the_library_has_the_effects_that_the_laws_say_it_has() -> None:
         for effect in unit.effects:
             law = LAWS[effect.name]
             assert law.low <= effect.size <= law.high
-            if not law.library:
-                assert effect.against_twin is None
+            if effect.against_twin is None:
+                assert law.name in {"ogden_stiffening", "two_branches"} or not law.library
                 continue
             parameter = library[law.library].parameters[0]
-            assert effect.against_twin is not None
             assert parameter.low <= effect.against_twin <= parameter.high
 
 
@@ -146,7 +145,7 @@ def _deck(depth_m: float = 1.2e-3, hold_s: float = 0.0, **changed: object) -> Un
     site = Site(outer_radius_m=SENSOR.gel.outer_radius_m, tilt_rad=0.2)
     poses = press_poses(site, depth_m=depth_m, frame_count=1)
     poses += [poses[-1]] * (hold_s > 0.0)
-    control = StepControl(first=1.0, largest=0.25 if hold_s else 1.0)
+    control = StepControl(first=1.0)
     plain = reference_deck(
         SENSOR,
         dome_skin(SENSOR.gel.outer_radius_m, 2.5e-3),
@@ -171,10 +170,13 @@ def _force_n(deck: UnitDeck) -> np.ndarray:
 def test_branches_relax_by_their_shares_in_their_times() -> None:
     branches = (MaxwellBranch(0.2, 0.6), MaxwellBranch(0.1, 3.0))
     fast, slow = _force_n(_deck(hold_s=1.5, branches=branches))
-    left = 1.0 - 0.2 * (1.0 - np.exp(-1.5 / 0.6)) - 0.1 * (1.0 - np.exp(-1.5 / 3.0))
-    # The increments are a quarter of the hold, and a nearly incompressible gel's bulk stays.
-    assert slow / fast == pytest.approx(left, abs=0.02)
-    assert fast == pytest.approx(_force_n(_deck())[0], rel=0.02)
+    # Of the shear modulus; the bulk modulus does not relax.
+    left = 1.0 - sum(b.share * (1.0 - np.exp(-1.5 / b.time_s)) for b in branches)
+    elastic = _force_n(_deck())[0]
+    softer = _force_n(_deck(law=Yeoh(left * 3.2e4, left * 2.0e3, 0.0, 1.2e6)))[0]
+    assert fast == pytest.approx(elastic, rel=0.02)
+    assert slow == pytest.approx(softer, rel=0.02)
+    assert slow < 0.9 * fast
 
 
 @needs_calculix
@@ -186,7 +188,20 @@ def test_ogden_s_stiffening_is_that_of_yeoh_s_at_the_strain_of_a_press() -> None
     soft, yeoh = _force_n(plain)[0], _force_n(replace(plain, law=like_yeoh))[0]
     ogden = _force_n(replace(plain, stiffening=OgdenStiffening.like(0.4)))[0]
     assert yeoh > 1.05 * soft
-    assert (ogden - soft) / (yeoh - soft) == pytest.approx(1.0, abs=0.5)
+    # From the sixth order on it is another law.
+    assert (ogden - soft) / (yeoh - soft) == pytest.approx(1.0, abs=0.3)
+
+
+@needs_calculix
+def test_what_is_wrong_in_pairs_is_solved_together() -> None:
+    pair = {"branches": (MaxwellBranch(0.2, 0.6),), "stiffening": OgdenStiffening.like(0.4)}
+    alone, with_base = (
+        _deck(hold_s=1.0, **pair),
+        _deck(hold_s=1.0, base_compliance_m_n=1e-4, **pair),
+    )
+    fast, slow = _force_n(alone)
+    assert slow < 0.95 * fast
+    assert _force_n(with_base)[0] < 0.97 * fast
 
 
 @needs_calculix

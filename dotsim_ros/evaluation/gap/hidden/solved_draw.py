@@ -70,7 +70,7 @@ LAWS: Mapping[str, SolvedLaw] = {
     law.name: law
     for law in (
         SolvedLaw("slippery", 0.3, 0.6, "of friction", "coulomb_slip"),
-        SolvedLaw("ogden_stiffening", 0.2, 0.45, "of C10", "hyperelastic_stiffening"),
+        SolvedLaw("ogden_stiffening", 0.2, 0.4, "of C10", "hyperelastic_stiffening"),
         SolvedLaw("two_branches", 0.12, 0.35, "share", "viscoelastic_relaxation"),
         SolvedLaw("compressible", 0.438, 0.455, "nu", "compressibility"),
         SolvedLaw("soft_base", 3.0e-5, 9.0e-5, "m/N", "base_compliance"),
@@ -123,7 +123,7 @@ class HiddenEffect:
         name: of its law.
         size: in the law's unit.
         against_twin: the library's first parameter with which a twin as declared behaves like the
-            unit; None where the library has none.
+            unit; None where none does.
     """
 
     name: str
@@ -180,14 +180,15 @@ def _against_twin(
     law: SolvedLaw, size: float, own: UnitConstants, sensor: SensorSpecification
 ) -> float | None:
     """Return what the library's first parameter of an effect must be for a twin as declared to
-    behave like the unit, its own constants included; None where the library has none."""
+    behave like the unit, its own constants included; None where none does."""
     if law.name == "slippery":
         return size * own.friction / sensor.contact.friction_coefficient
     if law.name == "larger_core":
         return (1.0 + own.thickness_share) * (1.0 - size) - 1.0
     if law.name == "compressible":
         return float(np.log((0.5 - size) / (0.5 - values_of(sensor).poisson_ratio)))
-    return size if law.library else None
+    # Ogden's law is not Yeoh's, and two branches are not one: no parameter makes them alike.
+    return size if law.name == "soft_base" else None
 
 
 def draw_series(sensor: SensorSpecification, count: int, seed: int) -> list[SolvedUnit]:

@@ -26,7 +26,6 @@ from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.provenance import provenance
-from dotsim_ros.reference.data_set import FINE_STEP_M
 from dotsim_ros.reference.run import calculix_version
 from dotsim_ros.specification import SensorSpecification
 
@@ -34,6 +33,8 @@ INDEX, TRUTH = "index.json", "truth.json"
 VERSION = 1
 """Of what is drawn and how it is solved; a folder of another one is not continued."""
 SKIN_SPACING_M = 1.6e-3
+INDENTER_STEP_M = 0.3e-3
+"""Edges of the indenters' meshes: 3 um off a ball of 4 mm, 11 um off the cone's tip."""
 _KEYS = {"version", "seed", "count", "sensor", "trajectories", "coarseness", "sets"}
 
 
@@ -234,7 +235,7 @@ def _make_set(
     """Make the trajectories of a set that are missing; its entry is kept up to date."""
     folder = directory / unit.name
     skin = dome_skin(plan.sensor.gel.outer_radius_m, SKIN_SPACING_M)
-    data_set = DataSetWriter(folder, skin, indenter_step_m=FINE_STEP_M)
+    data_set = DataSetWriter(folder, skin, indenter_step_m=INDENTER_STEP_M)
     write_text(folder / TRUTH, unit.sealed())
     for number, protocol in enumerate(_protocols(plan, unit)):
         name = protocol.name
