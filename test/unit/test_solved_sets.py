@@ -13,6 +13,8 @@ import pytest
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.evaluation.gap import solved_score
 from dotsim_ros.evaluation.gap.hidden import solved_unit
 from dotsim_ros.evaluation.gap.hidden.solved_draw import (
     COMPOSITION,
@@ -27,6 +29,8 @@ from dotsim_ros.evaluation.gap.hidden.solved_draw import (
 from dotsim_ros.evaluation.gap.hidden.solved_sets import SeriesPlan, make_sets, read_series
 from dotsim_ros.evaluation.gap.solved_page import solved_page
 from dotsim_ros.evaluation.gap.solved_score import ScoreRequest, outcome_of, rates_of, score_sets
+from dotsim_ros.files import write_json
+from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
 from dotsim_ros.gel.material import Yeoh
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -246,12 +250,19 @@ def _hide(out: Path, *more: str) -> int:
     return main(["hide", "--out", str(out), *quick, *more])
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with one set of one trajectory."""
+    out = tmp_path_factory.mktemp("hidden") / "sets"
+    assert _hide(out) == 0
+    return out
+
+
 @needs_calculix
 def test_a_set_is_made_resumed_and_its_truth_sealed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out = tmp_path / "sets"
-    assert _hide(out) == 0
+    out = Path(shutil.copytree(made, tmp_path / "sets"))
     index, (record,) = read_series(out)
     assert record.is_ready
     assert record.made == (PRESS,)
@@ -287,6 +298,49 @@ def test_a_set_is_made_resumed_and_its_truth_sealed(
     half = next(half for half in HALVES if half != record.half)
     with pytest.raises(ValueError, match="no set of the half"):
         score_sets(ScoreRequest(out, half, SENSOR, tmp_path / "run"), print)
+
+
+@needs_calculix
+def test_answers_of_before_are_scored_without_another_search(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(solved_score, "UNFINISHED", 1)
+    _, (record,) = read_series(made)
+    (effect,) = json.loads((made / "set_00" / "truth.json").read_text())["effects"]
+    true = effect["against_twin"] if effect["against_twin"] is not None else 1.0
+    estimate = Estimate("parameter", "", true * 1.01, *sorted((0.9 * true, 1.1 * true)))
+    name = effect["library"]
+    found = Findings(
+        Verdict.NAMED,
+        "",
+        named=(name,),
+        statistic=50.0,
+        threshold=40.0,
+        candidates=(Candidate(name, name, True, 50.0, 0.0, estimates=(estimate,)),),
+        share_closed=0.9,
+    )
+    kept = {"truth_sha256": record.truth_sha256, "made": [PRESS], "commit": "0123456789ab"}
+    write_json(tmp_path / "run" / "set_00" / "findings.json", kept | {"findings": as_record(found)})
+    line = f"evaluate gap --sets {made} --sensor sensor_a --half {record.half}"
+    line += f" --run {tmp_path / 'run'} --out {tmp_path / 'results'}"
+    assert main(line.split()) == 0
+    figures = json.loads((tmp_path / "results" / "gap_physics.json").read_text())
+    (row,) = figures["halves"][record.half]["sets"]
+    assert row["outcome"] == "right"
+    assert row["searched_at"] == "0123456789ab"
+    assert all(one["covers"] for one in row["estimates"])
+    assert len(row["estimates"]) == (effect["against_twin"] is not None)
+    page = (tmp_path / "results" / "gap_physics.md").read_text()
+    assert f"| set_00 | {effect['name']}" in page
+    assert "100% [21%, 100%] of 1" in page
+    capsys.readouterr()
+
+    assert main([*line.split()[:4], "--sensor", "densetact2"]) == 1
+    assert "give --sensor sensor_a" in capsys.readouterr().err
+    tampered = Path(shutil.copytree(made, tmp_path / "tampered"))
+    (tampered / "set_00" / "truth.json").write_text("{}")
+    assert main(line.replace(str(made), str(tampered)).split()) == 1
+    assert "is not the truth whose SHA-256" in capsys.readouterr().err
 
 
 @needs_calculix
