@@ -7,8 +7,8 @@ does not know. The effect is part of what CalculiX solves: none of our own gel t
 OUT/index.json, which says of each set which half it belongs to, and OUT/set_NN in the layout of
 measured data, with the sealed truth.json. A trajectory is saved once it is solved, so that an
 interrupted run resumes with the same command; one that CalculiX cannot finish is tried again with
-smaller steps, then with larger elements, and then listed as failed. Uses one core. Needs CalculiX:
-apt-get install calculix-ccx
+smaller steps, then with larger elements, and then listed as failed (--retry). Uses one core.
+Needs CalculiX: apt-get install calculix-ccx
 
 exit status: 0 all trajectories made, 1 some failed
 
@@ -52,6 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("out/hidden"), help="folder of the sets (out/hidden)")
     add("--sensor", default="sensor_a", help="name or YAML file of what is declared (sensor_a)")
     add("--trajectories", nargs="+", default=[], metavar="NAME", help="which of each set (all)")
+    add("--retry", action="store_true", help="try trajectories that failed before again")
     add("--coarseness", type=_coarseness, default=1.0, help="larger elements, for a quick look (1)")
 
 
@@ -72,7 +73,12 @@ def run(arguments: argparse.Namespace) -> int:
         tuple(arguments.trajectories),
         arguments.coarseness,
     )
-    make_sets(arguments.out, plan, lambda text: print(text, flush=True))
+    make_sets(
+        arguments.out,
+        plan,
+        lambda text: print(text, flush=True),
+        failed_again=arguments.retry,
+    )
     _, records = read_series(arguments.out)
     made = sum(len(record.made) for record in records)
     failed = sum(len(record.failures) for record in records)

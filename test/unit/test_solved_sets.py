@@ -1,7 +1,9 @@
 """Hidden effects that finite elements solve: what is drawn, what is solved, what is written."""
 
+import fcntl
 import hashlib
 import json
+import os
 import shutil
 from collections import Counter
 from dataclasses import replace
@@ -293,6 +295,12 @@ def test_a_set_is_made_resumed_and_its_truth_sealed(
     assert _hide(out) == 0
     assert "there already" in capsys.readouterr().out
 
+    handle = os.open(out, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    assert _hide(out) == 1
+    os.close(handle)
+    assert "another run is making sets" in capsys.readouterr().err
+
     assert _hide(out, "--seed", "7") == 1
     assert "holds sets of seed 6, asked for were 7" in capsys.readouterr().err
     half = next(half for half in HALVES if half != record.half)
@@ -345,7 +353,7 @@ def test_answers_of_before_are_scored_without_another_search(
 
 @needs_calculix
 def test_a_trajectory_that_is_not_solved_is_listed_and_is_no_data(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     # Increments of which CalculiX cannot solve any.
     hopeless = StepControl(first=1.0, smallest=1.0, count=1)
@@ -357,6 +365,12 @@ def test_a_trajectory_that_is_not_solved_is_listed_and_is_no_data(
     assert record.made == ()
     assert "did not finish it in 1 tries" in record.failures[PRESS]
     assert not (tmp_path / "sets" / "set_00" / "bags").exists()
+    monkeypatch.setattr(solved_unit, "LEAST_FREE_BYTES", 10**18)
+    assert _hide(tmp_path / "sets") == 1  # failed before, and not tried again
+    assert "MB left" not in capsys.readouterr().err
+    assert _hide(tmp_path / "sets", "--retry") == 1
+    assert "MB left for its files" in capsys.readouterr().err
+    assert read_series(tmp_path / "sets")[1] == [record]
     row = score_sets(ScoreRequest(tmp_path / "sets", record.half, SENSOR, tmp_path / "run"), print)
     assert row["sets"][0]["outcome"] == "too few trajectories"
     assert "set_00" in solved_page({"halves": {record.half: row | {"provenance": {}}}})

@@ -16,6 +16,7 @@ from dotsim_ros.evaluation.gap.rates import median, rate
 from dotsim_ros.files import write_json
 from dotsim_ros.gap.find import find_gap
 from dotsim_ros.gap.findings import Findings, as_record, findings_of
+from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.worker_pool.pool import Crew
@@ -122,6 +123,7 @@ def _findings(request: ScoreRequest, record: SetRecord) -> tuple[Findings, str]:
         sensor=request.sensor,
         out=folder / "report",
         workers=request.workers,
+        progress=PrintedProgress(),
     )
     commit = provenance()["commit"]
     write_json(kept, key | {"commit": commit, "findings": as_record(found)})

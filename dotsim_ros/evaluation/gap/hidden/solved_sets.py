@@ -10,8 +10,10 @@ A trajectory that could not be solved is in no data set; the index says why.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import fcntl
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -89,23 +91,46 @@ class SetRecord:
     is_ready: bool
 
 
-def make_sets(directory: Path, plan: SeriesPlan, tell: Callable[[str], None]) -> None:
+def make_sets(
+    directory: Path,
+    plan: SeriesPlan,
+    tell: Callable[[str], None],
+    *,
+    failed_again: bool = False,
+) -> None:
     """Make the sets of a plan, or those that a run before has left.
 
     Args:
         directory: of the sets.
         plan: what to make.
         tell: called with each line that is worth one.
+        failed_again: whether trajectories that failed before are tried again.
 
     Raises:
         CalculixMissingError: it is not installed.
         FileExistsError: something else lies in the folder.
         ValueError: the folder was made by another plan, or the plan has no such trajectory.
-        OSError: a disk that is full; the same command goes on from there.
+        OSError: a disk that is full, where the same command goes on from there, or a folder that
+            another run is filling.
     """
     version = calculix_version()
     units = draw_series(plan.sensor, plan.count, plan.seed)
     records = _begin(directory, plan, units, version)
+    with _alone(directory):
+        if failed_again:
+            for record in records:
+                record["ready"] = record["ready"] and not record["failures"]
+                record["failures"] = {}
+        _make(directory, plan, units, records, tell)
+
+
+def _make(
+    directory: Path,
+    plan: SeriesPlan,
+    units: Sequence[SolvedUnit],
+    records: list[dict[str, Any]],
+    tell: Callable[[str], None],
+) -> None:
     for number, unit in enumerate(units):
         record = records[number]
         if record["ready"]:
@@ -118,6 +143,27 @@ def make_sets(directory: Path, plan: SeriesPlan, tell: Callable[[str], None]) ->
         _write(directory, records)
         ready = sum(entry["ready"] for entry in records)
         tell(f"{unit.name}: ready, {ready} of {len(units)}")
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """Keep other runs out of a folder.
+
+    Raises:
+        BlockingIOError: one is at work there.
+    """
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BlockingIOError(
+                f"another run is making sets in {directory}; wait for it, or give another folder "
+                "with --out"
+            ) from error
+        yield
+    finally:
+        os.close(handle)
 
 
 def read_series(directory: Path) -> tuple[dict[str, Any], list[SetRecord]]:

@@ -6,6 +6,9 @@ surface on surface, and relaxation, stiffening, core and base are in the problem
 
 from __future__ import annotations
 
+import errno
+import shutil
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -41,6 +44,9 @@ COARSER = 1.3
 SAME_PLACE_M = 1e-9
 TIME_LIMIT_S = 7200.0
 """Far beyond what any takes, so that how busy a machine is decides nothing."""
+
+LEAST_FREE_BYTES = 100_000_000
+"""CalculiX's files of a trajectory are some ten megabytes."""
 
 EFFORTS = (
     (1.0, StepControl(first=1.0, smallest=0.02, count=40)),
@@ -137,6 +143,7 @@ def measured(
     Raises:
         UnsolvedError: no try was solved to its end; the text says why the last was not.
         CalculixMissingError: it is not installed.
+        OSError: it failed where its folder has no room left.
     """
     own, time_s = unit.constants, protocol.time_s
     poses = [protocol.motion.at(float(t) - own.clock_s) for t in time_s]
@@ -190,6 +197,7 @@ def _solved(
         if not solution.failure:
             break
         reason = solution.failure
+        _check_room()
         tell(f"try {tries} of {len(EFFORTS)}: {reason}")
     else:
         raise UnsolvedError(f"CalculiX did not finish it in {len(EFFORTS)} tries: {reason}")
@@ -204,6 +212,24 @@ def _solved(
     frame_step = np.searchsorted(kept, np.arange(len(poses)), side="right") - 1
     skin_m = skin.rest_position_m + np.stack(moved)[frame_step]
     return np.asarray(skin_m), np.stack(force)[frame_step], tries
+
+
+def _check_room() -> None:
+    """Refuse to blame a trajectory for a full disk.
+
+    Raises:
+        OSError: where CalculiX writes there is hardly any room.
+    """
+    folder = tempfile.gettempdir()
+    free = shutil.disk_usage(folder).free
+    if free < LEAST_FREE_BYTES:
+        raise OSError(
+            errno.ENOSPC,
+            f"CalculiX failed with {1e-6 * free:.0f} MB left for its files, expected "
+            f"{1e-6 * LEAST_FREE_BYTES:.0f} MB or more; make room or set TMPDIR, and give "
+            "the same command again",
+            folder,
+        )
 
 
 def _deck(
