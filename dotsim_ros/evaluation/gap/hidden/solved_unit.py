@@ -25,7 +25,7 @@ from dotsim_ros.measured.motion import Motion
 from dotsim_ros.measured.scripted import Site, press_hold_release, slide
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.reference.deck import StepControl
-from dotsim_ros.reference.mesh import DomeMesh, interpolate_skin
+from dotsim_ros.reference.mesh import DomeMesh, interpolate_skin, pressed_place
 from dotsim_ros.reference.press import ReferenceSettings, reference_deck
 from dotsim_ros.reference.run import CalculixError, Solution, solve
 from dotsim_ros.reference.unit_deck import MaxwellBranch, OgdenStiffening, StiffPart, UnitDeck
@@ -40,6 +40,10 @@ BRANCHES = ((0.6, 0.6), (0.4, 3.0))
 INCLUSION_RATIO = 10.0
 INCLUSION_RADIUS_M = 11.0e-3
 """Where an inclusion lies: so far from the dome's centre."""
+PLACE_SHARE = 1.0
+"""Elements are at most so large, of the radius of the place that is pressed: under a cone those of
+3 mm are 12 % off in force and 0.3 mm on the skin, against those of 1.7 mm; those of 2.3 mm 3 % and
+0.08 mm."""
 COARSER = 1.3
 SAME_PLACE_M = 1e-9
 TIME_LIMIT_S = 7200.0
@@ -185,8 +189,10 @@ def _solved(
         if relaxes or np.linalg.norm(way) > SAME_PLACE_M:
             kept.append(frame)
     reason = ""
+    place = pressed_place(skin.rest_position_m, indenter, poses)
+    finest_m = min(unit.constants.spacing_m, PLACE_SHARE * place.radius_m)
     for tries, (size, control) in enumerate(EFFORTS, start=1):
-        spacing_m = coarseness * size * unit.constants.spacing_m
+        spacing_m = coarseness * size * finest_m
         deck = _deck(
             unit, sensor, skin, indenter, [poses[k] for k in kept], time_s[kept], spacing_m, control
         )
