@@ -10,6 +10,8 @@ their others; it writes optics.md, optics.json and sheets of images. A row that 
 not made again, so an interrupted run is resumed. `gelsight` does the same on real presses of a
 ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. `gap` hides
 effects in measured presses and lets the gap finder look for them; it writes gap.md and gap.json.
+With `--sets` it runs the whole finder on sets that `dotsim_ros hide` made, and writes
+gap_physics.md and gap_physics.json; a set that was searched before is not searched again.
 `trajectory` lets a policy lead the simulated arm over ROS topics, on the sensor that it was trained
 on and on others; a trial that was run before is not run again. `rl` learns policies by
 reinforcement that turn a box, and judges them in worlds that they never saw; what was learnt before
@@ -31,6 +33,7 @@ examples:
   dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
   dotsim_ros evaluate real_pair --data ../shared/real/densetact --out docs/results
   dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
+  dotsim_ros evaluate gap --sets DIR --sensor sensor_a --half development --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
   dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
@@ -91,6 +94,7 @@ DOMAINS = ("in_domain", "out_of_domain", "all_six")
 MOTIONS = ("line", "arc", "figure_eight", "press")
 SENSORS = ("simulated", "transferred", "shifted", "reality")
 CLOCKS = ("simulated", "realtime")
+HALVES = ("development", "opened")
 BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
 RUNTIME_PRESS_COUNT = 3
 ROLLOUT_EPISODES = 4
@@ -114,7 +118,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "classification", help="which indenter touches, learnt from simulated images"
     )
     for subject in (geometry, later, optics, gelsight, real_pair, runtime, gap, classification):
-        subject.add_argument("--data", type=Path, required=True, help="folder of a data set")
+        subject.add_argument(
+            "--data", type=Path, required=subject is not gap, help="folder of a data set"
+        )
         subject.add_argument(
             "--out", type=Path, default=Path("docs/results"), help="folder of the files"
         )
@@ -131,6 +137,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     gap.add_argument("--nulls", type=int, default=200, help="cases without an effect (200)")
     gap.add_argument("--repeats", type=int, default=6, help="cases of each law and size (6)")
     gap.add_argument("--laws", nargs="+", help="hidden laws (all)")
+    gap.add_argument(
+        "--sets",
+        type=Path,
+        metavar="DIR",
+        help="in place of --data: sets that dotsim_ros hide made; each is searched once by the "
+        "whole finder, and gap_physics.md and gap_physics.json are written",
+    )
+    gap.add_argument(
+        "--half",
+        choices=HALVES,
+        default=HALVES[0],
+        help="of the sets; the other one is to be opened once, when nothing is changed any more "
+        "(development)",
+    )
     add_worker_arguments(gap)
     gap.add_argument("--run", type=Path, help="folder of the solves (the user's cache)")
     gap.add_argument(
@@ -522,6 +542,12 @@ def _gelsight(arguments: argparse.Namespace) -> int:
 
 
 def _gap(arguments: argparse.Namespace) -> int:
+    if (arguments.data is None) == (arguments.sets is None):
+        raise ValueError(
+            "name a data set without an effect with --data, or hidden sets with --sets"
+        )
+    if arguments.sets is not None:
+        return _gap_sets(arguments)
     from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
     from dotsim_ros.evaluation.gap.hidden.laws import LAWS
     from dotsim_ros.evaluation.gap.page import gap_page
@@ -554,6 +580,42 @@ def _gap(arguments: argparse.Namespace) -> int:
         laws=tuple(arguments.laws or LAWS),
     )
     return _write(arguments, figures, {"sensor": str(arguments.sensor)}, gap_page)
+
+
+def _gap_sets(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.documents import read_json
+    from dotsim_ros.evaluation.gap.solved_page import solved_page
+    from dotsim_ros.evaluation.gap.solved_score import ScoreRequest, score_sets
+    from dotsim_ros.files import cache_directory, write_json, write_text
+    from dotsim_ros.provenance import provenance
+    from dotsim_ros.specification import load_sensor
+
+    request = ScoreRequest(
+        arguments.sets,
+        arguments.half,
+        load_sensor(arguments.sensor),
+        arguments.run or cache_directory() / "gap_physics" / arguments.sets.resolve().name,
+        crew_of(arguments),
+    )
+    figures = score_sets(request, _say) | {"provenance": provenance()}
+    file = arguments.out / "gap_physics.json"
+    before = read_json(file) if file.is_file() else {}
+    # Figures of the other half stay where they are of the same series.
+    halves = {
+        half: kept
+        for half, kept in before.get("halves", {}).items()
+        if kept["series"] == figures["series"]
+    } | {arguments.half: figures}
+    whole = {
+        "halves": {half: halves[half] for half in HALVES if half in halves},
+        "provenance": figures["provenance"],
+    }
+    page = solved_page(whole)
+    for path in filter(None, (file, arguments.json)):
+        write_json(path, whole)
+    write_text(arguments.out / "gap_physics.md", page)
+    print(page)
+    return 0
 
 
 def _real_pair(arguments: argparse.Namespace) -> int:

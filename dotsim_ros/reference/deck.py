@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.gel.implicit.contact import ONSET_M, REFERENCE_SPACING_M, SMOOTHING_M
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import IndenterMesh
@@ -113,37 +113,43 @@ class Deck:
         yield "*NODE, NSET=INDENTER"
         yield from _rows(first, MM * start)
         yield "*ELEMENT, TYPE=C3D20R, ELSET=GEL"
-        for number, nodes in enumerate(self.gel.element + 1, start=1):
-            text = list(map(str, nodes.tolist()))
-            # A line holds at most 16 entries.
-            yield f"{number}, {', '.join(text[:10])},"
-            yield ", ".join(text[10:])
+        yield from brick_lines(1, self.gel.element + 1)
         yield "*ELEMENT, TYPE=C3D6, ELSET=INDENTER"
         for number, nodes in enumerate(wedge + first, start=gel_elements + 1):
             yield f"{number}, {', '.join(map(str, nodes.tolist()))}"
         yield "*NSET, NSET=BONDED"
-        yield from _listed(self.gel.bonded + 1)
+        yield from listed(self.gel.bonded + 1)
         yield "*NSET, NSET=SKIN"
-        yield from _listed(np.unique(self.gel.skin_face) + 1)
+        yield from listed(np.unique(self.gel.skin_face) + 1)
         yield "*SURFACE, NAME=SKIN_FACES, TYPE=ELEMENT"
         # The second face of a brick and of a wedge is that of their outer nodes.
         yield from (f"{number}, S2" for number in (self.gel.skin_element + 1).tolist())
         yield "*SURFACE, NAME=INDENTER_FACES, TYPE=ELEMENT"
         yield "INDENTER, S2"
-        yield from material_lines(self.law)
+        yield from self.matter_lines()
         yield from contact_lines(self.law, self.contact)
+        yield from self.support_lines()
+        for index, pose in enumerate(self.poses[1:]):
+            yield from self._step_lines(first, MM * (pose.apply(local) - start), index)
+
+    def matter_lines(self) -> Iterator[str]:
+        """Yield what gel and indenter consist of."""
+        yield from material_lines(self.law)
+
+    def support_lines(self) -> Iterator[str]:
+        """Yield what holds the gel."""
         yield "*BOUNDARY"
         yield "BONDED, 1, 3"
-        for pose, control in zip(self.poses[1:], self.controls, strict=True):
-            yield from self._step_lines(first, MM * (pose.apply(local) - start), control)
 
-    def _step_lines(
-        self, first: int, displacement_mm: FloatArray, control: StepControl
-    ) -> Iterator[str]:
-        c = control
-        yield f"*STEP, NLGEOM, INC={c.count}"
+    def procedure_lines(self, index: int) -> Iterator[str]:
+        """Yield how the step of an index, from 0, is solved."""
+        c = self.controls[index]
         yield "*STATIC"
         yield f"{c.first}, 1.0, {c.smallest}, {c.largest}"
+
+    def _step_lines(self, first: int, displacement_mm: FloatArray, index: int) -> Iterator[str]:
+        yield f"*STEP, NLGEOM, INC={self.controls[index].count}"
+        yield from self.procedure_lines(index)
         yield "*BOUNDARY"
         for node, vector in enumerate(displacement_mm.tolist(), start=first):
             for axis, value in enumerate(vector, start=1):
@@ -161,9 +167,23 @@ def material_lines(law: ElasticLaw) -> Iterator[str]:
     Raises:
         ValueError: CalculiX has no form of the law.
     """
+    yield "*MATERIAL, NAME=SILICONE"
+    yield from hyperelastic_lines(law)
+    yield "*MATERIAL, NAME=RIGID"
+    yield "*ELASTIC"
+    yield "1.0, 0.3"
+    yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
+    yield "*SOLID SECTION, ELSET=INDENTER, MATERIAL=RIGID"
+
+
+def hyperelastic_lines(law: ElasticLaw) -> Iterator[str]:
+    """Yield the form of a law and its constants.
+
+    Raises:
+        ValueError: CalculiX has no form of the law.
+    """
     c10, c01, c20, c30, bulk = (MEGAPASCAL * law.coefficients_pa()).tolist()
     d1 = 2.0 / bulk
-    yield "*MATERIAL, NAME=SILICONE"
     if c20 or c30:
         if c01:
             raise ValueError("a law with C01 and C20 or C30 has no form in the reference")
@@ -176,11 +196,6 @@ def material_lines(law: ElasticLaw) -> Iterator[str]:
         yield "*HYPERELASTIC, NEO HOOKE"
         constants = [c10, d1]
     yield ", ".join(f"{constant:.9e}" for constant in constants)
-    yield "*MATERIAL, NAME=RIGID"
-    yield "*ELASTIC"
-    yield "1.0, 0.3"
-    yield "*SOLID SECTION, ELSET=GEL, MATERIAL=SILICONE"
-    yield "*SOLID SECTION, ELSET=INDENTER, MATERIAL=RIGID"
 
 
 def contact_lines(law: ElasticLaw, contact: ContactSpecification) -> Iterator[str]:
@@ -203,7 +218,17 @@ def _rows(first: int, values: FloatArray) -> Iterator[str]:
         yield f"{number}, {', '.join(f'{value:.9e}' for value in row)}"
 
 
-def _listed(numbers: Iterable[int]) -> Iterator[str]:
+def brick_lines(first: int, nodes: IntArray) -> Iterator[str]:
+    """Yield elements with the nodes (E, 20), numbered from the first on."""
+    for number, row in enumerate(nodes.tolist(), start=first):
+        text = list(map(str, row))
+        # A line holds at most 16 entries.
+        yield f"{number}, {', '.join(text[:10])},"
+        yield ", ".join(text[10:])
+
+
+def listed(numbers: Iterable[int]) -> Iterator[str]:
+    """Yield numbers, 16 a line."""
     entries = [str(int(number)) for number in numbers]
     for start in range(0, len(entries), 16):
         yield ", ".join(entries[start : start + 16]) + ","

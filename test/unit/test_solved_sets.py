@@ -1,0 +1,415 @@
+"""Hidden effects that finite elements solve: what is drawn, what is solved, what is written."""
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dotsim_ros.cli.main import main
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.evaluation.gap import solved_score
+from dotsim_ros.evaluation.gap.hidden import solved_unit
+from dotsim_ros.evaluation.gap.hidden.solved_draw import (
+    COMPOSITION,
+    DECLARED,
+    HALVES,
+    KNOWN,
+    LAWS,
+    NULL,
+    SINGLE,
+    draw_series,
+)
+from dotsim_ros.evaluation.gap.hidden.solved_sets import SeriesPlan, make_sets, read_series
+from dotsim_ros.evaluation.gap.solved_page import solved_page
+from dotsim_ros.evaluation.gap.solved_score import ScoreRequest, outcome_of, rates_of, score_sets
+from dotsim_ros.files import write_json
+from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
+from dotsim_ros.gel.material import Yeoh
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.scripted import Site
+from dotsim_ros.reference.deck import StepControl
+from dotsim_ros.reference.press import ReferenceSettings, press_poses, reference_deck
+from dotsim_ros.reference.run import solve
+from dotsim_ros.reference.unit_deck import MaxwellBranch, OgdenStiffening, StiffPart, UnitDeck
+from dotsim_ros.specification import load_sensor
+
+SENSOR = load_sensor("sensor_a")
+PRESS = "press_sphere_4mm_0"
+
+needs_calculix = pytest.mark.skipif(
+    shutil.which("ccx") is None, reason="CalculiX is not installed: apt-get install calculix-ccx"
+)
+
+
+def test_a_series_has_the_composition_and_each_effect_lies_in_both_halves() -> None:
+    units = draw_series(SENSOR, 32, 3)
+    assert Counter(unit.kind for unit in units) == COMPOSITION
+    assert Counter(unit.half for unit in units) == dict.fromkeys(HALVES, 16)
+    singles = [unit for unit in units if unit.kind == SINGLE]
+    for name in KNOWN:
+        halves = {unit.half for unit in singles if unit.effects[0].name == name}
+        assert halves == set(HALVES), name
+    assert len({unit.name for unit in units}) == 32
+
+
+def test_any_beginning_of_a_series_is_balanced() -> None:
+    units = draw_series(SENSOR, 32, 8)
+    for end in range(8, 33):
+        found = Counter(unit.kind for unit in units[:end])
+        for kind, weight in COMPOSITION.items():
+            assert abs(found[kind] - weight * end / 32) < 1.7, (end, kind)
+
+
+def test_a_series_of_another_length_has_the_same_shares() -> None:
+    for count in (1, 5, 30):
+        found = Counter(unit.kind for unit in draw_series(SENSOR, count, 0))
+        assert sum(found.values()) == count
+        for kind, weight in COMPOSITION.items():
+            assert abs(found[kind] - weight * count / 32) < 1.0
+    with pytest.raises(ValueError, match="expected at least one"):
+        draw_series(SENSOR, 0, 0)
+
+
+def test_units_are_within_what_is_declared_and_decoys_nearly_out_of_it() -> None:
+    for unit in draw_series(SENSOR, 64, 1):
+        own = unit.constants
+        deviations = {
+            "youngs_modulus": np.log(own.youngs_modulus_pa / 1.8642e5) / 0.08,
+            "friction": np.log(own.friction / SENSOR.contact.friction_coefficient) / 0.2,
+            "thickness": own.thickness_share / 0.01,
+            "clock": own.clock_s / 0.003,
+            "force_gain": (own.force_gain - 1.0) / 0.03,
+        }
+        assert bool(unit.decoys) == (unit.kind == NULL)
+        assert set(unit.decoys) <= set(DECLARED)
+        for name, deviation in deviations.items():
+            low, high = (0.99, 1.51) if name in unit.decoys else (0.0, 1.01)
+            assert low <= abs(deviation) <= high, (unit.name, name)
+
+
+def test_a_seed_draws_the_same_again_and_another_one_something_else() -> None:
+    first, again, other = (draw_series(SENSOR, 8, seed) for seed in (4, 4, 5))
+    assert [unit.digest() for unit in first] == [unit.digest() for unit in again]
+    assert not {unit.digest() for unit in first} & {unit.digest() for unit in other}
+
+
+def test_the_library_has_the_effects_that_the_laws_say_it_has() -> None:
+    library = load_effects()
+    for law in LAWS.values():
+        assert not law.library or law.library in library
+    for unit in draw_series(SENSOR, 64, 2):
+        for effect in unit.effects:
+            law = LAWS[effect.name]
+            assert law.low <= effect.size <= law.high
+            if effect.against_twin is None:
+                assert law.name in {"ogden_stiffening", "two_branches"} or not law.library
+                continue
+            parameter = library[law.library].parameters[0]
+            assert parameter.low <= effect.against_twin <= parameter.high
+
+
+@pytest.mark.parametrize(
+    ("verdict", "named", "alternatives", "hidden", "outcome"),
+    [
+        ("no_gap", [], [], set(), "right"),
+        ("named", ["latency"], [], set(), "false name"),
+        ("set", ["latency"], ["backlash"], set(), "false name"),
+        ("unknown", [], [], set(), "called unknown"),
+        ("no_gap", [], [], {"latency"}, "missed"),
+        ("named", ["latency"], [], {"latency"}, "right"),
+        ("named", ["backlash"], [], {"latency"}, "wrong name"),
+        ("named", ["backlash", "latency"], [], {"latency"}, "with a wrong one"),
+        ("set", ["backlash"], ["latency"], {"latency"}, "in the set"),
+        ("set", ["backlash"], ["gamma"], {"latency"}, "wrong name"),
+        ("unknown", [], [], {"latency"}, "called unknown"),
+        ("named", ["latency"], [], {"latency", "backlash"}, "one of two"),
+        ("named", ["latency", "backlash"], [], {"latency", "backlash"}, "right"),
+        ("unknown", [], [], {""}, "right"),
+        ("named", ["latency"], [], {""}, "wrong name"),
+        ("unusable", [], [], {"latency"}, "refused"),
+    ],
+)
+def test_an_answer_is_worth(
+    verdict: str, named: list[str], alternatives: list[str], hidden: set[str], outcome: str
+) -> None:
+    assert outcome_of(verdict, named, alternatives, hidden) == outcome
+
+
+def _deck(depth_m: float = 1.2e-3, hold_s: float = 0.0, **changed: object) -> UnitDeck:
+    """Return the deck of a quick press, held after it where a time is given."""
+    site = Site(outer_radius_m=SENSOR.gel.outer_radius_m, tilt_rad=0.2)
+    poses = press_poses(site, depth_m=depth_m, frame_count=1)
+    poses += [poses[-1]] * (hold_s > 0.0)
+    control = StepControl(first=1.0)
+    plain = reference_deck(
+        SENSOR,
+        dome_skin(SENSOR.gel.outer_radius_m, 2.5e-3),
+        load_indenter("sphere_4mm"),
+        poses,
+        ReferenceSettings(4.5e-3, 1.2e-3, control=control, drag_control=control),
+    )
+    made = {"law": Yeoh(3.2e4, 2.0e3, 0.0, 1.2e6), "duration_s": (1e-3, hold_s)[: len(poses) - 1]}
+    return UnitDeck(
+        plain.gel, plain.surface, poses, contact=SENSOR.contact, controls=plain.controls,
+        **(made | changed),  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _force_n(deck: UnitDeck) -> np.ndarray:
+    solution = solve(deck, time_limit_s=400.0)
+    assert not solution.failure
+    return np.array([np.linalg.norm(step.force_n) for step in solution.steps])
+
+
+@needs_calculix
+def test_branches_relax_by_their_shares_in_their_times() -> None:
+    branches = (MaxwellBranch(0.2, 0.6), MaxwellBranch(0.1, 3.0))
+    fast, slow = _force_n(_deck(hold_s=1.5, branches=branches))
+    # Of the shear modulus; the bulk modulus does not relax.
+    left = 1.0 - sum(b.share * (1.0 - np.exp(-1.5 / b.time_s)) for b in branches)
+    elastic = _force_n(_deck())[0]
+    softer = _force_n(_deck(law=Yeoh(left * 3.2e4, left * 2.0e3, 0.0, 1.2e6)))[0]
+    assert fast == pytest.approx(elastic, rel=0.02)
+    assert slow == pytest.approx(softer, rel=0.02)
+    assert slow < 0.9 * fast
+
+
+@needs_calculix
+def test_ogden_s_stiffening_is_that_of_yeoh_s_at_the_strain_of_a_press() -> None:
+    plain, like_yeoh = (
+        _deck(1.8e-3, law=Yeoh(3.2e4, 0.0, 0.0, 1.2e6)),
+        Yeoh(3.2e4, 1.28e4, 0, 1.2e6),
+    )
+    soft, yeoh = _force_n(plain)[0], _force_n(replace(plain, law=like_yeoh))[0]
+    ogden = _force_n(replace(plain, stiffening=OgdenStiffening.like(0.4)))[0]
+    assert yeoh > 1.05 * soft
+    # From the sixth order on it is another law.
+    assert (ogden - soft) / (yeoh - soft) == pytest.approx(1.0, abs=0.3)
+
+
+@needs_calculix
+def test_what_is_wrong_in_pairs_is_solved_together() -> None:
+    pair = {"branches": (MaxwellBranch(0.2, 0.6),), "stiffening": OgdenStiffening.like(0.4)}
+    alone, with_base = (
+        _deck(hold_s=1.0, **pair),
+        _deck(hold_s=1.0, base_compliance_m_n=1e-4, **pair),
+    )
+    fast, slow = _force_n(alone)
+    assert slow < 0.95 * fast
+    assert _force_n(with_base)[0] < 0.97 * fast
+
+
+@needs_calculix
+def test_a_base_that_gives_way_takes_depth_in_proportion_to_the_force() -> None:
+    compliance_m_n = 1.0e-4
+    given, rigid = _force_n(_deck(base_compliance_m_n=compliance_m_n))[0], _force_n(_deck())[0]
+    assert given < 0.95 * rigid
+    shallower = _force_n(_deck(1.2e-3 - compliance_m_n * given))[0]
+    assert given == pytest.approx(shallower, rel=0.02)
+
+
+@needs_calculix
+def test_a_stiff_part_is_stiffer_and_a_core_that_slips_softer() -> None:
+    deck = _deck()
+    plain = _force_n(deck)[0]
+    whole = StiffPart(np.arange(len(deck.gel.element)), 2.0)
+    # The contact's own stiffness stays.
+    assert 1.7 * plain < _force_n(replace(deck, stiff=whole))[0] < 2.0 * plain
+    radius_m = np.linalg.norm(deck.gel.node_m[deck.gel.bonded], axis=1)
+    on_core = radius_m < SENSOR.gel.core_radius_m * (1.0 + 1e-6)
+    above = deck.gel.node_m[deck.gel.bonded][:, 2] > 1e-3
+    slipping = deck.gel.bonded[on_core & above]
+    assert _force_n(replace(deck, slipping=slipping))[0] < 0.99 * plain
+
+
+def test_what_cannot_be_solved_together_is_refused() -> None:
+    deck, branch = _deck(), MaxwellBranch(0.5, 1.0)
+    with pytest.raises(ValueError, match="shares below 1"):
+        replace(deck, branches=(branch, branch))
+    with pytest.raises(ValueError, match="slips on a base"):
+        replace(deck, slipping=np.array([1]), base_compliance_m_n=1e-5)
+    with pytest.raises(ValueError, match="stiff part"):
+        replace(deck, stiff=StiffPart(np.array([0]), 2.0), branches=(branch,))
+    with pytest.raises(ValueError, match="step durations"):
+        replace(deck, duration_s=())
+    with pytest.raises(ValueError, match="share"):
+        OgdenStiffening.like(3.0)
+
+
+def _hide(out: Path, *more: str) -> int:
+    quick = ("--count", "1", "--trajectories", PRESS, "--coarseness", "1.6", "--seed", "6")
+    return main(["hide", "--out", str(out), *quick, *more])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with one set of one trajectory."""
+    out = tmp_path_factory.mktemp("hidden") / "sets"
+    assert _hide(out) == 0
+    return out
+
+
+@needs_calculix
+def test_a_set_is_made_resumed_and_its_truth_sealed(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = Path(shutil.copytree(made, tmp_path / "sets"))
+    index, (record,) = read_series(out)
+    assert record.is_ready
+    assert record.made == (PRESS,)
+    assert index["seed"] == 6
+    truth = (out / "set_00" / "truth.json").read_bytes()
+    assert hashlib.sha256(truth).hexdigest() == record.truth_sha256
+    data_set = read_data_set(out / "set_00")
+    (entry,) = data_set.entries
+    trajectory = entry.read()
+    assert trajectory.skin is not None
+    assert trajectory.wrench is not None
+    assert trajectory.skin.position_m.shape == (6, data_set.skin_mesh().vertex_count, 3)
+    load = np.linalg.norm(trajectory.wrench.force_n, axis=1)
+    assert load[0] < 0.1
+    assert all(after > before for before, after in pairwise(load))
+    assert load[-1] > 0.5
+    names = {effect["name"] for effect in json.loads(truth)["effects"]}
+    assert not any(name in (out / "set_00" / "dataset.yaml").read_text() for name in names)
+
+    bag = data_set.entries[0].bag / f"{PRESS}.mcap"
+    before = bag.stat().st_mtime_ns
+    # As a run that was ended before it could say that the set is whole.
+    index["sets"][0] |= {"ready": False, "made": []}
+    (out / "index.json").write_text(json.dumps(index))
+    assert _hide(out) == 0
+    assert bag.stat().st_mtime_ns == before
+    assert read_series(out)[1][0] == record
+    assert _hide(out) == 0
+    assert "there already" in capsys.readouterr().out
+
+    handle = os.open(out, os.O_RDONLY)
+    fcntl.flock(handle, fcntl.LOCK_EX)
+    assert _hide(out) == 1
+    os.close(handle)
+    assert "another run is making sets" in capsys.readouterr().err
+
+    assert _hide(out, "--seed", "7") == 1
+    assert "holds sets of seed 6, asked for were 7" in capsys.readouterr().err
+    half = next(half for half in HALVES if half != record.half)
+    with pytest.raises(ValueError, match="no set of the half"):
+        score_sets(ScoreRequest(out, half, SENSOR, tmp_path / "run"), print)
+
+
+@needs_calculix
+def test_answers_of_before_are_scored_without_another_search(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(solved_score, "UNFINISHED", 1)
+    _, (record,) = read_series(made)
+    (effect,) = json.loads((made / "set_00" / "truth.json").read_text())["effects"]
+    true = effect["against_twin"] if effect["against_twin"] is not None else 1.0
+    estimate = Estimate("parameter", "", true * 1.01, *sorted((0.9 * true, 1.1 * true)))
+    name = effect["library"]
+    found = Findings(
+        Verdict.NAMED,
+        "",
+        named=(name,),
+        statistic=50.0,
+        threshold=40.0,
+        candidates=(Candidate(name, name, True, 50.0, 0.0, estimates=(estimate,)),),
+        share_closed=0.9,
+    )
+    kept = {"truth_sha256": record.truth_sha256, "made": [PRESS], "commit": "0123456789ab"}
+    write_json(tmp_path / "run" / "set_00" / "findings.json", kept | {"findings": as_record(found)})
+    line = f"evaluate gap --sets {made} --sensor sensor_a --half {record.half}"
+    line += f" --run {tmp_path / 'run'} --out {tmp_path / 'results'}"
+    assert main(line.split()) == 0
+    figures = json.loads((tmp_path / "results" / "gap_physics.json").read_text())
+    (row,) = figures["halves"][record.half]["sets"]
+    assert row["outcome"] == "right"
+    assert row["searched_at"] == "0123456789ab"
+    assert all(one["covers"] for one in row["estimates"])
+    assert len(row["estimates"]) == (effect["against_twin"] is not None)
+    page = (tmp_path / "results" / "gap_physics.md").read_text()
+    assert f"| set_00 | {effect['name']}" in page
+    assert "100% [21%, 100%] of 1" in page
+    capsys.readouterr()
+
+    assert main([*line.split()[:4], "--sensor", "densetact2"]) == 1
+    assert "give --sensor sensor_a" in capsys.readouterr().err
+    tampered = Path(shutil.copytree(made, tmp_path / "tampered"))
+    (tampered / "set_00" / "truth.json").write_text("{}")
+    assert main(line.replace(str(made), str(tampered)).split()) == 1
+    assert "is not the truth whose SHA-256" in capsys.readouterr().err
+
+
+@needs_calculix
+def test_a_trajectory_that_is_not_solved_is_listed_and_is_no_data(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # Increments of which CalculiX cannot solve any.
+    hopeless = StepControl(first=1.0, smallest=1.0, count=1)
+    monkeypatch.setattr(solved_unit, "EFFORTS", ((1.0, hopeless),))
+    monkeypatch.setattr(solved_unit, "TIME_LIMIT_S", 0.2)
+    assert _hide(tmp_path / "sets") == 1
+    _, (record,) = read_series(tmp_path / "sets")
+    assert record.is_ready
+    assert record.made == ()
+    assert "did not finish it in 1 tries" in record.failures[PRESS]
+    assert not (tmp_path / "sets" / "set_00" / "bags").exists()
+    monkeypatch.setattr(solved_unit, "LEAST_FREE_BYTES", 10**18)
+    assert _hide(tmp_path / "sets") == 1  # failed before, and not tried again
+    assert "MB left" not in capsys.readouterr().err
+    assert _hide(tmp_path / "sets", "--retry") == 1
+    assert "MB left for its files" in capsys.readouterr().err
+    assert read_series(tmp_path / "sets")[1] == [record]
+    row = score_sets(ScoreRequest(tmp_path / "sets", record.half, SENSOR, tmp_path / "run"), print)
+    assert row["sets"][0]["outcome"] == "too few trajectories"
+    assert "set_00" in solved_page({"halves": {record.half: row | {"provenance": {}}}})
+
+
+def test_what_stands_in_the_way_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if shutil.which("ccx"):
+        (tmp_path / "mine.txt").write_text("mine")
+        assert _hide(tmp_path) == 1
+        assert "holds files, and no index.json" in capsys.readouterr().err
+        with pytest.raises(ValueError, match="no trajectory somersault"):
+            make_sets(tmp_path / "new", SeriesPlan(SENSOR, 1, 0, ("somersault",)), print)
+    monkeypatch.setenv("PATH", "")
+    assert _hide(tmp_path / "new") == 1
+    assert "CalculiX is not installed" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+    assert main(["evaluate", "gap", "--sets", str(tmp_path / "new")]) == 1
+    assert "make the sets with dotsim_ros hide" in capsys.readouterr().err
+    assert main(["evaluate", "gap"]) == 1
+    assert "--data" in capsys.readouterr().err
+
+
+def test_rates_are_shares_of_each_kind() -> None:
+    rows = [
+        {"kind": "null", "outcome": "right"},
+        {"kind": "null", "outcome": "false name"},
+        {
+            "kind": "single",
+            "outcome": "right",
+            "estimates": [{"covers": True}],
+            "share_closed": 0.8,
+        },
+        {"kind": "outside", "outcome": "right"},
+    ]
+    rates = rates_of(rows)
+    assert rates["nulls_right"]["share"] == 0.5
+    assert rates["single_right"]["of"] == 1
+    assert rates["intervals_that_cover"]["share"] == 1.0
+    assert rates["pairs_both"]["share"] is None
+    assert rates["median_share_closed"] == 0.8
