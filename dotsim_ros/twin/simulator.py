@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import Float32Array, FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
@@ -68,6 +68,13 @@ def offset_pose(pose: Pose, offset: FloatArray) -> Pose:
     """Return a pose moved by (6,): metres along the indenter's axes, radians about its origin."""
     turn = np.array([*(0.5 * offset[3:]), 1.0])
     return Pose(pose.apply(offset[:3]), quaternion_product(pose.quaternion_xyzw, turn))
+
+
+def gel_key(values: GelValues) -> tuple[float, ...]:
+    """Return what a gel is made anew for, which takes as long as some presses; its friction, its
+    relaxation and its indenter can be changed."""
+    v = values
+    return (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m)
 
 
 class GelSimulator:
@@ -154,8 +161,7 @@ class GelSimulator:
                 prony_times_s=relaxation.times_s,
             )
             specification = replace(specification, material=material)
-        prony = (*specification.material.prony_shares, *specification.material.prony_times_s)
-        key = (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *prony)
+        key = gel_key(v)
         gel = self._gels.pop(key, None)
         if gel is None:
             gel = ImplicitGel(
@@ -172,6 +178,7 @@ class GelSimulator:
         while len(self._gels) > KEPT_GELS:
             self._gels.popitem(last=False)
         gel.contact_specification = specification.contact
+        gel.set_relaxation(material_of(specification.material).prony)
         gel.set_indenter(indenter)
         return gel
 
@@ -210,16 +217,13 @@ class GelSimulator:
             law = NeoHookean(REFERENCE_MODULUS_PA, poisson_ratio)
             rest_m = self.skin.rest_position_m
             coarse = discretize(self._body, rest_m, self._solver.grid_spacing_m)
-            no_mass = sparse.csr_matrix((coarse.node_count, coarse.node_count))
-            at_rest = LocalTangent(ElasticBody(coarse, law, dtype=np.float32), no_mass)
-            table = refine(
-                self._body,
-                rest_m,
-                coarse,
-                at_rest.compliance,
-                law,
-                progress=self._progress,
-            )
+
+            def compliance() -> Float32Array:
+                no_mass = sparse.csr_matrix((coarse.node_count, coarse.node_count))
+                body = ElasticBody(coarse, law, dtype=np.float32)
+                return LocalTangent(body, no_mass).compliance
+
+            table = refine(self._body, rest_m, coarse, compliance, law, progress=self._progress)
         self._tables[number] = table
         while len(self._tables) > KEPT_TABLES:
             self._tables.popitem(last=False)

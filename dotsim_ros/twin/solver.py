@@ -3,8 +3,8 @@ can be resumed, and nothing is solved twice."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
-from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
+from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator, gel_key
 from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 TOLERANCE_M = 5.0e-6
@@ -29,6 +29,10 @@ to a fifth of this takes more than twice as long."""
 
 DECIDED_BY = ("dotsim_ros.twin.solver",)
 """The code, with all that it imports, that decides a solve."""
+
+TOGETHER = 8
+"""So many presses of one gel are one worker's task: making the gel takes as long as some of
+them."""
 
 Progress = Callable[[int, int], None]
 """Called with the number of solves done, and of all."""
@@ -79,6 +83,23 @@ def solve(request: SolveRequest) -> SimulatedPress | str:
         return str(error)
 
 
+def solve_each(requests: Sequence[SolveRequest]) -> list[SimulatedPress | str]:
+    """Return the answers of `solve`, in a worker."""
+    return [solve(request) for request in requests]
+
+
+def _tasks(requests: Mapping[str, SolveRequest]) -> list[dict[str, SolveRequest]]:
+    """Return requests by key in the tasks of workers: those of one gel follow each other."""
+    by_gel: dict[tuple[float, ...], list[str]] = {}
+    for key, request in requests.items():
+        by_gel.setdefault(gel_key(request.values), []).append(key)
+    return [
+        {key: requests[key] for key in keys[begin : begin + TOGETHER]}
+        for keys in by_gel.values()
+        for begin in range(0, len(keys), TOGETHER)
+    ]
+
+
 class PressSolver:
     """Solves requests; use `open_press_solver`.
 
@@ -105,26 +126,30 @@ class PressSolver:
     ) -> list[SimulatedPress | str]:
         """Return skin and force of each request, or why it could not be solved."""
         keys = [self._key(request) for request in requests]
-        waiting: dict[Future[SimulatedPress | str], str] = {}
+        missing: dict[str, SolveRequest] = {}
         for key, request in zip(keys, requests, strict=True):
-            if key in self._known or key in waiting.values():
+            if key in self._known or key in missing:
                 continue
             stored = _load(self._path(key), (len(request.poses), self._vertex_count))
             if stored is None:
-                waiting[self._pool.submit(solve, request)] = key
+                missing[key] = request
             else:
                 self._known[key] = stored
-        count, total = 0, len(waiting)
+        waiting = {
+            self._pool.submit(solve_each, tuple(task.values())): tuple(task)
+            for task in _tasks(missing)
+        }
+        count = 0
         while waiting:
             done, _ = wait(waiting, return_when=FIRST_COMPLETED)
             for future in done:
-                key = waiting.pop(future)
-                self._known[key] = future.result()
-                _store(self._path(key), self._known[key])
-                self.solve_count += 1
-                count += 1
+                for key, found in zip(waiting.pop(future), future.result(), strict=True):
+                    self._known[key] = found
+                    _store(self._path(key), found)
+                    self.solve_count += 1
+                    count += 1
                 if progress is not None:
-                    progress(count, total)
+                    progress(count, len(missing))
         return [
             _with_modulus(self._known[key], request.values.youngs_modulus_pa)
             for key, request in zip(keys, requests, strict=True)

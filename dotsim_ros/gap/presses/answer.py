@@ -147,7 +147,9 @@ def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
         if not wanted:
             break
         search.case.extend(
-            wanted, progress=lambda done, total: search.progress("refit", done, total)
+            wanted,
+            progress=lambda done, total: search.progress("refit", done, total),
+            among=search.chosen,
         )
         for entry in close:
             segments = search.segments(entry.variants)

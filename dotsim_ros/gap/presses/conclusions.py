@@ -131,8 +131,9 @@ def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[Floa
     """Return (F, SIZE) of each trajectory by effects at the sizes found."""
     total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
     for entry in entries:
-        for number, part in enumerate(search.case.change_at(entry.trial.variant, entry.trial.size)):
-            total[number] = total[number] + part
+        change, failures = search.case.change_everywhere(entry.trial.variant, entry.trial.size)
+        search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
+        total = [before + part for before, part in zip(total, change, strict=True)]
     return total
 
 

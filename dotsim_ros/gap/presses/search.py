@@ -155,7 +155,10 @@ def simulate_effects(search: Search) -> tuple[list[Variant], list[str]]:
         (variant, probe) for variant in variants for probe in variant.effect.parameters[0].probes
     ]
     failures = search.case.extend(
-        wanted, progress=lambda done, total: search.progress("screen", done, total)
+        wanted,
+        progress=lambda done, total: search.progress("screen", done, total),
+        # What is held out is simulated for what is named alone.
+        among=search.chosen,
     )
     search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
     return variants, silent

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,7 @@ from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.relaxation import Relaxation
 from dotsim_ros.gel.implicit.tangent import ExactTangent, GridRegion, LocalTangent
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
-from dotsim_ros.gel.material import Material
+from dotsim_ros.gel.material import Material, PronySeries
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -241,7 +241,7 @@ class ImplicitGel:
                     shape,
                     skin.rest_position_m,
                     d,
-                    at_rest.compliance,
+                    lambda: at_rest.compliance,
                     material.law,
                     progress=progress,
                 )
@@ -269,6 +269,15 @@ class ImplicitGel:
             device=self.device,
         )
         self._inner_point_m = inner_point_m
+        self.reset()
+
+    def set_relaxation(self, relaxation: PronySeries) -> None:
+        """Replace the gel's relaxation and return to rest."""
+        self.material = replace(self.material, prony=relaxation)
+        nothing = np.zeros((self.discretization.particle_count, 3, 3))
+        for environment in range(self.environment_count):
+            for body in (self.body, self._single):
+                body.set_history(1.0, nothing, environment)
         self.reset()
 
     def reset(self) -> None:
