@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +10,8 @@ import numpy as np
 import pytest
 
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
+from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.gap.decision import EXPLAINED
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.answer import (
     SearchAnswer,
@@ -22,7 +25,7 @@ from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whiteni
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.presses.search_state import GapRequest, Search
-from dotsim_ros.gap.report.wording import sentence
+from dotsim_ros.gap.report.wording import reaches_end, sentence
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)
@@ -64,8 +67,8 @@ def change(random: np.random.Generator) -> list[np.ndarray]:
     return [DEVIATION * random.standard_normal(SHAPE) for _ in range(TRAJECTORIES)]
 
 
-def variant_of(change: list[np.ndarray]) -> Variant:
-    variant = Variant(EFFECT, {})
+def variant_of(change: list[np.ndarray], effect: Effect = EFFECT) -> Variant:
+    variant = Variant(effect, {})
     variant.put(0.0, [np.zeros(SHAPE) for _ in change])
     variant.put(1.0, change)
     return variant
@@ -97,8 +100,8 @@ def search_of(
     )
 
 
-def answered(search: Search, change: list[np.ndarray]) -> SearchAnswer:
-    ranked = screen(search, [variant_of(change)])
+def answered(search: Search, change: list[np.ndarray], effect: Effect = EFFECT) -> SearchAnswer:
+    ranked = screen(search, [variant_of(change, effect)])
     return answer_of(search, ranked, *null_gains(search, ranked, NULLS))
 
 
@@ -126,10 +129,56 @@ def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
     sizes = sizes_by_channel(search, answer.ranked[0])
     assert sizes == pytest.approx((skin, force), abs=0.1)
     text = sentence(
-        answer.verdict, [], [], [], nearest=EFFECT, sizes=sizes, place="the skin at the rim"
+        answer.verdict,
+        [],
+        [],
+        [],
+        nearest=EFFECT,
+        sizes=sizes,
+        end=None,
+        place="the skin at the rim",
     )
     told, other = (f"{size:.2g} s" for size in sizes)
     assert f"late, but the skin gives size = {told} and the force {other}: they should" in text
+
+
+@pytest.mark.parametrize("size", [0.9, 1.2])
+@pytest.mark.parametrize("natural_ends", [(), (1.0,)])
+def test_an_effect_at_an_end_of_its_range_is_named_only_if_nothing_can_be_beyond(
+    change: list[np.ndarray],
+    random: np.random.Generator,
+    size: float,
+    natural_ends: tuple[float, ...],
+) -> None:
+    parameter = replace(EFFECT.parameters[0], natural_ends=natural_ends)
+    effect = replace(EFFECT, parameters=(parameter,))
+    search = search_of(change, size, size, random)
+    search.case.library = {effect.name: effect}
+    answer = answered(search, change, effect)
+    nearest = answer.ranked[0]
+    # Either explains enough.
+    assert nearest.explained is not None
+    assert nearest.explained > EXPLAINED
+    assert nearest.trial.size == pytest.approx(min(size, 1.0), abs=0.05)
+    if size < 1.0 or natural_ends:
+        assert answer.verdict is Verdict.NAMED
+        return
+    assert answer.verdict is Verdict.UNKNOWN
+    assert answer.named == []
+    text = sentence(
+        answer.verdict, [], [], [], nearest=effect, sizes=None, end=nearest.end, place="the skin"
+    )
+    assert "The nearest is: late, at the end of its range (size = 1 s)." in text
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.6, 0.9), (0.6, 1.0), (0.0, 0.4)])
+def test_an_interval_that_reaches_the_end_of_a_range_is_told(low: float, high: float) -> None:
+    told = reaches_end(EFFECT, Estimate("size", "s", 0.5 * (low + high), low, high))
+    if high < 1.0:  # that of the absent effect is no such end
+        assert told is None
+        return
+    assert told is not None
+    assert "the interval of late.size reaches the end of its range, 1 s" in told
 
 
 def test_without_anything_there_is_no_gap(

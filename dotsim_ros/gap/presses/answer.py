@@ -212,14 +212,17 @@ def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked]
     if pair is not None:
         further = _gain(search, pair) - _gain(search, [best])
         if further > decision.FURTHER * _left(search, [best]):
-            if _explained(search, pair) < decision.EXPLAINED:
+            is_at_end = any(entry.end is not None for entry in pair)
+            if is_at_end or _explained(search, pair) < decision.EXPLAINED:
                 return Verdict.UNKNOWN, [], []
             return Verdict.NAMED, pair, []
-    if (best.explained or 0.0) < decision.EXPLAINED:
-        return Verdict.UNKNOWN, [], []
     least = best.trial.gain - decision.SAME
-    alternatives = [entry for entry in able[1:] if entry.trial.gain > least]
-    return (Verdict.SET if alternatives else Verdict.NAMED), [best], alternatives
+    # One at the end of its range is a symptom of something else: what explains as much may stand.
+    possible = [e for e in able if e.trial.gain > least and e.end is None]
+    if not possible or (possible[0].explained or 0.0) < decision.EXPLAINED:
+        return Verdict.UNKNOWN, [], []
+    named, *alternatives = possible
+    return (Verdict.SET if alternatives else Verdict.NAMED), [named], alternatives
 
 
 def _explained(search: Search, entries: Sequence[Ranked]) -> float:

@@ -67,6 +67,9 @@ def findings_of(
             f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
             "trajectories agree; record more trajectories"
         )
+    for entry in named:
+        reached = wording.reaches_end(entry.effect, entry.estimates[0])
+        search.warnings += [] if reached is None else [reached]
     worst = worst_frame(
         case,
         residuals,
@@ -91,6 +94,7 @@ def findings_of(
             gaps,
             nearest=ranked[0].effect if ranked else None,
             sizes=sizes_by_channel(search, ranked[0]) if is_unknown and ranked else None,
+            end=ranked[0].end if is_unknown and ranked else None,
             place=wording.largest_place(places),
         ),
         named=tuple(e.effect.name for e in named),

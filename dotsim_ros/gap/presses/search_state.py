@@ -85,6 +85,11 @@ class Ranked:
         """Whether it gains more than data without any effect let it gain."""
         return self.trial.gain > self.limit
 
+    @property
+    def end(self) -> float | None:
+        """The end of its plausible range that its size stands at, None for a size within."""
+        return self.effect.parameters[0].end_at(self.trial.size)
+
 
 @dataclass
 class Search:
