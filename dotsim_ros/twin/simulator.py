@@ -20,7 +20,7 @@ from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.tangent import LocalTangent
-from dotsim_ros.gel.make import body_of, material_of
+from dotsim_ros.gel.make import body_of, bond_of, material_of
 from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 from dotsim_ros.gel.values import GelValues, specification_with
@@ -70,11 +70,12 @@ def offset_pose(pose: Pose, offset: FloatArray) -> Pose:
     return Pose(pose.apply(offset[:3]), quaternion_product(pose.quaternion_xyzw, turn))
 
 
-def gel_key(values: GelValues) -> tuple[float, ...]:
+def gel_key(values: GelValues) -> tuple[float | tuple[float, ...], ...]:
     """Return what a gel is made anew for, which takes as long as some presses; its friction, its
     relaxation and its indenter can be changed."""
     v = values
-    return (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m)
+    bond = (v.bond_slip_share, v.loose_patch_rad)
+    return (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *bond)
 
 
 class GelSimulator:
@@ -110,7 +111,7 @@ class GelSimulator:
             solver, refined=False, tolerance_m=tolerance_m, iterations=ITERATIONS
         )
         self._body = body_of(specification.gel)
-        self._gels: OrderedDict[tuple[float, ...], ImplicitGel] = OrderedDict()
+        self._gels: OrderedDict[tuple[float | tuple[float, ...], ...], ImplicitGel] = OrderedDict()
         self._tables: OrderedDict[int, Refinement] = OrderedDict()
 
     def press(
@@ -171,6 +172,7 @@ class GelSimulator:
                 contact=specification.contact,
                 solver=self._solver,
                 indenter=indenter,
+                bond=bond_of(specification.gel),
             )
             if self._refined:
                 gel.refinement = self._refinement(v.poisson_ratio)

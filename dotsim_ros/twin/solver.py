@@ -90,7 +90,7 @@ def solve_each(requests: Sequence[SolveRequest]) -> list[SimulatedPress | str]:
 
 def _tasks(requests: Mapping[str, SolveRequest]) -> list[dict[str, SolveRequest]]:
     """Return requests by key in the tasks of workers: those of one gel follow each other."""
-    by_gel: dict[tuple[float, ...], list[str]] = {}
+    by_gel: dict[tuple[float | tuple[float, ...], ...], list[str]] = {}
     for key, request in requests.items():
         by_gel.setdefault(gel_key(request.values), []).append(key)
     return [
