@@ -78,6 +78,20 @@ def gel_key(values: GelValues) -> tuple[float | tuple[float, ...], ...]:
     return (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *bond)
 
 
+def tables_of(poisson_ratio: float) -> tuple[tuple[int, float], ...]:
+    """Return the numbers of the tables of the refinement at a Poisson's ratio, with their shares:
+    linear between the two beside it."""
+    place = float(
+        np.clip(np.log(0.5 - poisson_ratio), SMALLEST_TABLE_COORDINATE, LARGEST_TABLE_COORDINATE)
+        / TABLE_SPACING
+    )
+    below = int(np.floor(place))
+    share = place - below
+    if share < 1e-9:
+        return ((below, 1.0),)
+    return (below, 1.0 - share), (below + 1, share)
+
+
 class GelSimulator:
     """Simulates presses of one sensor; keeps the gels of the last parameters.
 
@@ -148,6 +162,11 @@ class GelSimulator:
         if self._refined:
             self._refinement(values.poisson_ratio)
 
+    def prepare_table(self, number: int) -> None:
+        """Compute a table of `tables_of`, and keep it on disk."""
+        if self._refined:
+            self._table(number)
+
     def _gel(
         self, values: GelValues, indenter: Indenter, relaxation: PronySeries | None
     ) -> ImplicitGel:
@@ -194,22 +213,13 @@ class GelSimulator:
         return shape
 
     def _refinement(self, poisson_ratio: float) -> Refinement:
-        """Return the table at a Poisson's ratio, linear between the two beside it."""
-        place = float(
-            np.clip(
-                np.log(0.5 - poisson_ratio),
-                SMALLEST_TABLE_COORDINATE,
-                LARGEST_TABLE_COORDINATE,
-            )
-            / TABLE_SPACING
+        """Return the table at a Poisson's ratio."""
+        (first, weight), *others = (
+            (self._table(number), share) for number, share in tables_of(poisson_ratio)
         )
-        below = int(np.floor(place))
-        share = place - below
-        first = self._table(below)
-        if share < 1e-9:
+        if not others:
             return first
-        second = self._table(below + 1)
-        block = (1.0 - share) * first.block + share * second.block
+        block = weight * first.block + sum(share * table.block for table, share in others)
         return Refinement(first.skin_weight, first.indptr, first.index, block.astype(np.float32))
 
     def _table(self, number: int) -> Refinement:

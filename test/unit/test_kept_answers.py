@@ -31,7 +31,7 @@ from dotsim_ros.measured.reading import Observation
 from dotsim_ros.measured.recording import Phase, Recording
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.follow import SimulatedPress
-from dotsim_ros.twin.solver import TOGETHER, PressSolver
+from dotsim_ros.twin.solver import MAKING, TOGETHER, PressSolver
 
 SENSOR = SensorSpecification()
 SKIN = dome_skin(0.01575, 4e-3)
@@ -48,9 +48,12 @@ class Pool:
         self.tasks: list[Any] = []
 
     def submit(self, _work: Callable[..., Any], task: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        if isinstance(task, int):  # a table of the refinement, which no answer here depends on
+            future.set_result(None)
+            return future
         self.tasks.append(task)
         self.count += len(task) if isinstance(task, tuple) else 1
-        future: Future[Any] = Future()
         found = [self.answer(r) for r in task] if isinstance(task, tuple) else self.answer(task)
         future.set_result(found)
         return future
@@ -197,7 +200,8 @@ def test_presses_of_one_gel_are_one_task(tmp_path: Path) -> None:
     assert [len(each) for each in ratios] == [1] * 5
     # Friction is no reason to make a gel anew.
     assert [len(task) for task in pool.tasks] == [TOGETHER, TOGETHER, TOGETHER, TOGETHER, 4]
-    assert done[-1] == (36, 36)
+    assert done[0] == (0, 36 + 2 * MAKING)
+    assert done[-1] == (36 + 2 * MAKING, 36 + 2 * MAKING)
 
 
 @pytest.mark.fault("find-gap", "a kept solve that is empty, cut short, or of something else")
