@@ -18,11 +18,14 @@ from dotsim_ros.gap.presses.answer import (
     answer_of,
     null_gains,
     screen,
+    size_beyond_range,
     sizes_by_channel,
 )
 from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance
+from dotsim_ros.gap.presses.conclusions import leaves_open
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whitening
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
+from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.presses.search_state import GapRequest, Search
 from dotsim_ros.gap.report.wording import reaches_end, sentence
@@ -135,16 +138,16 @@ def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
         [],
         nearest=EFFECT,
         sizes=sizes,
-        end=None,
+        beyond=None,
         place="the skin at the rim",
     )
     told, other = (f"{size:.2g} s" for size in sizes)
     assert f"late, but the skin gives size = {told} and the force {other}: they should" in text
 
 
-@pytest.mark.parametrize("size", [0.9, 1.2])
+@pytest.mark.parametrize("size", [0.9, 1.01, 1.3])
 @pytest.mark.parametrize("natural_ends", [(), (1.0,)])
-def test_an_effect_at_an_end_of_its_range_is_named_only_if_nothing_can_be_beyond(
+def test_an_effect_is_not_named_where_the_data_ask_for_more_than_it_can_be(
     change: list[np.ndarray],
     random: np.random.Generator,
     size: float,
@@ -156,19 +159,22 @@ def test_an_effect_at_an_end_of_its_range_is_named_only_if_nothing_can_be_beyond
     search.case.library = {effect.name: effect}
     answer = answered(search, change, effect)
     nearest = answer.ranked[0]
-    # Either explains enough.
+    # Each explains enough.
     assert nearest.explained is not None
     assert nearest.explained > EXPLAINED
     assert nearest.trial.size == pytest.approx(min(size, 1.0), abs=0.05)
-    if size < 1.0 or natural_ends:
+    beyond = size_beyond_range(search, nearest)
+    if size < 1.2 or natural_ends:
+        assert beyond is None
         assert answer.verdict is Verdict.NAMED
         return
+    assert beyond == pytest.approx(size, abs=0.1)
     assert answer.verdict is Verdict.UNKNOWN
     assert answer.named == []
     text = sentence(
-        answer.verdict, [], [], [], nearest=effect, sizes=None, end=nearest.end, place="the skin"
+        answer.verdict, [], [], [], nearest=effect, sizes=None, beyond=beyond, place="the skin"
     )
-    assert "The nearest is: late, at the end of its range (size = 1 s)." in text
+    assert "The nearest is: late, but the data ask for size = 1.3 s, and its plausible" in text
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.6, 0.9), (0.6, 1.0), (0.0, 0.4)])
@@ -179,6 +185,48 @@ def test_an_interval_that_reaches_the_end_of_a_range_is_told(low: float, high: f
         return
     assert told is not None
     assert "the interval of late.size reaches the end of its range, 1 s" in told
+
+
+@pytest.mark.parametrize(
+    ("closed", "is_open"),
+    [
+        (Closed(0.3, -0.3, 0.8, 2.0), True),
+        (Closed(0.7, 0.3, 0.9, 2.0), False),
+        # All of it may be closed.
+        (Closed(0.3, -0.3, 1.0, 2.0), False),
+        # There is hardly a gap.
+        (Closed(0.3, -0.3, 0.8, 1.1), False),
+    ],
+)
+def test_a_clear_gap_of_held_out_trajectories_is_to_be_closed(
+    closed: Closed, is_open: bool
+) -> None:
+    assert leaves_open(closed) is is_open
+
+
+def test_the_share_that_is_closed_is_that_beyond_the_floor(random: np.random.Generator) -> None:
+    def of(*sizes: float) -> list[np.ndarray]:
+        return [np.full(SHAPE, size) for size in sizes]
+
+    residuals = Residuals(of(3.0, 3.0), of(3.0, 3.0), of(2.0, 2.9), of(1.0, 1.0))
+    closed = share_closed(residuals, [0], random)
+    assert closed is not None
+    assert closed.share == pytest.approx((9.0 - 4.0) / (9.0 - 1.0))
+    assert closed.before == pytest.approx(3.0)
+    # What the effects do not move says nothing of them.
+    assert share_closed(residuals, [1], random) is None
+    told = sentence(
+        Verdict.UNKNOWN,
+        [],
+        [],
+        [],
+        nearest=EFFECT,
+        sizes=None,
+        beyond=None,
+        left_open=0.28,
+        place="the skin",
+    )
+    assert "The nearest is: late, but it closes 28% of the held-out trajectories' gap." in told
 
 
 def test_without_anything_there_is_no_gap(

@@ -78,7 +78,8 @@ def sentence(
     *,
     nearest: Effect | None,
     sizes: tuple[float, float] | None,
-    end: float | None,
+    beyond: float | None,
+    left_open: float | None = None,
     place: str,
 ) -> str:
     """Return the answer in one or two sentences.
@@ -90,7 +91,9 @@ def sentence(
         gaps: by channel, on the held-out trajectories.
         nearest: the effect that comes nearest, where none is named.
         sizes: of the nearest, as the skin and as the force give it, where they disagree.
-        end: of the nearest's range, where its size stands at it.
+        beyond: size of the nearest that the data ask for, where it is beyond its range.
+        left_open: share of the held-out trajectories' gap that the nearest closes, where that is
+            why it is not named.
         place: where the residual is largest, in words.
     """
     if verdict is Verdict.NO_GAP:
@@ -102,8 +105,13 @@ def sentence(
             text += f" The nearest is: {_amid(nearest.title)}"
             first = nearest.parameters[0]
             unit = f" {first.unit}" if first.unit else ""
-            if end is not None:
-                text += f", at the end of its range ({first.name} = {end:.3g}{unit})"
+            if beyond is not None:
+                text += (
+                    f", but the data ask for {first.name} = {beyond:.2g}{unit}, and its plausible "
+                    f"range is {first.low:g} to {first.high:g}{unit}"
+                )
+            if left_open is not None:
+                text += f", but it closes {left_open:.0%} of the held-out trajectories' gap"
             if sizes is not None:
                 text += (
                     f", but the skin gives {first.name} = {sizes[0]:.2g}{unit} and the force "
