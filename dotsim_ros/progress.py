@@ -5,20 +5,28 @@ from __future__ import annotations
 import sys
 import time
 
+SHOWN_PARTS = 10
+"""So many times a step is printed."""
+
 
 class PrintedProgress:
-    """Prints each step's share and the time that is left of it."""
+    """Prints each step's share and the time that is left of it, at the rate that it went so far."""
 
     def __init__(self) -> None:
-        self._step, self._begun_s = "", 0.0
+        self._step, self._begun_s, self._begun_at, self._shown = "", 0.0, 0, 0
 
     def __call__(self, step: str, done: int, total: int) -> None:
         now_s = time.monotonic()
         if step != self._step:
-            self._step, self._begun_s = step, now_s
-        if done and (done == total or done % max(1, total // 10) == 0):
-            left_s = (now_s - self._begun_s) / done * (total - done)
-            print(f"{step}: {done}/{total}, {left_s:.0f} s left", file=sys.stderr, flush=True)
+            self._step, self._begun_s, self._begun_at, self._shown = step, now_s, done, 0
+        part = SHOWN_PARTS if done >= total else SHOWN_PARTS * done // total
+        if part == self._shown or not done:
+            return
+        self._shown = part
+        went = done - self._begun_at
+        # Of the first that is told the duration is not known.
+        left = f", {(now_s - self._begun_s) / went * (total - done):.0f} s left" if went else ""
+        print(f"{step}: {done}/{total}{left}", file=sys.stderr, flush=True)
 
 
 def bar(share: float, note: str, *, width: int = 30) -> str:

@@ -41,6 +41,8 @@ LARGEST_DISTANCE_M = 0.1
 """Of the camera from the gel's box: tactile sensors look at it from a few centimetres at most."""
 LARGEST_MEMORY_BYTES = 16e9
 """What one sensor may take: the default dome on a grid of 1.2 mm, unrefined, still does."""
+WHOLE_CORE_RAD = (0.0, 0.0, math.pi)
+"""A patch that is all of the core."""
 GRAIN_SHARE = 0.6
 """Size of the coat's fine texture, over that of a blotch."""
 
@@ -80,6 +82,22 @@ class GelSpecification:
         high=LARGEST_LENGTH_M,
         help="Lengths of a flat pad along x and y, and its thickness along z.",
     )
+    bond_slip_share: float = quantity(
+        0.0,
+        low=0.0,
+        high=1.0,
+        help="How far a dome has come off its core: what the bond lets through of the sliding "
+        "between skin and core under a uniform shear; 0 is bonded, 1 slides freely. Implicit "
+        "solver only.",
+    )
+    loose_patch_rad: tuple[float, float, float] = quantity(
+        WHOLE_CORE_RAD,
+        unit="rad",
+        low=-math.pi,
+        high=math.pi,
+        help="Where it has come off, seen from the core's centre: the patch's middle as an angle "
+        "from the z axis towards x and towards y, and its radius; pi is the whole core.",
+    )
 
     def __post_init__(self) -> None:
         check_fields("gel", self)
@@ -89,6 +107,16 @@ class GelSpecification:
                 f"gel.outer_radius_m ({self.outer_radius_m} m)"
             )
         is_dome = self.shape == "dome"
+        if self.bond_slip_share > 0.0 and not (is_dome and self.core_radius_m > 0.0):
+            raise ValueError(
+                f"gel.bond_slip_share is {self.bond_slip_share}, expected 0 for a gel without a "
+                "core: a dome with gel.core_radius_m above 0 has one"
+            )
+        if not self.loose_patch_rad[2] > 0.0:
+            raise ValueError(
+                f"gel.loose_patch_rad ends with a radius of {self.loose_patch_rad[2]}, expected "
+                "more than 0; gel.bond_slip_share is 0 for a gel that is bonded everywhere"
+            )
         side_m = self.outer_radius_m if is_dome else min(self.pad_size_m[:2])
         if self.skin_spacing_m > 0.5 * side_m:
             raise ValueError(
@@ -503,6 +531,11 @@ class SensorSpecification:
 
     def __post_init__(self) -> None:
         check_fields("", self)
+        if self.solver.method == "explicit" and self.gel.bond_slip_share > 0.0:
+            raise ValueError(
+                f"gel.bond_slip_share is {self.gel.bond_slip_share}, expected 0 with solver.method "
+                "'explicit': set it to 'implicit' for a gel that has come off its core"
+            )
         if self.solver.method == "explicit" and self.material.law != "neo_hookean":
             raise ValueError(
                 f"solver.method 'explicit' takes the law neo_hookean, not {self.material.law!r}; "

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -121,7 +122,8 @@ def with_coordinates(
     values: GelValues, parameters: Sequence[GelParameter], coordinate: FloatArray
 ) -> GelValues:
     """Return the values with the chosen parameters at coordinates (P,), kept within bounds."""
-    changes = {
+    # Every field that can be fitted is a number.
+    changes: dict[str, Any] = {
         p.field: float(np.clip(p.to_value(float(x)), *p.bounds))
         for p, x in zip(parameters, coordinate, strict=True)
     }

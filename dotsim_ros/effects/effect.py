@@ -27,6 +27,9 @@ Returned = TypeVar("Returned")
 
 SKIN, FORCE, IMAGE = "skin", "force", "image"
 
+END_SHARE = 0.01
+"""A value that is nearer to an end of its range than this share of it stands at the end."""
+
 
 @dataclass(frozen=True)
 class EffectParameter:
@@ -39,6 +42,8 @@ class EffectParameter:
             make it absent, such as a relaxation time.
         low, high: plausible range.
         probes: values at which the effect is tried first, at least one.
+        natural_ends: those of low and high beyond which nothing can be, such as more than all of
+            something; the others are judgements of what is plausible.
     """
 
     name: str
@@ -47,6 +52,16 @@ class EffectParameter:
     low: float
     high: float
     probes: tuple[float, ...]
+    natural_ends: tuple[float, ...] = ()
+
+    def end_at(self, value: float) -> float | None:
+        """Return the end of the plausible range that a value stands at; None for one within it, and
+        for an end by nature."""
+        near = END_SHARE * (self.high - self.low)
+        for end in (self.low, self.high):
+            if abs(value - end) <= near and end != self.none and end not in self.natural_ends:
+                return end
+        return None
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,14 @@ class EffectSolver:
         """Recordings that were solved, not taken from disk."""
         return self._presses.solve_count
 
+    def prepare(self, requests: Sequence[EffectRequest], progress: Progress | None = None) -> None:
+        """Make what the gels of the requests need, once for all; see `PressSolver.prepare`."""
+        self._presses.prepare([self._solve_request(r) for r in requests], progress)
+
+    def work_of(self, requests: Sequence[EffectRequest]) -> int:
+        """Return how much of the requests is to be solved, as `Progress` counts it."""
+        return self._presses.work_of([self._solve_request(r) for r in requests])
+
     def run(
         self, requests: Sequence[EffectRequest], progress: Progress | None = None
     ) -> list[SimulatedPress]:

@@ -82,6 +82,8 @@ class ElasticBody:
         environment_count: length of the leading axis of every array.
         dtype: numpy float type of the computation.
         device: Warp device.
+        ghost_penalty: gamma.
+        lost_bond: (3 N, 3 N) stiffness, N/m, that the bond to the core lacks; None for a sound one.
     """
 
     def __init__(
@@ -93,6 +95,7 @@ class ElasticBody:
         dtype: type[np.floating] = np.float64,
         device: str = "cpu",
         ghost_penalty: float = GHOST_PENALTY,
+        lost_bond: sparse.csr_matrix | None = None,
     ) -> None:
         self.discretization = discretization
         self.environment_count = environment_count
@@ -128,6 +131,7 @@ class ElasticBody:
         )
         youngs, _ = small_strain_moduli_pa(law)
         self.linear = linear_stiffness(d, law, ghost_penalty)
+        self.lost_bond = lost_bond
         self.youngs_modulus_pa = youngs
 
     def set_coefficients(self, coefficients_pa: Array) -> None:
@@ -183,6 +187,8 @@ class ElasticBody:
             device=self.device,
         )
         linear = self.linear @ displacement_m
+        if self.lost_bond is not None:
+            linear = linear + (self.lost_bond @ displacement_m.ravel()).reshape(-1, 3)
         force = buffer.numpy()[0] + linear
         energy = float(energies.numpy().sum()) + 0.5 * float(np.vdot(displacement_m, linear))
         return energy, force
@@ -245,7 +251,10 @@ class ElasticBody:
         )
         n = 3 * self.discretization.node_count
         blocks = sparse.bsr_matrix((values.reshape(-1, 3, 3), indices, indptr), shape=(n, n))
-        return (blocks.tocsr() + sparse.kron(self.linear, sparse.eye(3))).tocsr()
+        whole = blocks.tocsr() + sparse.kron(self.linear, sparse.eye(3))
+        if self.lost_bond is not None:
+            whole = whole + self.lost_bond
+        return whole.tocsr()
 
     def region_stiffness(
         self,

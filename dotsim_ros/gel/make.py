@@ -9,6 +9,7 @@ from typing import Protocol
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
+from dotsim_ros.gel.bond import LooseBond
 from dotsim_ros.gel.explicit.gel import ExplicitGel, ExplicitSettings
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.material import (
@@ -70,6 +71,13 @@ def body_of(specification: GelSpecification) -> Body:
     if specification.shape == "dome":
         return Dome(specification.outer_radius_m, specification.core_radius_m)
     return Pad(specification.pad_size_m)
+
+
+def bond_of(specification: GelSpecification) -> LooseBond | None:
+    """Return where the gel has come off its core, None for one that is bonded everywhere."""
+    if specification.bond_slip_share == 0.0:
+        return None
+    return LooseBond(specification.bond_slip_share, *specification.loose_patch_rad)
 
 
 def skin_of(specification: GelSpecification) -> SkinMesh:
@@ -194,6 +202,7 @@ def make_gel_batch(
         contact=s.contact,
         solver=s.solver,
         indenter=indenter,
+        bond=bond_of(s.gel),
         environment_count=environment_count,
         device=device,
         progress=progress,

@@ -6,7 +6,11 @@ from dataclasses import dataclass, replace
 
 from dotsim_ros.gel.make import law_of
 from dotsim_ros.gel.material import bulk_modulus_pa, shear_modulus_pa, small_strain_moduli_pa
-from dotsim_ros.specification import MaterialSpecification, SensorSpecification
+from dotsim_ros.specification import (
+    WHOLE_CORE_RAD,
+    MaterialSpecification,
+    SensorSpecification,
+)
 
 
 @dataclass(frozen=True)
@@ -20,6 +24,8 @@ class GelValues:
         contact_stiffness: of the contact, in units of E over 1.2 mm.
         c20_ratio, c30_ratio: Yeoh's C20 and C30 over C10; both 0 for a neo-Hookean gel.
         thickness_m: from the core's surface, or the pad's base, to the free surface.
+        bond_slip_share, loose_patch_rad: how far the gel has come off its core, and where, as in
+            `GelSpecification`.
     """
 
     youngs_modulus_pa: float
@@ -29,6 +35,8 @@ class GelValues:
     c20_ratio: float
     c30_ratio: float
     thickness_m: float
+    bond_slip_share: float = 0.0
+    loose_patch_rad: tuple[float, float, float] = WHOLE_CORE_RAD
 
 
 def values_of(specification: SensorSpecification) -> GelValues:
@@ -56,6 +64,8 @@ def values_of(specification: SensorSpecification) -> GelValues:
         c20_ratio=c20 / c10,
         c30_ratio=c30 / c10,
         thickness_m=thickness,
+        bond_slip_share=s.gel.bond_slip_share,
+        loose_patch_rad=s.gel.loose_patch_rad,
     )
 
 
@@ -93,7 +103,12 @@ def specification_with(
             bulk_modulus_pa=bulk,
         )
     if gel.shape == "dome":
-        gel = replace(gel, core_radius_m=gel.outer_radius_m - v.thickness_m)
+        gel = replace(
+            gel,
+            core_radius_m=gel.outer_radius_m - v.thickness_m,
+            bond_slip_share=v.bond_slip_share,
+            loose_patch_rad=v.loose_patch_rad,
+        )
     else:
         gel = replace(gel, pad_size_m=(*gel.pad_size_m[:2], v.thickness_m))
     return replace(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dotsim_ros.gel.implicit.gel import ImplicitGel
-from dotsim_ros.gel.make import body_of, material_of
+from dotsim_ros.gel.make import body_of, bond_of, material_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
@@ -45,6 +45,7 @@ class ImplicitModel:
                 contact=s.contact,
                 solver=s.solver,
                 indenter=indenter,
+                bond=bond_of(s.gel),
             )
         elif gel.contact.indenter is not indenter:
             gel.set_indenter(indenter)

@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 from scipy import sparse
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import Float32Array, FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.tangent import LocalTangent
-from dotsim_ros.gel.make import body_of, material_of
+from dotsim_ros.gel.make import body_of, bond_of, material_of
 from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
 from dotsim_ros.gel.values import GelValues, specification_with
@@ -70,6 +70,28 @@ def offset_pose(pose: Pose, offset: FloatArray) -> Pose:
     return Pose(pose.apply(offset[:3]), quaternion_product(pose.quaternion_xyzw, turn))
 
 
+def gel_key(values: GelValues) -> tuple[float | tuple[float, ...], ...]:
+    """Return what a gel is made anew for, which takes as long as some presses; its friction, its
+    relaxation and its indenter can be changed."""
+    v = values
+    bond = (v.bond_slip_share, v.loose_patch_rad)
+    return (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *bond)
+
+
+def tables_of(poisson_ratio: float) -> tuple[tuple[int, float], ...]:
+    """Return the numbers of the tables of the refinement at a Poisson's ratio, with their shares:
+    linear between the two beside it."""
+    place = float(
+        np.clip(np.log(0.5 - poisson_ratio), SMALLEST_TABLE_COORDINATE, LARGEST_TABLE_COORDINATE)
+        / TABLE_SPACING
+    )
+    below = int(np.floor(place))
+    share = place - below
+    if share < 1e-9:
+        return ((below, 1.0),)
+    return (below, 1.0 - share), (below + 1, share)
+
+
 class GelSimulator:
     """Simulates presses of one sensor; keeps the gels of the last parameters.
 
@@ -103,7 +125,7 @@ class GelSimulator:
             solver, refined=False, tolerance_m=tolerance_m, iterations=ITERATIONS
         )
         self._body = body_of(specification.gel)
-        self._gels: OrderedDict[tuple[float, ...], ImplicitGel] = OrderedDict()
+        self._gels: OrderedDict[tuple[float | tuple[float, ...], ...], ImplicitGel] = OrderedDict()
         self._tables: OrderedDict[int, Refinement] = OrderedDict()
 
     def press(
@@ -140,6 +162,11 @@ class GelSimulator:
         if self._refined:
             self._refinement(values.poisson_ratio)
 
+    def prepare_table(self, number: int) -> None:
+        """Compute a table of `tables_of`, and keep it on disk."""
+        if self._refined:
+            self._table(number)
+
     def _gel(
         self, values: GelValues, indenter: Indenter, relaxation: PronySeries | None
     ) -> ImplicitGel:
@@ -154,8 +181,7 @@ class GelSimulator:
                 prony_times_s=relaxation.times_s,
             )
             specification = replace(specification, material=material)
-        prony = (*specification.material.prony_shares, *specification.material.prony_times_s)
-        key = (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *prony)
+        key = gel_key(v)
         gel = self._gels.pop(key, None)
         if gel is None:
             gel = ImplicitGel(
@@ -165,6 +191,7 @@ class GelSimulator:
                 contact=specification.contact,
                 solver=self._solver,
                 indenter=indenter,
+                bond=bond_of(specification.gel),
             )
             if self._refined:
                 gel.refinement = self._refinement(v.poisson_ratio)
@@ -172,6 +199,7 @@ class GelSimulator:
         while len(self._gels) > KEPT_GELS:
             self._gels.popitem(last=False)
         gel.contact_specification = specification.contact
+        gel.set_relaxation(material_of(specification.material).prony)
         gel.set_indenter(indenter)
         return gel
 
@@ -185,22 +213,13 @@ class GelSimulator:
         return shape
 
     def _refinement(self, poisson_ratio: float) -> Refinement:
-        """Return the table at a Poisson's ratio, linear between the two beside it."""
-        place = float(
-            np.clip(
-                np.log(0.5 - poisson_ratio),
-                SMALLEST_TABLE_COORDINATE,
-                LARGEST_TABLE_COORDINATE,
-            )
-            / TABLE_SPACING
+        """Return the table at a Poisson's ratio."""
+        (first, weight), *others = (
+            (self._table(number), share) for number, share in tables_of(poisson_ratio)
         )
-        below = int(np.floor(place))
-        share = place - below
-        first = self._table(below)
-        if share < 1e-9:
+        if not others:
             return first
-        second = self._table(below + 1)
-        block = (1.0 - share) * first.block + share * second.block
+        block = weight * first.block + sum(share * table.block for table, share in others)
         return Refinement(first.skin_weight, first.indptr, first.index, block.astype(np.float32))
 
     def _table(self, number: int) -> Refinement:
@@ -210,16 +229,13 @@ class GelSimulator:
             law = NeoHookean(REFERENCE_MODULUS_PA, poisson_ratio)
             rest_m = self.skin.rest_position_m
             coarse = discretize(self._body, rest_m, self._solver.grid_spacing_m)
-            no_mass = sparse.csr_matrix((coarse.node_count, coarse.node_count))
-            at_rest = LocalTangent(ElasticBody(coarse, law, dtype=np.float32), no_mass)
-            table = refine(
-                self._body,
-                rest_m,
-                coarse,
-                at_rest.compliance,
-                law,
-                progress=self._progress,
-            )
+
+            def compliance() -> Float32Array:
+                no_mass = sparse.csr_matrix((coarse.node_count, coarse.node_count))
+                body = ElasticBody(coarse, law, dtype=np.float32)
+                return LocalTangent(body, no_mass).compliance
+
+            table = refine(self._body, rest_m, coarse, compliance, law, progress=self._progress)
         self._tables[number] = table
         while len(self._tables) > KEPT_TABLES:
             self._tables.popitem(last=False)

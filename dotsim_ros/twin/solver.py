@@ -3,8 +3,8 @@ can be resumed, and nothing is solved twice."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Executor, as_completed, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
-from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
+from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator, gel_key, tables_of
 from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 TOLERANCE_M = 5.0e-6
@@ -30,8 +30,15 @@ to a fifth of this takes more than twice as long."""
 DECIDED_BY = ("dotsim_ros.twin.solver",)
 """The code, with all that it imports, that decides a solve."""
 
+TOGETHER = 8
+"""So many presses of one gel are one worker's task: making the gel takes as long as some of
+them."""
+
+MAKING = 5
+"""Making a gel takes as long as so many presses."""
+
 Progress = Callable[[int, int], None]
-"""Called with the number of solves done, and of all."""
+"""Called with how much work is done, in presses, and of how much; `MAKING` is counted."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +86,39 @@ def solve(request: SolveRequest) -> SimulatedPress | str:
         return str(error)
 
 
+def prepare_table(number: int) -> None:
+    """Make a table of the gel's refinement, in a worker."""
+    assert _simulator is not None
+    _simulator.prepare_table(number)
+
+
+def solve_each(requests: Sequence[SolveRequest]) -> list[SimulatedPress | str]:
+    """Return the answers of `solve`, in a worker."""
+    return [solve(request) for request in requests]
+
+
+@dataclass(frozen=True)
+class _Task:
+    """Requests by key that one worker solves in a row, all of one gel, and how much work it is."""
+
+    requests: dict[str, SolveRequest]
+    work: int
+
+
+def _tasks(requests: Mapping[str, SolveRequest]) -> list[_Task]:
+    """Return requests by key in the tasks of workers: those of one gel follow each other."""
+    by_gel: dict[tuple[float | tuple[float, ...], ...], list[str]] = {}
+    for key, request in requests.items():
+        by_gel.setdefault(gel_key(request.values), []).append(key)
+    tasks = []
+    for keys in by_gel.values():
+        for begin in range(0, len(keys), TOGETHER):
+            part = {key: requests[key] for key in keys[begin : begin + TOGETHER]}
+            # The worker that is given the next ones has the gel still.
+            tasks.append(_Task(part, len(part) + (0 if begin else MAKING)))
+    return tasks
+
+
 class PressSolver:
     """Solves requests; use `open_press_solver`.
 
@@ -97,38 +137,77 @@ class PressSolver:
         s = specification
         self._sensor = (s.gel, s.solver, s.contact, TOLERANCE_M, skin)
         self._vertex_count = skin.vertex_count
+        self._is_refined = s.solver.refined
         self._known: dict[str, SimulatedPress | str] = {}
+        self._tables: set[int] = set()
         self.solve_count = 0
+
+    def prepare(self, requests: Sequence[SolveRequest], progress: Progress | None = None) -> None:
+        """Make the tables that the requests need, each once, side by side: half a minute each where
+        they are not on disk.
+
+        Args:
+            requests: that will be run.
+            progress: called with the number of tables done, and of all.
+        """
+        if not self._is_refined:
+            return
+        ratios = {request.values.poisson_ratio for request in requests}
+        numbers = {number for ratio in ratios for number, _ in tables_of(ratio)} - self._tables
+        tasks = [self._pool.submit(prepare_table, number) for number in sorted(numbers)]
+        for count, future in enumerate(as_completed(tasks)):
+            future.result()
+            if progress is not None:
+                progress(count + 1, len(tasks))
+        self._tables |= numbers
+
+    def work_of(self, requests: Sequence[SolveRequest]) -> int:
+        """Return how much of the requests is to be solved, as `Progress` counts it."""
+        return sum(task.work for task in _tasks(self._missing(requests)))
 
     def run_each(
         self, requests: Sequence[SolveRequest], progress: Progress | None = None
     ) -> list[SimulatedPress | str]:
         """Return skin and force of each request, or why it could not be solved."""
-        keys = [self._key(request) for request in requests]
-        waiting: dict[Future[SimulatedPress | str], str] = {}
-        for key, request in zip(keys, requests, strict=True):
-            if key in self._known or key in waiting.values():
-                continue
-            stored = _load(self._path(key), (len(request.poses), self._vertex_count))
-            if stored is None:
-                waiting[self._pool.submit(solve, request)] = key
-            else:
-                self._known[key] = stored
-        count, total = 0, len(waiting)
+        missing = self._missing(requests)
+        self.prepare(list(missing.values()))
+        tasks = _tasks(missing)
+        total = sum(task.work for task in tasks)
+        if progress is not None:
+            progress(0, total)
+        waiting = {
+            self._pool.submit(solve_each, tuple(task.requests.values())): task for task in tasks
+        }
+        work = 0
         while waiting:
             done, _ = wait(waiting, return_when=FIRST_COMPLETED)
             for future in done:
-                key = waiting.pop(future)
-                self._known[key] = future.result()
-                _store(self._path(key), self._known[key])
-                self.solve_count += 1
-                count += 1
+                task = waiting.pop(future)
+                for key, found in zip(task.requests, future.result(), strict=True):
+                    self._known[key] = found
+                    _store(self._path(key), found)
+                    self.solve_count += 1
+                work += task.work
                 if progress is not None:
-                    progress(count, total)
+                    progress(work, total)
         return [
-            _with_modulus(self._known[key], request.values.youngs_modulus_pa)
-            for key, request in zip(keys, requests, strict=True)
+            _with_modulus(self._known[self._key(request)], request.values.youngs_modulus_pa)
+            for request in requests
         ]
+
+    def _missing(self, requests: Sequence[SolveRequest]) -> dict[str, SolveRequest]:
+        """Return by key the requests that are neither known nor on disk, each once."""
+        missing: dict[str, SolveRequest] = {}
+        for request in requests:
+            key = self._key(request)
+            if key in self._known or key in missing:
+                continue
+            stored = _load(self._path(key), (len(request.poses), self._vertex_count))
+            if stored is None:
+                missing[key] = request
+            else:
+                self._known[key] = stored
+        return missing
 
     def _key(self, request: SolveRequest) -> str:
         values = replace(request.values, youngs_modulus_pa=REFERENCE_MODULUS_PA)

@@ -46,7 +46,7 @@ def searched(
     skin = dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M)
     measure_unit(data, sensor, skin, Truth(effects), seed=SEED, only=PROTOCOLS)
     (data / "truth.json").write_text("{}", encoding="utf-8")
-    steps: list[str] = []
+    told: list[tuple[str, int, int]] = []
     found = search_presses(
         GapRequest(
             measured=data,
@@ -56,9 +56,13 @@ def searched(
             candidates=CANDIDATES,
             seed=1,
         ),
-        lambda step, done, total: steps.append(step),
+        lambda *one: told.append(one),
     )
-    assert "nulls" in steps
+    assert "nulls" in {step for step, _, _ in told}
+    solves = [(done, total) for step, done, total in told if step == "solve"]
+    # The time left is right from the first solve on only if all of them are foreseen.
+    assert solves[0][1] == pytest.approx(solves[-1][1], abs=8)
+    assert solves[-1][0] == solves[-1][1]
     return found
 
 
@@ -72,7 +76,7 @@ def test_a_unit_with_nothing_wrong_has_no_gap(tmp_path: Path, run: Path) -> None
 
 
 def test_a_gel_that_softens_is_named_and_closes_the_gap(tmp_path: Path, run: Path) -> None:
-    findings, overlay = searched(tmp_path, run, ("softened", 0.6))
+    findings, overlay = searched(tmp_path, run, ("softened", 0.34))
     assert LAWS["softened"].library == "mullins_softening"
     assert findings.named == ("mullins_softening",)
     assert findings.verdict is Verdict.NAMED
@@ -86,6 +90,15 @@ def test_a_gel_that_softens_is_named_and_closes_the_gap(tmp_path: Path, run: Pat
     assert overlay.effects[0].name == "mullins_softening"
 
 
+def test_a_gel_that_softens_more_than_any_does_is_unknown(tmp_path: Path, run: Path) -> None:
+    findings, overlay = searched(tmp_path, run, ("softened", 0.6))
+    assert findings.verdict is Verdict.UNKNOWN
+    assert overlay is None
+    assert "Mullins softening, but the data ask for share = 0." in findings.sentence.replace(
+        "mullins", "Mullins"
+    )
+
+
 def test_crosstalk_that_no_effect_imitates_is_unknown(tmp_path: Path, run: Path) -> None:
     findings, overlay = searched(tmp_path, run, ("crosstalk", 0.5))
     assert findings.verdict is Verdict.UNKNOWN
@@ -97,7 +110,7 @@ def test_crosstalk_that_no_effect_imitates_is_unknown(tmp_path: Path, run: Path)
 
 
 def test_two_effects_at_once_are_both_named(tmp_path: Path, run: Path) -> None:
-    findings, overlay = searched(tmp_path, run, ("softened", 0.6), ("set", 0.1))
+    findings, overlay = searched(tmp_path, run, ("softened", 0.3), ("set", 0.08))
     assert set(findings.named) == {"mullins_softening", "permanent_set"}
     assert findings.verdict is Verdict.NAMED
     assert overlay is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,20 +10,25 @@ import numpy as np
 import pytest
 
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
+from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.gap.decision import EXPLAINED
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.answer import (
     SearchAnswer,
     answer_of,
     null_gains,
     screen,
+    size_beyond_range,
     sizes_by_channel,
 )
 from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance
+from dotsim_ros.gap.presses.conclusions import leaves_open
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whitening
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
+from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.presses.search_state import GapRequest, Search
-from dotsim_ros.gap.report.wording import sentence
+from dotsim_ros.gap.report.wording import reaches_end, sentence
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)
@@ -64,8 +70,8 @@ def change(random: np.random.Generator) -> list[np.ndarray]:
     return [DEVIATION * random.standard_normal(SHAPE) for _ in range(TRAJECTORIES)]
 
 
-def variant_of(change: list[np.ndarray]) -> Variant:
-    variant = Variant(EFFECT, {})
+def variant_of(change: list[np.ndarray], effect: Effect = EFFECT) -> Variant:
+    variant = Variant(effect, {})
     variant.put(0.0, [np.zeros(SHAPE) for _ in change])
     variant.put(1.0, change)
     return variant
@@ -97,8 +103,8 @@ def search_of(
     )
 
 
-def answered(search: Search, change: list[np.ndarray]) -> SearchAnswer:
-    ranked = screen(search, [variant_of(change)])
+def answered(search: Search, change: list[np.ndarray], effect: Effect = EFFECT) -> SearchAnswer:
+    ranked = screen(search, [variant_of(change, effect)])
     return answer_of(search, ranked, *null_gains(search, ranked, NULLS))
 
 
@@ -126,10 +132,101 @@ def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
     sizes = sizes_by_channel(search, answer.ranked[0])
     assert sizes == pytest.approx((skin, force), abs=0.1)
     text = sentence(
-        answer.verdict, [], [], [], nearest=EFFECT, sizes=sizes, place="the skin at the rim"
+        answer.verdict,
+        [],
+        [],
+        [],
+        nearest=EFFECT,
+        sizes=sizes,
+        beyond=None,
+        place="the skin at the rim",
     )
     told, other = (f"{size:.2g} s" for size in sizes)
     assert f"late, but the skin gives size = {told} and the force {other}: they should" in text
+
+
+@pytest.mark.parametrize("size", [0.9, 1.01, 1.3])
+@pytest.mark.parametrize("natural_ends", [(), (1.0,)])
+def test_an_effect_is_not_named_where_the_data_ask_for_more_than_it_can_be(
+    change: list[np.ndarray],
+    random: np.random.Generator,
+    size: float,
+    natural_ends: tuple[float, ...],
+) -> None:
+    parameter = replace(EFFECT.parameters[0], natural_ends=natural_ends)
+    effect = replace(EFFECT, parameters=(parameter,))
+    search = search_of(change, size, size, random)
+    search.case.library = {effect.name: effect}
+    answer = answered(search, change, effect)
+    nearest = answer.ranked[0]
+    # Each explains enough.
+    assert nearest.explained is not None
+    assert nearest.explained > EXPLAINED
+    assert nearest.trial.size == pytest.approx(min(size, 1.0), abs=0.05)
+    beyond = size_beyond_range(search, nearest)
+    if size < 1.2 or natural_ends:
+        assert beyond is None
+        assert answer.verdict is Verdict.NAMED
+        return
+    assert beyond == pytest.approx(size, abs=0.1)
+    assert answer.verdict is Verdict.UNKNOWN
+    assert answer.named == []
+    text = sentence(
+        answer.verdict, [], [], [], nearest=effect, sizes=None, beyond=beyond, place="the skin"
+    )
+    assert "The nearest is: late, but the data ask for size = 1.3 s, and its plausible" in text
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.6, 0.9), (0.6, 1.0), (0.0, 0.4)])
+def test_an_interval_that_reaches_the_end_of_a_range_is_told(low: float, high: float) -> None:
+    told = reaches_end(EFFECT, Estimate("size", "s", 0.5 * (low + high), low, high))
+    if high < 1.0:  # that of the absent effect is no such end
+        assert told is None
+        return
+    assert told is not None
+    assert "the interval of late.size reaches the end of its range, 1 s" in told
+
+
+@pytest.mark.parametrize(
+    ("closed", "is_open"),
+    [
+        (Closed(0.3, -0.3, 0.8, 2.0), True),
+        (Closed(0.7, 0.3, 0.9, 2.0), False),
+        # All of it may be closed.
+        (Closed(0.3, -0.3, 1.0, 2.0), False),
+        # There is hardly a gap.
+        (Closed(0.3, -0.3, 0.8, 1.1), False),
+    ],
+)
+def test_a_clear_gap_of_held_out_trajectories_is_to_be_closed(
+    closed: Closed, is_open: bool
+) -> None:
+    assert leaves_open(closed) is is_open
+
+
+def test_the_share_that_is_closed_is_that_beyond_the_floor(random: np.random.Generator) -> None:
+    def of(*sizes: float) -> list[np.ndarray]:
+        return [np.full(SHAPE, size) for size in sizes]
+
+    residuals = Residuals(of(3.0, 3.0), of(3.0, 3.0), of(2.0, 2.9), of(1.0, 1.0))
+    closed = share_closed(residuals, [0], random)
+    assert closed is not None
+    assert closed.share == pytest.approx((9.0 - 4.0) / (9.0 - 1.0))
+    assert closed.before == pytest.approx(3.0)
+    # What the effects do not move says nothing of them.
+    assert share_closed(residuals, [1], random) is None
+    told = sentence(
+        Verdict.UNKNOWN,
+        [],
+        [],
+        [],
+        nearest=EFFECT,
+        sizes=None,
+        beyond=None,
+        left_open=0.28,
+        place="the skin",
+    )
+    assert "The nearest is: late, but it closes 28% of the held-out trajectories' gap." in told
 
 
 def test_without_anything_there_is_no_gap(

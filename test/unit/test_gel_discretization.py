@@ -185,7 +185,7 @@ def build_refinement(youngs_pa: float = 1.0e5) -> Refinement:
     grid = grid_of(PAD)
     single = ElasticBody(grid, law, dtype=np.float32)
     compliance = LocalTangent(single, grid.mass_over_density * 0.0).compliance
-    return refine(PAD, skin_of(PAD).rest_position_m, grid, compliance, law)
+    return refine(PAD, skin_of(PAD).rest_position_m, grid, lambda: compliance, law)
 
 
 def test_refinement_makes_the_skin_softer(small_refinement: tuple[Refinement, Path]) -> None:

@@ -31,7 +31,7 @@ from dotsim_ros.measured.reading import Observation
 from dotsim_ros.measured.recording import Phase, Recording
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.follow import SimulatedPress
-from dotsim_ros.twin.solver import PressSolver
+from dotsim_ros.twin.solver import MAKING, TOGETHER, PressSolver
 
 SENSOR = SensorSpecification()
 SKIN = dome_skin(0.01575, 4e-3)
@@ -40,15 +40,22 @@ POSES = [Pose(np.array([0.0, 0.0, 0.0155 - 0.001 * frame])) for frame in range(3
 
 
 class Pool:
-    """Stands where a pool of processes does: every task is answered by a function, and counted."""
+    """Stands where a pool of processes does: every request is answered by a function, and counted;
+    a task is a request, or a tuple of them."""
 
     def __init__(self, answer: Callable[[Any], Any]) -> None:
         self.answer, self.count = answer, 0
+        self.tasks: list[Any] = []
 
     def submit(self, _work: Callable[..., Any], task: Any) -> Future[Any]:
-        self.count += 1
         future: Future[Any] = Future()
-        future.set_result(self.answer(task))
+        if isinstance(task, int):  # a table of the refinement, which no answer here depends on
+            future.set_result(None)
+            return future
+        self.tasks.append(task)
+        self.count += len(task) if isinstance(task, tuple) else 1
+        found = [self.answer(r) for r in task] if isinstance(task, tuple) else self.answer(task)
+        future.set_result(found)
         return future
 
 
@@ -175,6 +182,26 @@ SPOILT: dict[str, Callable[[Path], Any]] = {
     ),
     "objects": arrays_of(skin_position_m=np.array([{}], dtype=object)),
 }
+
+
+def test_presses_of_one_gel_are_one_task(tmp_path: Path) -> None:
+    pool = Pool(solved)
+    presses = PressSolver(pool, tmp_path, SENSOR, SKIN)  # type: ignore[arg-type]
+    solver = EffectSolver(presses, SENSOR, SKIN, load_effects())
+    recordings = [recording_of(sphere(radius)) for radius in np.linspace(3e-3, 5e-3, 12).tolist()]
+    values = values_of(SENSOR)
+    gels = (values, replace(values, friction=0.1), replace(values, poisson_ratio=0.4))
+    done: list[tuple[int, int]] = []
+    solver.run(
+        [EffectRequest(recording, gel) for recording in recordings for gel in gels],
+        lambda *counts: done.append(counts),
+    )
+    ratios = [{request.values.poisson_ratio for request in task} for task in pool.tasks]
+    assert [len(each) for each in ratios] == [1] * 5
+    # Friction is no reason to make a gel anew.
+    assert [len(task) for task in pool.tasks] == [TOGETHER, TOGETHER, TOGETHER, TOGETHER, 4]
+    assert done[0] == (0, 36 + 2 * MAKING)
+    assert done[-1] == (36 + 2 * MAKING, 36 + 2 * MAKING)
 
 
 @pytest.mark.fault("find-gap", "a kept solve that is empty, cut short, or of something else")

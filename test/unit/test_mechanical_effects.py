@@ -30,6 +30,7 @@ MECHANICAL = (
     "force_scale",
     "hyperelastic_stiffening",
     "latency",
+    "lost_bond",
     "mullins_softening",
     "permanent_set",
     "pose_offset",
@@ -197,6 +198,18 @@ def test_compressibility_moves_the_logarithm() -> None:
 def test_thickness_error_is_a_share() -> None:
     thickness = gel_of("thickness_error", thickness_share=0.1).values.thickness_m
     assert thickness == pytest.approx(1.1 * 9.75e-3)
+
+
+def test_lost_bond_is_a_patch_that_slips_and_slips_more_where_it_did_already() -> None:
+    values = gel_of("lost_bond", slip_share=0.4, x_rad=0.1, y_rad=0.2, radius_rad=0.5).values
+    assert (values.bond_slip_share, values.loose_patch_rad) == (0.4, (0.1, 0.2, 0.5))
+    effect = LIBRARY["lost_bond"]
+    active = Active(effect, effect.checked({"slip_share": 0.5}))
+    again = gel_with([active], GelTerm(values), None).values
+    assert again.bond_slip_share == pytest.approx(0.7)
+    assert again.loose_patch_rad == (0.1, 0.2, 0.5)
+    # Nothing slips more than freely: the range ends there by nature.
+    assert effect.parameters[0].end_at(1.0) is None
 
 
 def test_coulomb_slip_is_a_ratio() -> None:

@@ -160,7 +160,9 @@ def open_presses(
     with opened as (case, left_out, skin):
         everything = range(len(case.trajectories))
         search = search_of(case, everything, source.request(0), 0, discrepancy, source.progress)
-        variants, _ = simulate_effects(search)
+        variants, _ = simulate_effects(
+            search, lambda done, total: source.progress("screen", done, total)
+        )
         screened = [replace(v, node=list(v.node), change=list(v.change)) for v in variants]
         case.extend(
             [(v, size) for v in variants for size in further_sizes(v)],

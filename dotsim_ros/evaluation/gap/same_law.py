@@ -68,7 +68,7 @@ def _measured(
     presses: Presses, source: Source, variant: Variant, size: float, random: np.random.Generator
 ) -> SameLaw:
     case = presses.case
-    hidden = case.change_at(variant, size)
+    hidden, _ = case.change_everywhere(variant, size)
     altered = case.with_trajectories(
         [
             replace(t, observed=t.observed + change)

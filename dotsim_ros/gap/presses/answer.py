@@ -20,7 +20,7 @@ from dotsim_ros.gap.presses.inference import (
     fit_nuisances,
     log_evidence,
 )
-from dotsim_ros.gap.presses.screening import Screen, best_trial
+from dotsim_ros.gap.presses.screening import Screen, best_trial, try_segment
 from dotsim_ros.gap.presses.search_state import Ranked, Search
 
 ROUNDS = 2
@@ -147,7 +147,9 @@ def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
         if not wanted:
             break
         search.case.extend(
-            wanted, progress=lambda done, total: search.progress("refit", done, total)
+            wanted,
+            progress=lambda done, total: search.progress("refit", done, total),
+            among=search.chosen,
         )
         for entry in close:
             segments = search.segments(entry.variants)
@@ -210,14 +212,52 @@ def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked]
     if pair is not None:
         further = _gain(search, pair) - _gain(search, [best])
         if further > decision.FURTHER * _left(search, [best]):
-            if _explained(search, pair) < decision.EXPLAINED:
+            is_implausible = any(
+                size_beyond_range(search, entry, beside=other) is not None
+                for entry, other in (pair, pair[::-1])
+            )
+            if is_implausible or _explained(search, pair) < decision.EXPLAINED:
                 return Verdict.UNKNOWN, [], []
             return Verdict.NAMED, pair, []
-    if (best.explained or 0.0) < decision.EXPLAINED:
-        return Verdict.UNKNOWN, [], []
     least = best.trial.gain - decision.SAME
-    alternatives = [entry for entry in able[1:] if entry.trial.gain > least]
-    return (Verdict.SET if alternatives else Verdict.NAMED), [best], alternatives
+    # One that asks for a size beyond its range is a symptom; what explains as much may stand.
+    possible = [
+        entry
+        for entry in able
+        if entry.trial.gain > least and size_beyond_range(search, entry) is None
+    ]
+    if not possible or (possible[0].explained or 0.0) < decision.EXPLAINED:
+        return Verdict.UNKNOWN, [], []
+    named, *alternatives = possible
+    return (Verdict.SET if alternatives else Verdict.NAMED), [named], alternatives
+
+
+def size_beyond_range(search: Search, entry: Ranked, beside: Ranked | None = None) -> float | None:
+    """Return the size beyond its plausible range that the data ask an effect for, None where they
+    are explained as well within.
+
+    Args:
+        search: the case.
+        entry: the effect, as it was found within its range.
+        beside: another one that acts, too.
+    """
+    end = entry.end
+    if end is None:
+        return None
+    evidence = search.evidence if beside is None else search.evidence.without(beside.trial.change)
+    variant = entry.trial.variant
+    above = end > variant.absent
+    outermost = search.segments([variant])[-1 if above else 0]
+    further = decision.OPENED * (end - variant.absent)
+    opened = replace(
+        outermost,
+        low=outermost.low + min(further, 0.0),
+        high=outermost.high + max(further, 0.0),
+    )
+    base = fit_nuisances(evidence).objective
+    found = try_segment(evidence, opened, base)
+    within = try_segment(evidence, outermost, base)
+    return found.size if found.gain - within.gain > decision.SAME else None
 
 
 def _explained(search: Search, entries: Sequence[Ranked]) -> float:

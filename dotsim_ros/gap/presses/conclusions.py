@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,12 +14,13 @@ from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
 from dotsim_ros.effects.simulate import request_of
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict
-from dotsim_ros.gap.presses.answer import SearchAnswer, sizes_by_channel
+from dotsim_ros.gap.presses.answer import SearchAnswer, size_beyond_range, sizes_by_channel
 from dotsim_ros.gap.presses.assumptions import values_after
 from dotsim_ros.gap.presses.certainty import BOOTSTRAPS, close_pairs
 from dotsim_ros.gap.presses.evidence import Case
 from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
 from dotsim_ros.gap.presses.locate import (
+    Closed,
     Residuals,
     channel_gaps,
     places_of_gap,
@@ -43,30 +45,29 @@ def findings_of(
     stability: float | None,
 ) -> tuple[Findings, Overlay | None]:
     case, request = search.case, search.request
-    named, ranked, verdict = answer.named, answer.ranked, answer.verdict
-    change = change_by_trajectory(search, named)
-    refitted = fit_nuisances(search.evidence.without(case.whitened(change, search.chosen)))
-    residuals = residuals_of(
-        case,
-        recalibrated=search.base.nuisance,
-        refitted=refitted.nuisance,
-        change=change,
-        noise=search.noise,
-        discrepancy=search.discrepancy,
-    )
     measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
     judged = search.held_out or measured
-    closed: tuple[float, float, float] | None = None
-    if named:
+    residuals, refitted = _with_effects(search, answer.named)
+    closed: Closed | None = None
+    left_open: float | None = None
+    if answer.named:
         closed = share_closed(residuals, judged, search.random)
-        if not np.isfinite(closed[0]):
-            closed = None
+        if closed is None:
             search.warnings.append("the held-out trajectories show no gap that could be closed")
+        elif search.held_out and leaves_open(closed):
+            # What explains the searched trajectories alone is no explanation.
+            left_open, closed, stability = closed.share, None, None
+            answer = replace(answer, verdict=Verdict.UNKNOWN, named=[], alternatives=[])
+            residuals, refitted = _with_effects(search, [])
+    named, ranked, verdict = answer.named, answer.ranked, answer.verdict
     if stability is not None and stability < decision.STABLE_SHARE:
         search.warnings.append(
             f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
             "trajectories agree; record more trajectories"
         )
+    for entry in named:
+        reached = wording.reaches_end(entry.effect, entry.estimates[0])
+        search.warnings += [] if reached is None else [reached]
     worst = worst_frame(
         case,
         residuals,
@@ -91,6 +92,8 @@ def findings_of(
             gaps,
             nearest=ranked[0].effect if ranked else None,
             sizes=sizes_by_channel(search, ranked[0]) if is_unknown and ranked else None,
+            left_open=left_open,
+            beyond=size_beyond_range(search, ranked[0]) if is_unknown and ranked else None,
             place=wording.largest_place(places),
         ),
         named=tuple(e.effect.name for e in named),
@@ -104,9 +107,9 @@ def findings_of(
         calibrated=_calibrated(case, fitted, refitted),
         places=places,
         gaps=gaps,
-        share_closed=None if closed is None else closed[0],
-        share_closed_low=None if closed is None else closed[1],
-        share_closed_high=None if closed is None else closed[2],
+        share_closed=None if closed is None else closed.share,
+        share_closed_low=None if closed is None else closed.low,
+        share_closed_high=None if closed is None else closed.high,
         fallback=fallback,
         stability=stability,
         pairs=close_pairs(search, ranked),
@@ -127,12 +130,34 @@ def findings_of(
     return findings, overlay
 
 
+def leaves_open(closed: Closed) -> bool:
+    """Return whether named effects leave a clear gap of the held-out trajectories open."""
+    is_clear = closed.before >= decision.FAR and closed.high < 1.0
+    return is_clear and closed.share < decision.LEAST_CLOSED
+
+
+def _with_effects(search: Search, named: Sequence[Ranked]) -> tuple[Residuals, Fit]:
+    """Return what effects leave, and the nuisances beside them."""
+    change = change_by_trajectory(search, named)
+    refitted = fit_nuisances(search.evidence.without(search.case.whitened(change, search.chosen)))
+    residuals = residuals_of(
+        search.case,
+        recalibrated=search.base.nuisance,
+        refitted=refitted.nuisance,
+        change=change,
+        noise=search.noise,
+        discrepancy=search.discrepancy,
+    )
+    return residuals, refitted
+
+
 def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[FloatArray]:
     """Return (F, SIZE) of each trajectory by effects at the sizes found."""
     total = [np.zeros_like(t.predicted) for t in search.case.trajectories]
     for entry in entries:
-        for number, part in enumerate(search.case.change_at(entry.trial.variant, entry.trial.size)):
-            total[number] = total[number] + part
+        change, failures = search.case.change_everywhere(entry.trial.variant, entry.trial.size)
+        search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
+        total = [before + part for before, part in zip(total, change, strict=True)]
     return total
 
 

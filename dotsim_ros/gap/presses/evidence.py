@@ -66,13 +66,14 @@ class Variant:
         effect: the effect.
         shape: its parameters beside the first.
         node: sizes that were simulated, the absent effect's among them.
-        change: at each node, by trajectory, (F, SIZE): with the effect minus without.
+        change: at each node, by trajectory, (F, SIZE): with the effect minus without; None for a
+            trajectory along which it was not simulated.
     """
 
     effect: Effect
     shape: dict[str, float]
     node: list[float] = field(default_factory=list)
-    change: list[list[FloatArray]] = field(default_factory=list)
+    change: list[list[FloatArray | None]] = field(default_factory=list)
 
     @property
     def absent(self) -> float:
@@ -85,11 +86,11 @@ class Variant:
         """Return the values of all parameters at a size."""
         return {self.effect.parameters[0].name: size, **self.shape}
 
-    def put(self, size: float, change: list[FloatArray]) -> None:
+    def put(self, size: float, change: Sequence[FloatArray | None]) -> None:
         """Add a node, in order."""
         place = int(np.searchsorted(self.node, size))
         self.node.insert(place, size)
-        self.change.insert(place, change)
+        self.change.insert(place, list(change))
 
 
 @dataclass(frozen=True)
@@ -200,9 +201,14 @@ class Case:
         result: FloatArray = np.tensordot(share, t.nuisance, axes=1)
         return result
 
-    def whitened(self, change: Sequence[FloatArray], chosen: Sequence[int]) -> FloatArray:
-        """Return (n,) of a change by trajectory."""
-        return np.concatenate([self.trajectories[t].whitening.whiten(change[t]) for t in chosen])
+    def whitened(self, change: Sequence[FloatArray | None], chosen: Sequence[int]) -> FloatArray:
+        """Return (n,) of a change by trajectory, which is there for those that are chosen."""
+        parts = []
+        for number in chosen:
+            one = change[number]
+            assert one is not None
+            parts.append(self.trajectories[number].whitening.whiten(one))
+        return np.concatenate(parts)
 
     def pattern_columns(self, chosen: Sequence[int]) -> FloatArray:
         """Return (n, K) whitened patterns of the measured data, those that are there."""
@@ -216,16 +222,35 @@ class Case:
             for t in self.trajectories
         ]
 
-    def change_at(self, variant: Variant, size: float) -> list[FloatArray]:
+    def change_at(self, variant: Variant, size: float) -> list[FloatArray | None]:
         """Return (F, SIZE) of each trajectory: what a variant does at a size, linear between the
-        nodes beside it and beyond the outermost."""
+        nodes beside it and beyond the outermost; None where those were not simulated."""
         node = variant.node
-        right = int(np.clip(np.searchsorted(node, size), 1, len(node) - 1))
+        right = _node_after(variant, size)
         share = (size - node[right - 1]) / (node[right] - node[right - 1])
         return [
-            (1.0 - share) * before + share * after
+            None if before is None or after is None else (1.0 - share) * before + share * after
             for before, after in zip(variant.change[right - 1], variant.change[right], strict=True)
         ]
+
+    def change_everywhere(
+        self, variant: Variant, size: float
+    ) -> tuple[list[FloatArray], list[str]]:
+        """Return as `change_at`, the nodes beside the size simulated where they were not, and what
+        could not be solved."""
+        right = _node_after(variant, size)
+        missing = [
+            (place, [number for number, one in enumerate(variant.change[place]) if one is None])
+            for place in (right - 1, right)
+        ]
+        found, failures = self._simulate(
+            [(variant, variant.node[place], numbers) for place, numbers in missing]
+        )
+        for (place, numbers), changes in zip(missing, found, strict=True):
+            for number, one in zip(numbers, changes, strict=True):
+                variant.change[place][number] = one
+        change = [one for one in self.change_at(variant, size) if one is not None]
+        return change, failures
 
     def channel_columns(self, variant: Variant, size: float, chosen: Sequence[int]) -> FloatArray:
         """Return (n, 2) whitened: what a variant at a size does to the skin alone, and to the force
@@ -233,9 +258,12 @@ class Case:
         change = self.change_at(variant, size)
         columns = []
         for channel in CHANNELS.values():
-            alone = [np.zeros_like(one) for one in change]
-            for part, one in zip(alone, change, strict=True):
-                part[:, channel] = one[:, channel]
+            alone: list[FloatArray | None] = []
+            for one in change:
+                part = None if one is None else np.zeros_like(one)
+                if part is not None and one is not None:
+                    part[:, channel] = one[:, channel]
+                alone.append(part)
             columns.append(self.whitened(alone, chosen))
         return np.stack(columns, axis=1)
 
@@ -266,35 +294,49 @@ class Case:
         self,
         wanted: Sequence[tuple[Variant, float]],
         progress: Progress | None = None,
+        among: Sequence[int] | None = None,
     ) -> list[str]:
         """Simulate variants at sizes and add the nodes; return what could not be solved.
 
         Args:
             wanted: variants and sizes.
             progress: called with the number of solves done, and of all.
+            among: numbers of the trajectories along which they are simulated; None for all.
         """
-        requests, owners = [], []
-        for variant, size in wanted:
-            active = Active(variant.effect, variant.effect.checked(variant.values(size)))
-            for number, t in enumerate(self.trajectories):
-                if not t.is_reference:
-                    requests.append(request_of(t.recording, self.values, effects=[active]))
-                    owners.append((id(variant), size, number))
-        results, failures = self.solver.run_each(requests, progress)
-        found: dict[tuple[int, float, int], FloatArray] = {}
-        for owner, result in zip(owners, results, strict=True):
-            if result is not None:
-                t = self.trajectories[owner[2]]
-                found[owner] = (
-                    observed_of(t.recording, t.places, result, self._rest_m) - t.predicted
-                )
-        for variant, size in wanted:
-            change = []
-            for number, t in enumerate(self.trajectories):
-                there = found.get((id(variant), size, number))
-                change.append(np.zeros_like(t.predicted) if there is None else there)
+        numbers = range(len(self.trajectories)) if among is None else among
+        found, failures = self._simulate([(v, size, numbers) for v, size in wanted], progress)
+        for (variant, size), changes in zip(wanted, found, strict=True):
+            change: list[FloatArray | None] = [None] * len(self.trajectories)
+            for number, one in zip(numbers, changes, strict=True):
+                change[number] = one
             variant.put(size, change)
         return failures
+
+    def _simulate(
+        self,
+        wanted: Sequence[tuple[Variant, float, Sequence[int]]],
+        progress: Progress | None = None,
+    ) -> tuple[list[list[FloatArray]], list[str]]:
+        """Return (F, SIZE) of each variant at its size along each of its trajectories, and what
+        could not be solved: no change, as along the reference's."""
+        requests, owners = [], []
+        changes = [
+            [np.zeros_like(self.trajectories[number].predicted) for number in numbers]
+            for _, _, numbers in wanted
+        ]
+        for row, (variant, size, numbers) in enumerate(wanted):
+            active = Active(variant.effect, variant.effect.checked(variant.values(size)))
+            for place, number in enumerate(numbers):
+                t = self.trajectories[number]
+                if not t.is_reference:
+                    requests.append(request_of(t.recording, self.values, effects=[active]))
+                    owners.append((row, place, t))
+        results, failures = self.solver.run_each(requests, progress)
+        for (row, place, t), result in zip(owners, results, strict=True):
+            if result is not None:
+                shown = observed_of(t.recording, t.places, result, self._rest_m)
+                changes[row][place] = shown - t.predicted
+        return changes, failures
 
     def segments(self, variant: Variant, chosen: Sequence[int]) -> list[Segment]:
         """Return the segments between a variant's nodes, and beyond the outermost within range."""
@@ -317,6 +359,11 @@ class Case:
             column = (white[k + 1] - white[k]) / width
             result.append(Segment(variant, variant.node[k], white[k], column, low, high))
         return result
+
+
+def _node_after(variant: Variant, size: float) -> int:
+    """Return the place of the node above a size, of the outermost where there is none."""
+    return int(np.clip(np.searchsorted(variant.node, size), 1, len(variant.node) - 1))
 
 
 def observed_of(

@@ -99,22 +99,41 @@ def _rms(parts: Sequence[FloatArray]) -> float:
     return float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
 
 
+@dataclass(frozen=True)
+class Closed:
+    """How much of the gap of some trajectories the effects close.
+
+    Attributes:
+        share: (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2) in units of the expected deviation; RMS0 is
+            that of the recalibrated twin. 1 where what is left is below the floor.
+        low, high: its interval of 95 % by a bootstrap over trajectories.
+        before: RMS0 over the floor.
+    """
+
+    share: float
+    low: float
+    high: float
+    before: float
+
+
 def share_closed(
     residuals: Residuals, chosen: Sequence[int], random: np.random.Generator
-) -> tuple[float, float, float]:
-    """Return the share of the gap that the effects close, (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2) in
-    units of the expected deviation, and its interval of 95 % by a bootstrap over trajectories.
+) -> Closed | None:
+    """Return how much of the gap of trajectories the effects close, None where there was nothing to
+    close.
 
-    RMS0 is that of the recalibrated twin. Observables that the effects hardly move are left out:
-    they say nothing of the effects. NaN where there was nothing to close, 1 where what is left is
-    below the floor.
+    Observables that the effects hardly move are left out: they say nothing of the effects.
     """
     sums = np.array([_squares(residuals, t) for t in chosen])
     drawn = random.integers(len(chosen), size=(RESAMPLED, len(chosen)))
     shares = [_share(sums[rows].sum(axis=0)) for rows in drawn]
     finite = [share for share in shares if np.isfinite(share)]
     low, high = np.percentile(finite, [2.5, 97.5]) if finite else (np.nan, np.nan)
-    return _share(sums.sum(axis=0)), float(low), float(high)
+    before, _, floor = whole = sums.sum(axis=0)
+    share = _share(whole)
+    if not np.isfinite(share):
+        return None
+    return Closed(share, float(low), float(high), float(np.sqrt(before / floor)))
 
 
 def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.effects.effect import FORCE, SKIN
+from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
+from dotsim_ros.effects.simulate import EffectRequest, request_of
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, Products, fit, parts_of, settle
+from dotsim_ros.gel.values import GelValues
+from dotsim_ros.measured.recording import Recording
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,36 @@ class Screen:
             found = settle(known, np.array([segment.low]), np.array([segment.high]))
             gains[k] = base - found.objective
         return base, gains
+
+
+def planned_requests(
+    measured: Sequence[Recording],
+    values: GelValues,
+    library: Mapping[str, Effect],
+    candidates: Sequence[str] = (),
+) -> list[EffectRequest]:
+    """Return what screening will simulate along recordings of which all channels are there: every
+    effect that one of them excites, at its probes.
+
+    Args:
+        measured: along which the effects are simulated.
+        values: the twin's gel.
+        library: effects by name.
+        candidates: names of the effects to look at; none for all.
+    """
+    requests = []
+    for effect in library.values():
+        if candidates and effect.name not in candidates:
+            continue
+        if not ({SKIN, FORCE} & set(effect.channels)) or not any(map(effect.excited_by, measured)):
+            continue
+        first, *others = effect.parameters
+        for shape in product(*(parameter.probes for parameter in others)):
+            shaped = dict(zip((p.name for p in others), shape, strict=True))
+            for probe in first.probes:
+                active = Active(effect, effect.checked({first.name: probe, **shaped}))
+                requests += [request_of(r, values, effects=[active]) for r in measured]
+    return requests
 
 
 def excited_variants(case: Case, candidates: Sequence[str] = ()) -> tuple[list[Variant], list[str]]:

@@ -3,22 +3,28 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from dotsim_ros.effects.overlay import Overlay
-from dotsim_ros.effects.simulate import open_solver
+from dotsim_ros.effects.simulate import EffectSolver, open_solver
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.presses.answer import answer_of, null_gains, screen
-from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, centred
+from dotsim_ros.gap.presses.assumptions import (
+    ABSOLUTE,
+    DIFFERENTIAL,
+    centred,
+    nuisance_requests,
+)
 from dotsim_ros.gap.presses.certainty import estimates_of, stability_of
 from dotsim_ros.gap.presses.conclusions import findings_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
-from dotsim_ros.gap.presses.screening import excited_variants
-from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search
+from dotsim_ros.gap.presses.screening import excited_variants, planned_requests
+from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search, SolveProgress
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
@@ -60,6 +66,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         library=library,
         workers=request.workers,
     ) as solver:
+        solving = _plan(request, measurement, reference, solver, progress)
         nuisances = centred(ABSOLUTE if reference is None else DIFFERENTIAL, discrepancy.bias)
         trajectories, left_out = make_trajectories(
             measurement.recordings,
@@ -72,8 +79,9 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
             noise=noise,
             discrepancy=discrepancy,
             channels=request.channels,
-            progress=lambda done, total: progress("calibrate", done, total),
+            progress=solving,
         )
+        solving.begin_last()
         warnings += left_out
         case = Case(
             trajectories, nuisances, library, solver, values, measurement.skin.rest_position_m
@@ -87,7 +95,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
         search = Search(
             request, case, chosen, held_out, noise, discrepancy, random, progress, warnings
         )
-        findings, overlay = _run(search, measurement, reference)
+        findings, overlay = _run(search, measurement, reference, solving)
     seconds = time.monotonic() - begun_s
     return replace(findings, solve_count=solver.solve_count, seconds=seconds), overlay
 
@@ -107,6 +115,34 @@ def _read(request: GapRequest) -> tuple[Measurement, Measurement | None]:
     return measurement, reference
 
 
+def _plan(
+    request: GapRequest,
+    measurement: Measurement,
+    reference: Measurement | None,
+    solver: EffectSolver,
+    progress: Progress,
+) -> SolveProgress:
+    """Make what all solves need, and return what tells of them: how long they take altogether is
+    known before the first, but for refits, of which there are few."""
+    library, values = request.library(), values_of(request.sensor)
+    measured = measurement.recordings
+    calibration = [
+        one
+        for recording in (*(() if reference is None else reference.recordings), *measured)
+        for one in nuisance_requests(recording, values, library)
+    ]
+    screening = planned_requests(measured, values, library, request.candidates)
+    solver.prepare([*calibration, *screening], lambda done, total: progress("tables", done, total))
+    # Which of the repeated ones is held out makes no difference here.
+    held_out = one_of_each([protocol_of(r) for r in measured], np.random.default_rng(0))
+    searched = [r for place, r in enumerate(measured) if place not in held_out]
+    names = {recording.name for recording in searched}
+    later = [one for one in screening if one.recording.name in names]
+    # What both need is solved in the first step.
+    whole = solver.work_of([*calibration, *later])
+    return SolveProgress(progress, later=whole - solver.work_of(calibration))
+
+
 def _hold_out(case: Case, random: np.random.Generator) -> tuple[list[int], list[int]]:
     """Return trajectories to search, and to hold out: one of each repeated protocol."""
     measured = [n for n, t in enumerate(case.trajectories) if not t.is_reference]
@@ -116,9 +152,12 @@ def _hold_out(case: Case, random: np.random.Generator) -> tuple[list[int], list[
 
 
 def _run(
-    search: Search, measurement: Measurement, reference: Measurement | None
+    search: Search,
+    measurement: Measurement,
+    reference: Measurement | None,
+    solving: SolveProgress,
 ) -> tuple[Findings, Overlay | None]:
-    variants, silent = simulate_effects(search)
+    variants, silent = simulate_effects(search, solving)
     ranked = screen(search, variants)
     gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
     answer = answer_of(search, ranked, gains, pattern_gains)
@@ -132,8 +171,14 @@ def _run(
     )
 
 
-def simulate_effects(search: Search) -> tuple[list[Variant], list[str]]:
+def simulate_effects(
+    search: Search, progress: Callable[[int, int], None]
+) -> tuple[list[Variant], list[str]]:
     """Simulate every effect that is excited at its probes; return them, and the others' names.
+
+    Args:
+        search: the case.
+        progress: called as `dotsim_ros.twin.solver.Progress`.
 
     Raises:
         ValueError: nothing is excited.
@@ -155,7 +200,10 @@ def simulate_effects(search: Search) -> tuple[list[Variant], list[str]]:
         (variant, probe) for variant in variants for probe in variant.effect.parameters[0].probes
     ]
     failures = search.case.extend(
-        wanted, progress=lambda done, total: search.progress("screen", done, total)
+        wanted,
+        progress=progress,
+        # What is held out is simulated for what is named alone.
+        among=search.chosen,
     )
     search.warnings += [f"an effect could not be simulated: {text}" for text in failures]
     return variants, silent

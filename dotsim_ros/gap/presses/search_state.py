@@ -27,6 +27,32 @@ PATTERN_DEVIATION = 20.0
 """Prior of a pattern, in its percents of the press."""
 
 
+@dataclass
+class SolveProgress:
+    """Tells how much of all solving is done, over the steps that are known beforehand.
+
+    Attributes:
+        progress: is told, in presses' work (`dotsim_ros.twin.solver.Progress`).
+        later: work of the steps after the present one.
+        before: of those that are finished.
+        present: of the present one.
+    """
+
+    progress: Progress
+    later: int
+    before: int = 0
+    present: int = 0
+
+    def __call__(self, done: int, total: int) -> None:
+        """Tell how much of the present step is done."""
+        self.present = total
+        self.progress("solve", self.before + done, self.before + total + self.later)
+
+    def begin_last(self) -> None:
+        """Begin the last step."""
+        self.before, self.present, self.later = self.before + self.present, 0, 0
+
+
 @dataclass(frozen=True)
 class GapRequest:
     """What to search, and how.
@@ -84,6 +110,11 @@ class Ranked:
     def is_past_limit(self) -> bool:
         """Whether it gains more than data without any effect let it gain."""
         return self.trial.gain > self.limit
+
+    @property
+    def end(self) -> float | None:
+        """The end of its plausible range that its size stands at, None for a size within."""
+        return self.effect.parameters[0].end_at(self.trial.size)
 
 
 @dataclass

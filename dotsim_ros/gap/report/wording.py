@@ -78,6 +78,8 @@ def sentence(
     *,
     nearest: Effect | None,
     sizes: tuple[float, float] | None,
+    beyond: float | None,
+    left_open: float | None = None,
     place: str,
 ) -> str:
     """Return the answer in one or two sentences.
@@ -89,6 +91,9 @@ def sentence(
         gaps: by channel, on the held-out trajectories.
         nearest: the effect that comes nearest, where none is named.
         sizes: of the nearest, as the skin and as the force give it, where they disagree.
+        beyond: size of the nearest that the data ask for, where it is beyond its range.
+        left_open: share of the held-out trajectories' gap that the nearest closes, where that is
+            why it is not named.
         place: where the residual is largest, in words.
     """
     if verdict is Verdict.NO_GAP:
@@ -98,9 +103,16 @@ def sentence(
         text += f"explains it. It is largest in {place}."
         if nearest is not None:
             text += f" The nearest is: {_amid(nearest.title)}"
+            first = nearest.parameters[0]
+            unit = f" {first.unit}" if first.unit else ""
+            if beyond is not None:
+                text += (
+                    f", but the data ask for {first.name} = {beyond:.2g}{unit}, and its plausible "
+                    f"range is {first.low:g} to {first.high:g}{unit}"
+                )
+            if left_open is not None:
+                text += f", but it closes {left_open:.0%} of the held-out trajectories' gap"
             if sizes is not None:
-                first = nearest.parameters[0]
-                unit = f" {first.unit}" if first.unit else ""
                 text += (
                     f", but the skin gives {first.name} = {sizes[0]:.2g}{unit} and the force "
                     f"{sizes[1]:.2g}{unit}: they should agree"
@@ -160,6 +172,25 @@ def optical_sentence(
         others = ", ".join(effect.title for effect in alternatives)
         text += f" The images do not distinguish it from: {others}."
     return text
+
+
+def reaches_end(effect: Effect, estimate: Estimate) -> str | None:
+    """Return that an interval reaches the end of the plausible range, None for one that does not.
+
+    Args:
+        effect: that is named.
+        estimate: of its first parameter.
+    """
+    first = effect.parameters[0]
+    ends = [end for end in map(first.end_at, (estimate.low, estimate.high)) if end is not None]
+    if not ends:
+        return None
+    unit = f" {first.unit}" if first.unit else ""
+    return (
+        f"the interval of {effect.name}.{first.name} reaches the end of its range, {ends[0]:.3g}"
+        f"{unit}: the data do not say how large it is, and it may stand for something else that "
+        "looks alike"
+    )
 
 
 def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int) -> list[str]:

@@ -90,9 +90,17 @@ class Recorder:
 
     Args:
         gel: is reset, and from then on to be stepped by `step` of this recorder alone.
+
+    Raises:
+        ValueError: a gel that has come off its core, whose derivatives are not implemented.
     """
 
     def __init__(self, gel: ImplicitGel) -> None:
+        if gel.body.lost_bond is not None:
+            raise ValueError(
+                "the gel has come off its core, expected one that is bonded everywhere: there are "
+                "no derivatives of a loose bond; set gel.bond_slip_share to 0"
+            )
         gel.reset()
         self.gel = gel
         self.trajectories = [GelTrajectory() for _ in range(gel.environment_count)]

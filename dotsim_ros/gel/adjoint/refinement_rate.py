@@ -45,12 +45,12 @@ def _refinement(
     gel: ImplicitGel, law: NeoHookean, progress: Callable[[float], None] | None
 ) -> Refinement:
     coarse = gel.discretization
-    at_rest = LocalTangent(ElasticBody(coarse, law, dtype=gel._single.dtype), gel._mass * 0.0)
+    body = ElasticBody(coarse, law, dtype=gel._single.dtype)
     return refine(
         gel.shape,
         gel.skin.rest_position_m,
         coarse,
-        at_rest.compliance,
+        lambda: LocalTangent(body, gel._mass * 0.0).compliance,
         law,
         progress=progress,
     )

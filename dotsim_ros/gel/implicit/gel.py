@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.body import Body
+from dotsim_ros.gel.bond import LooseBond, lost_stiffness
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.contact import (
@@ -45,7 +46,7 @@ from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.relaxation import Relaxation
 from dotsim_ros.gel.implicit.tangent import ExactTangent, GridRegion, LocalTangent
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
-from dotsim_ros.gel.material import Material
+from dotsim_ros.gel.material import Material, PronySeries
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -190,6 +191,7 @@ class ImplicitGel:
         contact: friction and stiffness of the contact.
         solver: resolution and effort.
         indenter: the rigid shape.
+        bond: where the gel has come off its core; None for one that is bonded everywhere.
         environment_count: number of independent worlds.
         exact: factor the whole tangent in every iteration (a slow reference).
         progress: called with the finished share of a refinement that is not in the cache.
@@ -208,6 +210,7 @@ class ImplicitGel:
         contact: ContactSpecification,
         solver: SolverSpecification,
         indenter: Indenter,
+        bond: LooseBond | None = None,
         environment_count: int = 1,
         device: str = "cpu",
         exact: bool = False,
@@ -220,13 +223,21 @@ class ImplicitGel:
         d = self.discretization
         self.points = ContactPoints(skin)
         self.skin_weight = d.skin_interpolation.matrix(d.node_count)
-        self.body = ElasticBody(d, material.law, environment_count=environment_count, device=device)
+        lost_bond = None if bond is None else lost_stiffness(shape, d, bond, material.law)
+        self.body = ElasticBody(
+            d,
+            material.law,
+            environment_count=environment_count,
+            device=device,
+            lost_bond=lost_bond,
+        )
         self._single = ElasticBody(
             d,
             material.law,
             environment_count=environment_count,
             dtype=np.float32,
             device=device,
+            lost_bond=lost_bond,
         )
         self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
         self._mass = d.mass_over_density * material.density_kg_m3
@@ -241,7 +252,8 @@ class ImplicitGel:
                     shape,
                     skin.rest_position_m,
                     d,
-                    at_rest.compliance,
+                    # What a finer grid adds near the contact is that of a bonded gel.
+                    lambda: (at_rest if bond is None else self._bonded_at_rest()).compliance,
                     material.law,
                     progress=progress,
                 )
@@ -269,6 +281,21 @@ class ImplicitGel:
             device=self.device,
         )
         self._inner_point_m = inner_point_m
+        self.reset()
+
+    def _bonded_at_rest(self) -> LocalTangent:
+        bonded = ElasticBody(
+            self.discretization, self.material.law, dtype=np.float32, device=self.device
+        )
+        return LocalTangent(bonded, self._mass * 0.0)
+
+    def set_relaxation(self, relaxation: PronySeries) -> None:
+        """Replace the gel's relaxation and return to rest."""
+        self.material = replace(self.material, prony=relaxation)
+        nothing = np.zeros((self.discretization.particle_count, 3, 3))
+        for environment in range(self.environment_count):
+            for body in (self.body, self._single):
+                body.set_history(1.0, nothing, environment)
         self.reset()
 
     def reset(self) -> None:

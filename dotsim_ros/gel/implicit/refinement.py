@@ -151,7 +151,7 @@ def refine(
     body: Body,
     skin_position_m: FloatArray,
     coarse: Discretization,
-    coarse_compliance: Float32Array,
+    coarse_compliance: Callable[[], Float32Array],
     law: ElasticLaw,
     *,
     progress: Callable[[float], None] | None = None,
@@ -162,7 +162,8 @@ def refine(
         body: the gel's shape.
         skin_position_m: (V, 3) rest positions of the markers.
         coarse: the coarse grid.
-        coarse_compliance: (3 N, 3 N) inverse of its stiffness at rest, m/N.
+        coarse_compliance: returns the (3 N, 3 N) inverse of its stiffness at rest, m/N; called
+            where there is nothing in the cache, since it takes seconds.
         law: the material; only its Poisson's ratio matters for the cache.
         progress: called with the finished share, 0 to 1.
     """
@@ -180,7 +181,7 @@ def refine(
     table = _load(path)
     if table is None:
         fine = discretize(body, skin_position_m, coarse.spacing_m / 2.0)
-        table = _compute(body, fine, coarse, coarse_compliance * youngs, law, progress)
+        table = _compute(body, fine, coarse, coarse_compliance() * youngs, law, progress)
         _store(path, table)
     row = np.repeat(np.arange(len(table.node_position_m)), np.diff(table.indptr))
     distance = np.linalg.norm(
