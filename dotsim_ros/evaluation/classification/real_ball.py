@@ -12,6 +12,7 @@ ball.
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -22,6 +23,7 @@ from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
 from dotsim_ros.arrays import FloatArray, ImageArray, IntArray
+from dotsim_ros.cache import content_key
 from dotsim_ros.evaluation.classification.classifier import (
     ClassifierSettings,
     classified,
@@ -42,7 +44,7 @@ from dotsim_ros.evaluation.optics.gelsight import (
     press_profiles,
     read_ball_presses,
 )
-from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
+from dotsim_ros.evaluation.optics.models import FitSettings, code_digest, factory_of
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import (
     Indenter,
@@ -118,7 +120,7 @@ def evaluate_real_ball(
 
     Args:
         study: what is asked.
-        state: folder of the networks' trainings.
+        state: folder of the networks' trainings, each below a key of what decides it.
         tell: called with a line about each row.
         sensor: a flat pad.
 
@@ -138,7 +140,7 @@ def evaluate_real_ball(
             touches,
             scene,
             study,
-            state / f"{model}_{half}",
+            state,
         )
         for model in {*study.models, *(OTHER_MODEL[m] for m in study.models)}
         for half in range(FOLDS)
@@ -214,8 +216,10 @@ def _drawn(
     state: Path,
 ) -> ImageArray:
     """Return what a model, fitted on some real presses, makes of each touch (N, H, W, 3)."""
-    make = factory_of(model, study.fit, state=state, progress=lambda _line: None)
+    own = state / content_key((), model, code_digest(model), study.fit, fitted_on)
+    make = factory_of(model, study.fit, state=own, progress=lambda _line: None)
     fitted = make(fitted_on, scene.rest, scene.camera)
+    shutil.rmtree(own, ignore_errors=True)
     return np.concatenate([fitted.predict(touch, scene.rest) for touch in touches])
 
 
