@@ -66,7 +66,7 @@ BOUND = "bound"
 """The row that learns from measured images of other trajectories: no simulation passes it."""
 APART = 5
 """Every fifth simulated press is not learnt from."""
-ROWS = (BOUND, *(name for name in NAMES if not name.endswith("_refined")))
+ROWS = (BOUND, *(name for name in NAMES if not name.endswith(("_refined", "_warped"))))
 DECIDED_BY = (
     "dotsim_ros.evaluation.classification.classifier",
     "dotsim_ros.evaluation.classification.domains",
