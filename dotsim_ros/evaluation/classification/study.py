@@ -37,6 +37,7 @@ from dotsim_ros.evaluation.optics.models import (
     CLIPPED,
     NAMES,
     REFINED,
+    WARPED,
     FitSettings,
     code_digest,
     factory_of,
@@ -66,7 +67,10 @@ BOUND = "bound"
 """The row that learns from measured images of other trajectories: no simulation passes it."""
 APART = 5
 """Every fifth simulated press is not learnt from."""
-ROWS = (BOUND, *(name for name in NAMES if not name.endswith(("_refined", "_warped"))))
+ROWS = (
+    BOUND,
+    *(name for name in NAMES if name not in WARPED and not name.endswith("_refined")),
+)
 DECIDED_BY = (
     "dotsim_ros.evaluation.classification.classifier",
     "dotsim_ros.evaluation.classification.domains",

@@ -22,7 +22,12 @@ import numpy as np
 
 from dotsim_ros.documents import read_json
 from dotsim_ros.evaluation.gap.hidden.solved_draw import HALVES, SolvedUnit, draw_series
-from dotsim_ros.evaluation.gap.hidden.solved_unit import UnsolvedError, measured, protocols
+from dotsim_ros.evaluation.gap.hidden.solved_unit import (
+    Protocol,
+    UnsolvedError,
+    measured,
+    protocols,
+)
 from dotsim_ros.files import write_json, write_text
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -266,7 +271,7 @@ def _write(directory: Path, entries: list[dict[str, Any]]) -> None:
     write_json(directory / INDEX, index | {"sets": entries})
 
 
-def _protocols(plan: SeriesPlan, unit: SolvedUnit) -> list[Any]:
+def _protocols(plan: SeriesPlan, unit: SolvedUnit) -> list[Protocol]:
     return protocols(plan.sensor, np.random.default_rng([*unit.seed, 2]))
 
 
