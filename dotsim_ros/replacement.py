@@ -12,7 +12,6 @@ import fcntl
 import hashlib
 import os
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -161,34 +160,15 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-@contextmanager
-def made_folder(directory: Path, name: str) -> Iterator[Path]:
-    """Yield a folder to fill that takes its name below a directory when the block ends well.
-
-    One of this name that this function made before, and that nobody has changed since, gives way.
-
-    Raises:
-        FileExistsError: there is something else of this name, which is left alone.
-    """
-    remove_made(directory, name)
-    directory.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=directory) as folder:
-        part = Path(folder) / name
-        yield part
-        note_made(directory, name, part)
-        os.replace(part, directory / name)
-
-
-def note_made(directory: Path, name: str, part: Path | None = None) -> None:
+def note_made(directory: Path, name: str) -> None:
     """Note what a command made, so that `remove_made` may remove it.
 
     Args:
         directory: the folder of the note.
         name: of the sub-folder that was made.
-        part: where it lies until it gets that name; None for its own place.
     """
     noted = _noted(directory)
-    noted[name] = _digests(directory / name if part is None else part)
+    noted[name] = _digests(directory / name)
     write_json(directory / MADE, noted)
 
 

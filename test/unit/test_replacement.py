@@ -19,7 +19,6 @@ from dotsim_ros.replacement import (
     SET_ASIDE,
     STAGED,
     finish_replacement,
-    made_folder,
     note_made,
     remove_made,
     replace_files,
@@ -175,33 +174,25 @@ def shown_files(folder: Path) -> set[str]:
     return {p.name for p in folder.iterdir() if p.is_file()}
 
 
-@pytest.mark.fault("find-gap", "--demo --out DIR, where DIR/measured is somebody's data")
+@pytest.mark.fault("bags and data sets", "demo --out DIR, where DIR/presses is somebody's data")
 def test_only_what_was_made_so_is_removed(tmp_path: Path, answered: Callable[..., None]) -> None:
-    own = tmp_path / "measured"
+    own = tmp_path / "presses"
     own.mkdir()
-    (own / "dataset.yaml").write_text("of the user")
-    with (
-        pytest.raises(FileExistsError, match="did not make it") as refused,
-        made_folder(tmp_path, "measured"),
-    ):
-        raise AssertionError("nothing may begin")
+    bag = own / "metadata.yaml"
+    bag.write_text("of the user")
+    with pytest.raises(FileExistsError, match="did not make it") as refused:
+        remove_made(tmp_path, "presses")
     answered(refused.value)
-    assert (own / "dataset.yaml").read_text() == "of the user"
-    (own / "dataset.yaml").unlink()
-    own.rmdir()
+    assert bag.read_text() == "of the user"
 
-    for content in ("first", "second"):
-        with made_folder(tmp_path, "measured") as part:
-            part.mkdir()
-            (part / "dataset.yaml").write_text(content)
-        assert (own / "dataset.yaml").read_text() == content
+    note_made(tmp_path, "presses")
     (own / "notes.txt").write_text("of the user")
-    with pytest.raises(FileExistsError, match=r"measured holds notes\.txt"):
-        remove_made(tmp_path, "measured")
+    with pytest.raises(FileExistsError, match=r"presses holds notes\.txt"):
+        remove_made(tmp_path, "presses")
     (own / "notes.txt").unlink()
-    (own / "dataset.yaml").write_text("changed by the user")
-    with pytest.raises(FileExistsError, match=r"measured holds dataset\.yaml"):
-        remove_made(tmp_path, "measured")
-    note_made(tmp_path, "measured")
-    remove_made(tmp_path, "measured")
+    bag.write_text("changed by the user")
+    with pytest.raises(FileExistsError, match=r"presses holds metadata\.yaml"):
+        remove_made(tmp_path, "presses")
+    note_made(tmp_path, "presses")
+    remove_made(tmp_path, "presses")
     assert not own.exists()

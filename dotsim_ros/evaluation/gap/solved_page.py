@@ -57,10 +57,15 @@ def _half(half: str, figures: Mapping[str, Any]) -> list[str]:
     return parts
 
 
+def hidden_text(effects: Sequence[Mapping[str, Any]], decoys: Sequence[str]) -> str:
+    """Return what was hidden in a set, as text."""
+    if not effects:
+        return "nothing; decoys: " + ", ".join(decoys)
+    return ", ".join(f"{e['name']} {e['size']:.3g} {e['unit']}" for e in effects)
+
+
 def _row(row: Mapping[str, Any]) -> tuple[str, ...]:
-    hidden = ", ".join(f"{e['name']} {e['size']:.3g} {e['unit']}" for e in row["hidden"])
-    if not hidden:
-        hidden = "nothing; decoys: " + ", ".join(row["decoys"])
+    hidden = hidden_text(row["hidden"], row["decoys"])
     answer = ", ".join(row["named"]) or row["verdict"].replace("_", " ")
     if row.get("alternatives"):
         answer += " or " + ", ".join(row["alternatives"])

@@ -96,17 +96,26 @@ def _row(request: ScoreRequest, record: SetRecord) -> dict[str, Any]:
     findings = None
     if len(record.made) >= UNFINISHED:
         findings, row["searched_at"] = _findings(request, record)
-    text = (request.sets / record.name / TRUTH).read_text(encoding="utf-8")
-    if hashlib.sha256(text.encode()).hexdigest() != record.truth_sha256:
-        raise ValueError(
-            f"{request.sets / record.name / TRUTH} is not the truth whose SHA-256 the index "
-            "states; make the set anew"
-        )
-    truth = truth_of(text)
+    truth = opened_truth(request.sets, record)
     row |= {"kind": truth["kind"], "hidden": truth["effects"], "decoys": truth["decoys"]}
     if findings is None:
         return row | {"outcome": "too few trajectories", "verdict": "unusable", "named": []}
     return row | judged(findings, truth)
+
+
+def opened_truth(sets: Path, record: SetRecord) -> dict[str, Any]:
+    """Return what is wrong with a set; to be called after its search.
+
+    Raises:
+        ValueError: it is not what was sealed.
+    """
+    path = sets / record.name / TRUTH
+    text = path.read_text(encoding="utf-8")
+    if hashlib.sha256(text.encode()).hexdigest() != record.truth_sha256:
+        raise ValueError(
+            f"{path} is not the truth whose SHA-256 the index states; make the set anew"
+        )
+    return truth_of(text)
 
 
 def _findings(request: ScoreRequest, record: SetRecord) -> tuple[Findings, str]:

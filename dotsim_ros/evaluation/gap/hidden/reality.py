@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -32,16 +31,6 @@ class Truth:
     def digest(self) -> str:
         """Return the hash that is published before the search."""
         return hashlib.sha256(self.sealed().encode()).hexdigest()
-
-
-def draw_truth(random: np.random.Generator, names: Sequence[str], count: int = 1) -> Truth:
-    """Return effects drawn of those named, at sizes drawn of their ranges."""
-    chosen = random.choice(len(names), size=count, replace=False)
-    drawn = []
-    for index in sorted(chosen.tolist()):
-        law = LAWS[names[index]]
-        drawn.append((law.name, float(random.uniform(law.low, law.high))))
-    return Truth(tuple(drawn))
 
 
 def library_names(truth: Truth) -> set[str]:
