@@ -136,7 +136,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
     gap.add_argument("--nulls", type=int, default=200, help="cases without an effect (200)")
     gap.add_argument("--repeats", type=int, default=6, help="cases of each law and size (6)")
-    gap.add_argument("--laws", nargs="+", help="hidden laws (all)")
+    gap.add_argument(
+        "--laws", nargs="+", help="hidden laws (those that are no formula of the library)"
+    )
     gap.add_argument(
         "--sets",
         type=Path,
@@ -549,7 +551,7 @@ def _gap(arguments: argparse.Namespace) -> int:
     if arguments.sets is not None:
         return _gap_sets(arguments)
     from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
-    from dotsim_ros.evaluation.gap.hidden.laws import LAWS
+    from dotsim_ros.evaluation.gap.hidden.laws import LAWS, OTHER_LAWS
     from dotsim_ros.evaluation.gap.page import gap_page
     from dotsim_ros.evaluation.gap.presses import Source
     from dotsim_ros.evaluation.gap.study import run_study
@@ -577,7 +579,7 @@ def _gap(arguments: argparse.Namespace) -> int:
         nulls=arguments.nulls,
         repeats=arguments.repeats,
         seed=arguments.seed,
-        laws=tuple(arguments.laws or LAWS),
+        laws=tuple(arguments.laws or OTHER_LAWS),
     )
     return _write(arguments, figures, {"sensor": str(arguments.sensor)}, gap_page)
 

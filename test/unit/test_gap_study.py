@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import inspect
+
 import numpy as np
 import pytest
 
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.evaluation.gap.baselines import Left
+from dotsim_ros.evaluation.gap.hidden.laws import FORMULAS_OF_LIBRARY, LAWS, OTHER_LAWS
 from dotsim_ros.evaluation.gap.page import gap_page
 from dotsim_ros.evaluation.gap.presses import CLOSE, further_sizes, halves
+from dotsim_ros.evaluation.gap.rates import clustered_rate, rate
 from dotsim_ros.evaluation.gap.same_law import SameLaw, same_law_figures
-from dotsim_ros.evaluation.gap.study import StudyCase, figures
+from dotsim_ros.evaluation.gap.study import StudyCase, figures, run_study
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.evidence import Variant
 
@@ -24,9 +28,12 @@ def case(
     alternatives: tuple[str, ...] = (),
     size: float = 15.0,
     left: Left | None = None,
+    presses: tuple[str, ...] = ("1_sphere_0",),
 ) -> StudyCase:
     left = left or Left(1.0, 1.0, 1.0, 1.0)
-    return StudyCase(truth, verdict, named, alternatives, size, size, 0.5, left, None, None)
+    return StudyCase(
+        truth, presses, verdict, named, alternatives, size, size, 0.5, left, None, None
+    )
 
 
 def test_halves_share_nothing_and_each_has_repeats_of_every_protocol() -> None:
@@ -54,6 +61,40 @@ def test_further_sizes_reach_the_ends_and_crowd_no_other(name: str) -> None:
         assert np.all(steps > 0.8 * CLOSE * np.sort(away[side])[1:])
 
 
+def test_cases_that_share_presses_count_as_those_that_do_not() -> None:
+    outcomes = [True, False, True, True, False, True, True, False, True, True]
+    own = [(f"press_{k}",) for k in range(10)]
+    alone = clustered_rate(outcomes, own)
+    assert alone["share"] == pytest.approx(0.7)
+    independent, narrower = rate(outcomes), rate(outcomes * 10)
+    assert alone["low"] == pytest.approx(independent["low"], abs=0.02)
+    again = clustered_rate(outcomes * 10, own * 10)
+    assert (again["low"], again["high"]) == (alone["low"], alone["high"])
+    assert again["of"] == 100
+    assert narrower["low"] > again["low"] + 0.1
+
+
+def test_where_all_cases_agree_only_draws_without_a_common_press_count() -> None:
+    random = np.random.default_rng(0)
+    drawn = [
+        tuple(f"press_{k}" for k in random.choice(14, 8, replace=False) + 14 * half)
+        for half in (0, 1)
+        for _ in range(100)
+    ]
+    found = clustered_rate([False] * 200, drawn)
+    assert found["of"] == 200
+    # Wilson's of none of 28 / 8.
+    assert found["high"] == pytest.approx(1.96**2 / (3.5 + 1.96**2), abs=1e-3)
+    assert clustered_rate([], [])["share"] is None
+
+
+def test_no_law_of_the_study_is_the_library_s_own_formula() -> None:
+    assert set(FORMULAS_OF_LIBRARY) < set(LAWS)
+    assert not set(OTHER_LAWS) & set(FORMULAS_OF_LIBRARY)
+    default = inspect.signature(run_study).parameters["laws"].default
+    assert set(default) == set(OTHER_LAWS)
+
+
 def test_an_answer_is_right_if_it_names_all_that_is_hidden_and_nothing_else() -> None:
     late, off = (("late", 1.0),), (("mounted_off", 1.0),)
     assert case((), Verdict.NO_GAP).is_right
@@ -75,7 +116,7 @@ def test_an_answer_is_right_if_it_names_all_that_is_hidden_and_nothing_else() ->
 def test_the_page_shows_what_the_cases_gave() -> None:
     late = (("late", 1.0),)
     cases = [
-        *(case((), Verdict.NO_GAP) for _ in range(9)),
+        *(case((), Verdict.NO_GAP, presses=(f"press_{k}",)) for k in range(9)),
         case((), Verdict.NAMED, "backlash"),
         case(late, Verdict.NAMED, "latency", left=Left(5.0, 1.5, 1.4, 1.0)),
         case(late, Verdict.NO_GAP),
@@ -110,7 +151,8 @@ def test_the_page_shows_what_the_cases_gave() -> None:
             "provenance": {"seed": 4},
         }
     )
-    assert "| nulls with a name | 10% [2%, 40%] of 10 |" in page
+    assert "| nulls with a name | 10% [2%, 42%] of 10 |" in page
+    assert "| late | 0.06 s | 15.0 | 50% [" in page
     assert "| latency | towards 0.15 | 0.0125 s (whitened 7.5) | - |" in page
     assert "wrong names on nulls: backlash" in page
     assert "| share of the gap closed, median | 70% | 85 % |" in page

@@ -43,6 +43,19 @@ def _limit(found: Mapping[str, Any] | None, unit: str) -> str:
     return f"{found['size']:.3g} {unit}".rstrip() + f" (whitened {found['whitened_size']:g})"
 
 
+def _power_rows(power: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    return [
+        (
+            name,
+            f"{row['size']:.3g} {of_law['unit']}",
+            f"{row['whitened_size']:.1f}",
+            _shown(row["named_right"]),
+        )
+        for name, of_law in power.items()
+        for row in of_law["sizes"]
+    ]
+
+
 def gap_page(figures: dict[str, Any]) -> str:
     """Return the study as a Markdown page."""
     nulls, added, same = figures["nulls"], figures["after_adding"], figures["same_law"]
@@ -51,7 +64,7 @@ def gap_page(figures: dict[str, Any]) -> str:
     biases, factors = figures["bias"], figures["limit_factors"]
     return "\n".join(
         [
-            "# The gap finder on hidden effects\n",
+            "# Power of the gap finder: hidden effects of our own gel\n",
             "Presses of an independent finite-element solver in which nothing is missing; a hidden "
             "effect adds what a law of its own, none of the library's, makes of our gel. Half of "
             "the presses show the finder how far model and measurement are apart without an "
@@ -59,7 +72,9 @@ def gap_page(figures: dict[str, Any]) -> str:
             "from the other half, then the halves change places: eight trajectories (twelve in a "
             "quarter of the single effects), Young's modulus off by 5 % (one deviation). Effects "
             "are simulated at several sizes beforehand, in place of the refits of a search. "
-            "Intervals are Wilson's, of 95 %; cases share presses, so they are not independent. "
+            "Laws that are the library's own formulas in other letters are left out. Intervals "
+            "are of 95 %; cases share presses, so that their width is the jackknife's over presses "
+            "(Wilson's, of as many cases as have that variance). "
             "There is no hold in these presses: relaxation shows in loads, slides and releases.\n",
             _table(
                 ("", "share", "goal"),
@@ -73,6 +88,11 @@ def gap_page(figures: dict[str, Any]) -> str:
                             {"20 to 40": "85 %", "40 to inf": "95 %"}.get(size, ""),
                         )
                         for size, rate in figures["named_right_by_whitened_size"].items()
+                    ),
+                    (
+                        "named right (or in a set of two), over all sizes",
+                        _shown(figures["named_right_over_all_sizes"]),
+                        "",
                     ),
                     (
                         "outside of the library, called unknown (whitened size above 10)",
@@ -95,6 +115,8 @@ def gap_page(figures: dict[str, Any]) -> str:
                     ("answered with a set", _shown(figures["set_share"]), ""),
                 ],
             ),
+            "## Power over all sizes that were hidden\n",
+            _table(("law", "size", "whitened size", "named right"), _power_rows(figures["power"])),
             "## After adding, on trajectories that were not searched\n",
             _table(
                 ("", "", "goal"),

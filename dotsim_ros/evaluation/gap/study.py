@@ -1,5 +1,5 @@
-"""The blind study of the gap finder: measured presses in which nothing is missing, hidden effects
-added by other laws, and the finder's rule on many draws of them.
+"""The power analysis of the gap finder: measured presses in which nothing is missing, hidden
+effects added by other laws, and the finder's rule on many draws of them.
 
 The presses are `sensor_a`'s, made by an independent finite-element solver. All that the finder
 knows of presses without an effect comes from one half of them, the cases from the other; then the
@@ -10,8 +10,9 @@ place of the refits that a search makes for its own.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.evaluation.gap.baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
-from dotsim_ros.evaluation.gap.hidden.laws import LAWS, HiddenLaw
+from dotsim_ros.evaluation.gap.hidden.laws import LAWS, OTHER_LAWS, HiddenLaw
 from dotsim_ros.evaluation.gap.hidden.reality import Truth, library_names, part_names
 from dotsim_ros.evaluation.gap.hidden.reality import answer_of as reality_of
 from dotsim_ros.evaluation.gap.limits import detection_limits
@@ -35,7 +36,7 @@ from dotsim_ros.evaluation.gap.presses import (
     open_presses,
     search_of,
 )
-from dotsim_ros.evaluation.gap.rates import median, rate
+from dotsim_ros.evaluation.gap.rates import clustered_rate, median
 from dotsim_ros.evaluation.gap.same_law import SameLaw, same_law_cases, same_law_figures
 from dotsim_ros.files import short_name
 from dotsim_ros.gap import decision
@@ -63,8 +64,9 @@ STIFFNESS_DECOY = 0.05
 LIMIT_SEARCHES = 5
 PAIRS = 12
 """Cases with a pair of effects, for each repeat and half."""
-DESIGNS = ((0.25, CASE_SIZE), (0.5, CASE_SIZE), (1.0, CASE_SIZE), (1.0, 12))
+DESIGNS = ((0.1, CASE_SIZE), (0.25, CASE_SIZE), (0.5, CASE_SIZE), (1.0, CASE_SIZE), (1.0, 12))
 """Shares of a law's full size, and presses of a case."""
+SIZE_CLASSES = (0.0, 5.0, 10.0, 20.0, 40.0, np.inf)
 IMITATED = 0.9
 """An effect of the library with a larger cosine explains 80 % of a hidden one: it imitates it."""
 UNKNOWN = ""
@@ -76,6 +78,7 @@ class StudyCase:
 
     Attributes:
         truth: names of laws and shares of their full sizes.
+        presses: that were drawn.
         verdict, named, alternatives: the finder's.
         whitened_size: of the hidden change, nuisances projected out.
         least_size: the same of the smallest of its parts.
@@ -87,6 +90,7 @@ class StudyCase:
     """
 
     truth: tuple[tuple[str, float], ...]
+    presses: tuple[str, ...]
     verdict: Verdict
     named: tuple[str, ...]
     alternatives: tuple[str, ...]
@@ -131,7 +135,7 @@ def run_study(
     nulls: int,
     repeats: int,
     seed: int,
-    laws: Sequence[str] = tuple(LAWS),
+    laws: Sequence[str] = OTHER_LAWS,
 ) -> dict[str, Any]:
     """Return the study's figures.
 
@@ -140,7 +144,10 @@ def run_study(
         nulls: cases without an effect, of both halves together.
         repeats: cases of each law and design from each half.
         seed: of all draws.
-        laws: that are hidden.
+        laws: that are hidden; by default none that is the library's own formula.
+
+    Raises:
+        SolveError: the gel with a hidden law could not be solved.
     """
     names = [entry.name for entry in read_data_set(source.directory).entries]
     first, second = halves(names, seed)
@@ -262,9 +269,12 @@ def _hidden_changes(
                     seed=seed,
                     number=number,
                 )
-            except SolveError:
-                changes.append(np.zeros_like(t.predicted))
-                continue
+            except SolveError as error:
+                raise SolveError(
+                    f"{t.recording.name} with the hidden law {name} of {size:g} "
+                    f"{LAWS[name].unit} could not be solved ({error}); leave the law out with "
+                    "--laws"
+                ) from error
             shown = observe(
                 t.places, simulator.skin.rest_position_m, moved, force, press.frame_count
             )
@@ -342,6 +352,7 @@ def _decide(
     parts = [size_of([share * part for part in changes[name]]) for name, share in truth]
     return StudyCase(
         truth,
+        tuple(case.trajectories[k].recording.name for k in chosen),
         answer.verdict,
         tuple(entry.effect.name for entry in answer.named),
         tuple(entry.effect.name for entry in answer.alternatives),
@@ -358,6 +369,7 @@ def _published(case: StudyCase) -> dict[str, Any]:
     left = asdict(case.left)
     return {
         "hidden": [list(part) for part in case.truth],
+        "presses": list(case.presses),
         "verdict": case.verdict.value,
         "named": list(case.named),
         "alternatives": list(case.alternatives),
@@ -375,10 +387,12 @@ def figures(cases: Sequence[StudyCase]) -> dict[str, Any]:
     pairs = [c for c in cases if len(c.truth) == 2]
     false = [c for c in nulls if c.verdict is not Verdict.NO_GAP]
     named = [c for c in nulls if c.named]
-    power = {}
-    for low, high in ((0.0, 5.0), (5.0, 10.0), (10.0, 20.0), (20.0, 40.0), (40.0, np.inf)):
-        inside = [c for c in single if low <= c.whitened_size < high]
-        power[f"{low:g} to {high:g}"] = rate([c.is_right for c in inside])
+    power = {
+        f"{low:g} to {high:g}": _share(
+            [c for c in single if low <= c.whitened_size < high], _is_right
+        )
+        for low, high in pairwise(SIZE_CLASSES)
+    }
     confusion: dict[str, dict[str, int]] = {}
     for c in single + unknown:
         row = confusion.setdefault(c.truth[0][0], {})
@@ -387,42 +401,72 @@ def figures(cases: Sequence[StudyCase]) -> dict[str, Any]:
     return {
         "nulls": {
             "cases": len(nulls),
-            "false_names": rate([bool(c.named) for c in nulls]),
-            "false_alarms": rate([c.verdict is not Verdict.NO_GAP for c in nulls]),
+            "false_names": _share(nulls, lambda c: bool(c.named)),
+            "false_alarms": _share(nulls, lambda c: c.verdict is not Verdict.NO_GAP),
             "wrong_names": sorted({name for c in named for name in c.named}),
             "verdicts": [c.verdict.value for c in false],
         },
         "named_right_by_whitened_size": power,
+        "named_right_over_all_sizes": _share(single, _is_right),
+        "power": _power(single),
         "named_right_by_law": {
-            name: rate([c.is_right for c in single if c.truth[0][0] == name])
+            name: _share([c for c in single if c.truth[0][0] == name], _is_right)
             for name in dict.fromkeys(c.truth[0][0] for c in single)
         },
-        "unknown_called_unknown": rate([c.is_right for c in unknown if c.whitened_size > 10.0]),
-        "unimitated_called_unknown": rate(
-            [c.is_right for c in unknown if c.whitened_size > 10.0 and c.alike < IMITATED]
+        "unknown_called_unknown": _share([c for c in unknown if c.whitened_size > 10.0], _is_right),
+        "unimitated_called_unknown": _share(
+            [c for c in unknown if c.whitened_size > 10.0 and c.alike < IMITATED], _is_right
         ),
-        "both_of_two": rate([c.is_right for c in pairs]),
-        "both_of_two_from_10": rate([c.is_right for c in pairs if c.least_size >= 10.0]),
-        "one_of_two": rate([bool(set(c.named) & c.hidden) for c in pairs]),
-        "wrong_in_pairs": rate([bool(set(c.named) - c.hidden - c.parts) for c in pairs]),
+        "both_of_two": _share(pairs, _is_right),
+        "both_of_two_from_10": _share([c for c in pairs if c.least_size >= 10.0], _is_right),
+        "one_of_two": _share(pairs, lambda c: bool(set(c.named) & c.hidden)),
+        "wrong_in_pairs": _share(pairs, lambda c: bool(set(c.named) - c.hidden - c.parts)),
         "after_adding": _after_adding([c for c in single + pairs if c.named]),
         "baselines": _baselines(nulls, single),
         "confusion": confusion,
-        "set_share": rate([c.verdict is Verdict.SET for c in single]),
+        "set_share": _share(single, lambda c: c.verdict is Verdict.SET),
     }
+
+
+def _is_right(case: StudyCase) -> bool:
+    return case.is_right
+
+
+def _share(
+    cases: Sequence[StudyCase], outcome: Callable[[StudyCase], bool]
+) -> dict[str, float | int | None]:
+    """Return a share of cases, with an interval by press."""
+    return clustered_rate([outcome(c) for c in cases], [c.presses for c in cases])
+
+
+def _power(single: Sequence[StudyCase]) -> dict[str, Any]:
+    """Return by law how often it is named at each of its sizes, in its own unit."""
+    result: dict[str, Any] = {}
+    for name, share in dict.fromkeys(c.truth[0] for c in single):
+        law = LAWS[name]
+        row = result.setdefault(name, {"unit": law.unit, "sizes": []})
+        cases = [c for c in single if c.truth[0] == (name, share)]
+        row["sizes"].append(
+            {
+                "size": share * full_size(law),
+                "whitened_size": median([c.whitened_size for c in cases]),
+                "named_right": _share(cases, _is_right),
+            }
+        )
+    return result
 
 
 def _after_adding(cases: Sequence[StudyCase]) -> dict[str, Any]:
     """Return what named effects leave of trajectories that were not searched."""
     return {
-        "within_1.2_of_the_floor": rate(
-            [c.left.with_effects <= 1.2**2 * c.left.nothing_hidden for c in cases]
+        "within_1.2_of_the_floor": _share(
+            cases, lambda c: c.left.with_effects <= 1.2**2 * c.left.nothing_hidden
         ),
-        "worse_than_recalibrated": rate(
-            [c.left.with_effects > 1.001 * c.left.recalibrated for c in cases]
+        "worse_than_recalibrated": _share(
+            cases, lambda c: c.left.with_effects > 1.001 * c.left.recalibrated
         ),
-        "worse_by_one_percent": rate(
-            [c.left.with_effects > 1.01**2 * c.left.recalibrated for c in cases]
+        "worse_by_one_percent": _share(
+            cases, lambda c: c.left.with_effects > 1.01**2 * c.left.recalibrated
         ),
         "median_share_closed": _median_closed(cases),
         "median_share_closed_single": _median_closed([c for c in cases if len(c.truth) == 1]),
@@ -443,16 +487,16 @@ def _baselines(nulls: Sequence[StudyCase], single: Sequence[StudyCase]) -> dict[
     large = [c for c in single if c.whitened_size >= 20.0]
     return {
         "lasso": {
-            "false_names": rate([c.lasso is not None for c in nulls]),
-            "named_right_from_20": rate([c.lasso in c.hidden for c in large]),
+            "false_names": _share(nulls, lambda c: c.lasso is not None),
+            "named_right_from_20": _share(large, lambda c: c.lasso in c.hidden),
         },
         "screening": {
-            "false_names": rate([c.screening is not None for c in nulls]),
-            "named_right_from_20": rate([c.screening in c.hidden for c in large]),
+            "false_names": _share(nulls, lambda c: c.screening is not None),
+            "named_right_from_20": _share(large, lambda c: c.screening in c.hidden),
         },
         "ours": {
-            "false_names": rate([bool(c.named) for c in nulls]),
-            "named_right_from_20": rate([c.is_right for c in large]),
+            "false_names": _share(nulls, lambda c: bool(c.named)),
+            "named_right_from_20": _share(large, _is_right),
         },
         "median_share_closed_from_20": {
             "recalibration": 0.0,

@@ -193,3 +193,8 @@ LAWS: Mapping[str, HiddenLaw] = {
         HiddenLaw("late_skin", "", 0.05, 0.15, "s", answer=_late_skin),
     )
 }  # fmt: skip
+
+FORMULAS_OF_LIBRARY = ("slippery", "compressible", "thin", "mounted_off", "scaled_force")
+"""Laws that are the library's own formulas in other letters: finding them tells nothing about an
+effect of another form."""
+OTHER_LAWS = tuple(name for name in LAWS if name not in FORMULAS_OF_LIBRARY)
