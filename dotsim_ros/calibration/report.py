@@ -42,6 +42,11 @@ ONE_PRESS = (
     "One press was fitted: its intervals hold the stated noise alone, not what differs between "
     "presses; record several"
 )
+EFFECTIVE = (
+    "The constants are effective ones, with which this model fits these presses: their intervals "
+    "are not those of the material's own constants, from which the model's grid, contact and law "
+    "shift them"
+)
 FIGURES, PAGE = "report.json", "report.html"
 
 
@@ -53,6 +58,7 @@ def figures(calibration: Calibration, *, seed: int) -> dict[str, Any]:
         **provenance(),
         "seed": seed,
         "asked": list(c.asked),
+        "constants": EFFECTIVE,
         "frozen": list(c.frozen),
         "skin_loss": c.problem.skin_loss,
         "noise": asdict(c.problem.noise),
@@ -243,7 +249,7 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                     Paragraph(
                         "Intervals are bootstraps over presses. An error that all presses have in "
                         f"common, such as the {100 * c.problem.noise.force_discretisation:.0f} % "
-                        "that the force is stated to have, is in none of them."
+                        "that the force is stated to have, is in none of them. " + EFFECTIVE + "."
                     ),
                     Gallery(_plot_single_fits(c)),
                 ),
