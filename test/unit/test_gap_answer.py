@@ -190,12 +190,14 @@ def test_an_interval_that_reaches_the_end_of_a_range_is_told(low: float, high: f
 @pytest.mark.parametrize(
     ("closed", "is_open"),
     [
-        (Closed(0.3, -0.3, 0.8, 2.0), True),
-        (Closed(0.7, 0.3, 0.9, 2.0), False),
+        (Closed(0.3, -0.3, 0.8, 2.0, 2), True),
+        (Closed(0.7, 0.3, 0.9, 2.0, 2), False),
         # All of it may be closed.
-        (Closed(0.3, -0.3, 1.0, 2.0), False),
+        (Closed(0.3, -0.3, 1.0, 2.0, 2), False),
+        # One trajectory is no rule, whatever its interval.
+        (Closed(-2.4, -2.4, -2.4, 1.4, 1), False),
         # There is hardly a gap.
-        (Closed(0.3, -0.3, 0.8, 1.1), False),
+        (Closed(0.3, -0.3, 0.8, 1.1, 2), False),
     ],
 )
 def test_a_clear_gap_of_held_out_trajectories_is_to_be_closed(

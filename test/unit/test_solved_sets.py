@@ -26,6 +26,7 @@ from dotsim_ros.evaluation.gap.hidden.solved_draw import (
     LAWS,
     NULL,
     SINGLE,
+    commissioning_unit,
     draw_series,
 )
 from dotsim_ros.evaluation.gap.hidden.solved_sets import SeriesPlan, make_sets, read_series
@@ -96,6 +97,17 @@ def test_units_are_within_what_is_declared_and_decoys_nearly_out_of_it() -> None
         for name, deviation in deviations.items():
             low, high = (0.99, 1.51) if name in unit.decoys else (0.0, 1.01)
             assert low <= abs(deviation) <= high, (unit.name, name)
+
+
+def test_the_commissioning_is_the_unit_as_declared() -> None:
+    unit = commissioning_unit(SENSOR, 3)
+    own = unit.constants
+    assert (own.thickness_share, own.clock_s, own.force_gain) == (0.0, 0.0, 1.0)
+    assert own.friction == pytest.approx(SENSOR.contact.friction_coefficient)
+    assert own.youngs_modulus_pa == pytest.approx(1.8642e5, rel=1e-3)
+    assert not unit.effects
+    assert not unit.decoys
+    assert unit.seed not in {drawn.seed for drawn in draw_series(SENSOR, 64, 3)}
 
 
 def test_a_seed_draws_the_same_again_and_another_one_something_else() -> None:
@@ -271,6 +283,7 @@ def test_a_set_is_made_resumed_and_its_truth_sealed(
     assert index["seed"] == 6
     truth = (out / "set_00" / "truth.json").read_bytes()
     assert hashlib.sha256(truth).hexdigest() == record.truth_sha256
+    assert [entry.name for entry in read_data_set(out / "commissioning").entries] == [PRESS]
     data_set = read_data_set(out / "set_00")
     (entry,) = data_set.entries
     trajectory = entry.read()

@@ -132,7 +132,12 @@ def findings_of(
 
 def leaves_open(closed: Closed) -> bool:
     """Return whether named effects leave a clear gap of the held-out trajectories open."""
-    is_clear = closed.before >= decision.FAR and closed.high < 1.0
+    # An interval over one trajectory has no width.
+    is_clear = (
+        closed.before >= decision.FAR
+        and closed.high < 1.0
+        and closed.trajectories >= decision.TRAJECTORIES_OFF
+    )
     return is_clear and closed.share < decision.LEAST_CLOSED
 
 

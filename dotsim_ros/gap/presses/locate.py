@@ -108,12 +108,15 @@ class Closed:
             that of the recalibrated twin. 1 where what is left is below the floor.
         low, high: its interval of 95 % by a bootstrap over trajectories.
         before: RMS0 over the floor.
+        trajectories: on how many of them the recalibrated twin is off by more than the floor where
+            the effects show.
     """
 
     share: float
     low: float
     high: float
     before: float
+    trajectories: int
 
 
 def share_closed(
@@ -133,7 +136,8 @@ def share_closed(
     share = _share(whole)
     if not np.isfinite(share):
         return None
-    return Closed(share, float(low), float(high), float(np.sqrt(before / floor)))
+    off = int(np.count_nonzero(sums[:, 0] > sums[:, 2]))
+    return Closed(share, float(low), float(high), float(np.sqrt(before / floor)), off)
 
 
 def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:

@@ -242,6 +242,40 @@ def draw_series(sensor: SensorSpecification, count: int, seed: int) -> list[Solv
     return units
 
 
+COMMISSIONING = "commissioning"
+_COMMISSIONING_NUMBER = 1_000_000
+"""In its seed; no set has it."""
+
+
+def commissioning_unit(sensor: SensorSpecification, seed: int) -> SolvedUnit:
+    """Return the unit as declared, with which a twin is calibrated before it is put to the sets.
+
+    What a model calls friction or stiffness is an effective constant; that of another solver's
+    units is not that of another sensor's.
+
+    Args:
+        sensor: as declared.
+        seed: of the series.
+    """
+    own = np.random.default_rng([seed, 1, _COMMISSIONING_NUMBER])
+    declared = values_of(sensor)
+    constants = UnitConstants(
+        youngs_modulus_pa=declared.youngs_modulus_pa,
+        poisson_ratio=declared.poisson_ratio,
+        friction=declared.friction,
+        c20_ratio=declared.c20_ratio,
+        thickness_share=0.0,
+        pose_bias_m=(0.0, 0.0, 0.0),
+        clock_s=0.0,
+        force_gain=1.0,
+        spacing_m=float(own.uniform(*SPACINGS_M)),
+        contact_stiffness=float(own.uniform(*CONTACT_STIFFNESS)),
+    )
+    return SolvedUnit(
+        COMMISSIONING, NULL, HALVES[0], (seed, _COMMISSIONING_NUMBER), (), (), constants
+    )
+
+
 def _kinds(count: int, random: Generator) -> list[str]:
     """Return the kind of each set: shares as composed, each spread over the series."""
     if count < 1:

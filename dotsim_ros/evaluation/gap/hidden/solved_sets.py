@@ -2,6 +2,7 @@
 time, and an interrupted run goes on where it stopped.
 
     INDEX.json                which sets there are, of which half, and what of them is made
+    commissioning/...         the unit as declared, to calibrate the twin with
     set_00/dataset.yaml ...   a measured data set
     set_00/truth.json         sealed: for the scoring alone; its SHA-256 stands in the index
 
@@ -21,7 +22,12 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.documents import read_json
-from dotsim_ros.evaluation.gap.hidden.solved_draw import HALVES, SolvedUnit, draw_series
+from dotsim_ros.evaluation.gap.hidden.solved_draw import (
+    HALVES,
+    SolvedUnit,
+    commissioning_unit,
+    draw_series,
+)
 from dotsim_ros.evaluation.gap.hidden.solved_unit import (
     Protocol,
     UnsolvedError,
@@ -122,11 +128,20 @@ def make_sets(
     units = draw_series(plan.sensor, plan.count, plan.seed)
     records = _begin(directory, plan, units, version)
     with _alone(directory):
+        _make_commissioning(directory, plan, tell)
         if failed_again:
             for record in records:
                 record["ready"] = record["ready"] and not record["failures"]
                 record["failures"] = {}
         _make(directory, plan, units, records, tell)
+
+
+def _make_commissioning(directory: Path, plan: SeriesPlan, tell: Callable[[str], None]) -> None:
+    """Make the set of the unit as declared; its failures are tried again each time."""
+    unit = commissioning_unit(plan.sensor, plan.seed)
+    record: dict[str, Any] = {"made": [], "failures": {}}
+    _make_set(directory, plan, unit, record, tell, partial_index=lambda: None)
+    tell(f"{unit.name}: ready")
 
 
 def _make(
