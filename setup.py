@@ -38,9 +38,11 @@ LEARNING = [
     "torchvision>=0.24",
 ]
 # worlds of rigid bodies around the sensor
+MUJOCO = [
+    "mujoco>=3.2",
+]
 ENVIRONMENTS = [
     "gymnasium>=1.0",
-    "mujoco>=3.2",
 ]
 # on top of environments and learning
 REINFORCEMENT = [
@@ -136,12 +138,13 @@ setup(
     ],
     extras_require={
         "ros": ROS,
-        "environments": ENVIRONMENTS,
-        "reinforcement": [*ENVIRONMENTS, *REINFORCEMENT],
+        "environments": [*ENVIRONMENTS, *MUJOCO],
+        "mujoco": MUJOCO,
+        "reinforcement": [*ENVIRONMENTS, *MUJOCO, *REINFORCEMENT],
         "learning": LEARNING,
         "rendering": RENDERING,
         "scale": SCALE,
-        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *REINFORCEMENT, *SCALE],
+        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *MUJOCO, *REINFORCEMENT, *SCALE],
         "dev": DEVELOPMENT,
         "docs": DOCUMENTATION,
     },

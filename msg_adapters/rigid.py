@@ -9,6 +9,9 @@ from msg_adapters.checks import finite_vector, unit_quaternion
 from msg_adapters.stamps import encode_header
 from msg_adapters.types import ROS, Message, MessageTypes
 
+GAZEBO_LINK = 3
+"""ros_gz_interfaces/Entity.LINK."""
+
 Vectors = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 
@@ -55,6 +58,28 @@ def decode_pose_stamped(message: Message) -> Vectors:
     position = finite_vector((point.x, point.y, point.z), 3, "position")
     components = (rotation.x, rotation.y, rotation.z, rotation.w)
     return position, unit_quaternion(components, "quaternion")
+
+
+def decode_transform(message: Message) -> Vectors:
+    """Return the (3,) translation in metres and (4,) quaternion x, y, z, w of a TransformStamped.
+
+    Raises:
+        ValueError: a number that is not finite, or a quaternion not of unit length.
+    """
+    rotation = message.transform.rotation
+    translation = _decode_vector3(message.transform.translation, "translation")
+    components = (rotation.x, rotation.y, rotation.z, rotation.w)
+    return translation, unit_quaternion(components, "quaternion")
+
+
+def decode_odometry(message: Message) -> tuple[Vectors, Vectors]:
+    """Return the pose of a nav_msgs/Odometry, as `decode_pose_stamped` does, in the frame of its
+    header, and the velocities, as `decode_twist` does, along the axes of its `child_frame_id`.
+
+    Raises:
+        ValueError: a number that is not finite, or a quaternion not of unit length.
+    """
+    return decode_pose_stamped(message.pose), decode_twist(message.twist.twist)
 
 
 def encode_twist(
@@ -105,6 +130,14 @@ def decode_twist_stamped(message: Message) -> Vectors:
     return decode_twist(message.twist)
 
 
+def _encode_wrench(force_n: ArrayLike, torque_nm: ArrayLike, types: MessageTypes) -> Message:
+    return types.make(
+        "geometry_msgs/msg/Wrench",
+        force=_encode_vector3(finite_vector(force_n, 3, "force"), types),
+        torque=_encode_vector3(finite_vector(torque_nm, 3, "torque"), types),
+    )
+
+
 def encode_wrench_stamped(
     force_n: ArrayLike,
     torque_nm: ArrayLike,
@@ -118,12 +151,8 @@ def encode_wrench_stamped(
     Raises:
         ValueError: wrong lengths, or numbers that are not finite.
     """
-    wrench = types.make(
-        "geometry_msgs/msg/Wrench",
-        force=_encode_vector3(finite_vector(force_n, 3, "force"), types),
-        torque=_encode_vector3(finite_vector(torque_nm, 3, "torque"), types),
-    )
     header = encode_header(stamp_ns, frame_id, types=types)
+    wrench = _encode_wrench(force_n, torque_nm, types)
     return types.make("geometry_msgs/msg/WrenchStamped", header=header, wrench=wrench)
 
 
@@ -136,4 +165,30 @@ def decode_wrench_stamped(message: Message) -> Vectors:
     return (
         _decode_vector3(message.wrench.force, "force"),
         _decode_vector3(message.wrench.torque, "torque"),
+    )
+
+
+def encode_entity_wrench(
+    force_n: ArrayLike,
+    torque_nm: ArrayLike,
+    *,
+    link: str,
+    stamp_ns: int,
+    frame_id: str,
+    types: MessageTypes = ROS,
+) -> Message:
+    """Return a ros_gz_interfaces/EntityWrench on a link of Gazebo's.
+
+    Gazebo's ApplyLinkWrench takes the force (3,) and the torque (3,) along the axes of its world,
+    and lets the force act at the link's centre of mass.
+
+    Raises:
+        ValueError: wrong lengths, or numbers that are not finite.
+        ImportError: ros_gz_interfaces is not installed.
+    """
+    return types.make(
+        "ros_gz_interfaces/msg/EntityWrench",
+        header=encode_header(stamp_ns, frame_id, types=types),
+        entity=types.make("ros_gz_interfaces/msg/Entity", id=0, name=link, type=GAZEBO_LINK),
+        wrench=_encode_wrench(force_n, torque_nm, types),
     )

@@ -163,3 +163,14 @@ class Wrench:
 
     force_n: FloatArray = field(default_factory=lambda: np.zeros(3))
     torque_nm: FloatArray = field(default_factory=lambda: np.zeros(3))
+
+    def seen_from(self, pose: Pose) -> Wrench:
+        """Return the same wrench in a frame that is at `pose` in this one: along its axes, and with
+        the torque about its origin."""
+        axes = pose.rotation()
+        torque_nm = self.torque_nm - np.cross(pose.position_m, self.force_n)
+        return Wrench(self.force_n @ axes, torque_nm @ axes)
+
+    def opposite(self) -> Wrench:
+        """Return what acts back."""
+        return Wrench(-self.force_n, -self.torque_nm)

@@ -22,10 +22,10 @@ import hostile
 import numpy as np
 import pytest
 import rclpy
-import xarm_messages
 from arm_rig import ArmClient, arm_client
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from harness import Executable, check_interrupts, running, spin_in_background
+from message_packages import importable
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from scipy.spatial.transform import Rotation
@@ -45,16 +45,9 @@ POSE_MM_RAD = [350.0, -20.0, 300.0, 3.0, 0.2, -1.1]
 
 @pytest.fixture(scope="session")
 def xarm_package(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Put xarm_msgs on the paths of this process and of those that it starts."""
-    if lacking := xarm_messages.missing():
-        pytest.skip(f"xarm_msgs cannot be built here: {lacking} is missing")
-    folder = xarm_messages.build(tmp_path_factory.mktemp("xarm_msgs"))
-    before = os.environ.get("PYTHONPATH", "")
-    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(folder), before]))
-    sys.path.insert(0, str(folder))
-    yield folder
-    sys.path.remove(str(folder))
-    os.environ["PYTHONPATH"] = before
+    """Return the folder that xarm_msgs is built in."""
+    with importable("xarm_msgs", tmp_path_factory.mktemp("xarm_msgs")) as folder:
+        yield folder
 
 
 @dataclass
@@ -191,7 +184,7 @@ def lead(rig: Rig, duration_s: float, **frame: str) -> tuple[float, list[Heard]]
 
 def test_the_messages_are_those_of_the_real_driver(xarm_package: Path) -> None:
     for name, expected in TYPE_HASHES.items():
-        (path,) = xarm_package.parent.glob(f"c/xarm_msgs/{name}.json")
+        (path,) = xarm_package.glob(f"c/xarm_msgs/{name}.json")
         hashes = json.loads(path.read_text())["type_hashes"]
         found = {entry["type_name"]: entry["hash_string"] for entry in hashes}
         assert found[f"xarm_msgs/{name}"] == expected

@@ -66,6 +66,19 @@ def test_a_ball_rests_on_the_sensor_in_a_mujoco_world(tmp_path: Path) -> None:
     assert cv2.imread(str(tmp_path / "touch.png")).shape == (480, 640, 3)
 
 
+def test_an_arm_in_mujoco_holds_what_the_gel_pushes_back(tmp_path: Path) -> None:
+    run("mujoco_peg.py", tmp_path)
+    _, force, torque, held = np.split(
+        np.loadtxt(tmp_path / "forces.csv", delimiter=","), [1, 4, 7], axis=1
+    )
+    assert force[0] == pytest.approx(np.zeros(3))
+    assert force[-1, 2] > 1.0
+    # The motors hold the hand's weight, and what the gel adds to it: force and torque in the plane.
+    assert held[-1, :2] == pytest.approx(force[-1, [0, 2]], abs=0.005)
+    assert held[-1, 2] == pytest.approx(torque[-1, 1], abs=5e-5)
+    assert cv2.imread(str(tmp_path / "peg.png")).shape == (480, 640, 3)
+
+
 def test_a_task_of_ones_own_is_solved_by_touch() -> None:
     printed = run("your_own_task.py")
     rewards = [float(reward) for reward in re.findall(r"reward (-[\d.]+)", printed)]

@@ -51,6 +51,7 @@ def statuses_of(counter, gel, now_s):
     condition = Condition(
         is_enabled=True,
         silence_s=None,
+        missing_input="",
         timeout_s=1.0,
         is_realtime=True,
         late=0,

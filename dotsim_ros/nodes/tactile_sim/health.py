@@ -88,6 +88,7 @@ class Condition:
     Attributes:
         is_enabled: frames are made.
         silence_s: seconds since the last input, or None before the first.
+        missing_input: why there can be no input, in words; empty where nothing is known.
         timeout_s: how long a silence is normal.
         is_realtime: the clock.
         late: frames that started late, or show the indenter on its way to the newest pose.
@@ -97,6 +98,7 @@ class Condition:
 
     is_enabled: bool
     silence_s: float | None
+    missing_input: str
     timeout_s: float
     is_realtime: bool
     late: int
@@ -152,6 +154,8 @@ def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:
     }
     if is_recent(faults, now_s):
         return Level.WARN, faults.last_reason, values
+    if condition.missing_input:
+        return Level.WARN, condition.missing_input, values
     if condition.silence_s is None:
         return Level.OK, "no input so far", values
     if condition.silence_s > condition.timeout_s:

@@ -27,11 +27,13 @@ class MotionOrder:
         pose: in the base frame.
         stamp_ns: its time.
         new_start: why what came before does not lead here, or None where it does.
+        reason: the same in words.
     """
 
     pose: Pose
     stamp_ns: int
     new_start: Fault | None
+    reason: str = ""
 
 
 class MotionGate:
@@ -80,16 +82,19 @@ class MotionGate:
                 received before stays in force.
         """
         self.check(pose, frame_id=frame_id)
-        self._last = MotionOrder(pose, stamp_ns, self._new_start(pose, stamp_ns))
+        self._last = MotionOrder(pose, stamp_ns, *self._new_start(pose, stamp_ns))
         return self._last
 
-    def _new_start(self, pose: Pose, stamp_ns: int) -> Fault | None:
+    def _new_start(self, pose: Pose, stamp_ns: int) -> tuple[Fault | None, str]:
         last = self._last
         if last is None:
-            return None
+            return None, ""
         step_s = (stamp_ns - last.stamp_ns) / NANOSECONDS_PER_SECOND
         if step_s < -self.maximum_step_s:
-            return Fault.RESTART
+            return Fault.RESTART, (
+                f"the clock of the poses went back by {-step_s:.3f} s, more than maximum_step_s, "
+                f"{self.maximum_step_s:g} s: a new start from rest"
+            )
         if step_s <= 0.0:
             raise RefusedInputError(
                 Fault.ORDER,
@@ -98,7 +103,13 @@ class MotionGate:
                 else "the pose has the stamp of the last one, expected a later one: stamp each",
             )
         jump_m = float(np.linalg.norm(pose.position_m - last.pose.position_m))
-        return Fault.JUMP if jump_m > self.maximum_jump_m else None
+        if jump_m <= self.maximum_jump_m:
+            return None, ""
+        return Fault.JUMP, (
+            f"the indenter jumped by {jump_m:.4f} m in {step_s:.3f} s, more than maximum_jump_m, "
+            f"{self.maximum_jump_m:g} m: a new start from rest, not a motion through what lies "
+            "between"
+        )
 
 
 class NewestMotion:

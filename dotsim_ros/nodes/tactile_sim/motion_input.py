@@ -1,16 +1,22 @@
-"""Subscriptions that move the indenter: poses, or a velocity that is integrated."""
+"""Subscriptions that move the indenter: poses from a topic, odometry or TF, or a velocity that is
+integrated."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from threading import Lock
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped, Twist, TwistStamped
+from nav_msgs.msg import Odometry
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
@@ -24,12 +30,15 @@ from dotsim_ros.nodes.tactile_sim.motion import (
     velocity_axes,
 )
 from dotsim_ros.nodes.tactile_sim.parameters import (
+    ODOMETRY,
     POSE,
     REALTIME,
+    TF,
     TWIST,
     TWIST_STAMPED,
     TactileSimParameters,
 )
+from dotsim_ros.nodes.tactile_sim.transform_input import TransformInput
 from dotsim_ros.printable import cut
 
 # Only the newest counts, but a single one must not get lost. For a publisher of best effort the
@@ -41,6 +50,21 @@ REALTIME_PAUSE_S = 0.002
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 
 
+@dataclass(frozen=True)
+class _Carried:
+    """The newest odometry: a motion that its own velocity carries on until the next one."""
+
+    motion: MotionOrder
+    velocity: Velocity
+    heard_s: float
+
+    def at(self, now_s: float) -> MotionOrder:
+        """Return the motion to where the indenter is by now."""
+        age_s = max(0.0, now_s - self.heard_s)
+        stamp_ns = self.motion.stamp_ns + round(age_s * NANOSECONDS_PER_SECOND)
+        return MotionOrder(self.velocity.moved(self.motion.pose, age_s), stamp_ns, None)
+
+
 class MotionInput:
     """Receives what moves the indenter and passes on the motions that are valid.
 
@@ -49,6 +73,9 @@ class MotionInput:
         parameters: frames, input, clock and limits.
         faults: counts what is refused.
         on_motion: takes each valid motion; may refuse it by RefusedInputError.
+
+    Raises:
+        ValueError: the messages of the pose's source are not installed.
     """
 
     def __init__(
@@ -72,9 +99,18 @@ class MotionInput:
         )
         self._pose = parameters.start_pose()
         self._velocity: Velocity | None = None
+        self._carried: _Carried | None = None
         self._twist_stamp_ns: int | None = None
         self._is_realtime = parameters.clock == REALTIME
-        if parameters.input != TWIST:
+        self._started_s = node.now_s()
+        self._transforms: TransformInput | None = None
+        if parameters.pose_source == TF:
+            self._transforms = TransformInput(
+                node, parameters, guard=self.guard, on_pose=self._take_transform
+            )
+        elif parameters.pose_source == ODOMETRY:
+            self._subscribe(Odometry, "indenter/odometry", self._hear_odometry)
+        elif parameters.input != TWIST:
             self._subscribe(PoseStamped, "indenter/pose", self._hear_pose)
         if parameters.input != POSE:
             kind = TwistStamped if parameters.twist_message == TWIST_STAMPED else Twist
@@ -84,11 +120,28 @@ class MotionInput:
         """Return for how long no input has come; None before the first."""
         return self._arbiter.silence_s(self._node.now_s())
 
+    def missing(self) -> str:
+        """Return why there can be no pose, in words, once there should have been one; empty where
+        nothing is known to be wrong."""
+        waited_s = self._node.now_s() - self._started_s
+        if self._transforms is None or waited_s < self._parameters.input_timeout_s:
+            return ""
+        return self._transforms.missing()
+
+    def world_rotation(self) -> FloatArray | None:
+        """Return the (3, 3) rotation from the base to the world; None where it is not known yet."""
+        if self._transforms is None or not self._parameters.world_frame:
+            return np.eye(3)
+        return self._transforms.world_rotation()
+
     def forget(self) -> None:
         """Start anew: the next pose may be anywhere, a velocity begins at the start pose."""
+        if self._transforms is not None:
+            self._transforms.forget()
         with self._lock:
             self._gate.forget()
             self._velocity = None
+            self._carried = None
             self._twist_stamp_ns = None
             self._pose = self._parameters.start_pose()
 
@@ -99,6 +152,8 @@ class MotionInput:
             self._arbiter.timeout_s = parameters.input_timeout_s
             self._gate.maximum_jump_m = parameters.maximum_jump_m
             self._gate.maximum_step_s = parameters.maximum_step_s
+        if self._transforms is not None:
+            self._transforms.configure(parameters)
 
     def guard(self, act: Callable[[], object]) -> None:
         """Do something with an input; count and log it where it is refused."""
@@ -111,11 +166,16 @@ class MotionInput:
 
     def integrate(self, stamp_ns: int, duration_s: float) -> None:
         """Move by the velocity in force, for the real-time clock; nothing where there is none."""
+        now_s = self._node.now_s()
         with self._lock:
-            velocity = self._velocity
-            if velocity is None or self._arbiter.is_silent(self._node.now_s()):
+            velocity, carried = self._velocity, self._carried
+            if self._arbiter.is_silent(now_s):
                 return
             start = self._pose
+        if carried is not None:
+            self.guard(lambda: self._on_motion(carried.at(now_s)))
+        if velocity is None:
+            return
         self.guard(lambda: self._move(velocity.moved(start, duration_s), stamp_ns))
 
     def _subscribe(
@@ -148,13 +208,36 @@ class MotionInput:
                 # The two inputs' stamps may come from different clocks.
                 self._gate.forget()
                 self._velocity = None
+                self._carried = None
                 self._twist_stamp_ns = None
 
     def _hear_pose(self, message: PoseStamped) -> None:
         pose, stamp_ns = Pose(*msg_adapters.decode_pose_stamped(message)), self._stamp_ns(message)
-        self._gate.check(pose, frame_id=message.header.frame_id)
-        self._admit("indenter/pose")
-        self._move(pose, stamp_ns)
+        self._take("indenter/pose", pose, stamp_ns, frame_id=message.header.frame_id)
+
+    def _take_transform(self, pose: Pose, stamp_ns: int) -> None:
+        self._take("/tf", pose, stamp_ns, frame_id=self._parameters.base_frame)
+
+    def _hear_odometry(self, message: Odometry) -> None:
+        placed, moving = msg_adapters.decode_odometry(message)
+        pose, velocity = Pose(*placed), Velocity(*moving, TwistFrame.OWN)
+        if message.child_frame_id != self._parameters.indenter_frame:
+            raise RefusedInputError(
+                Fault.FRAME,
+                f"child_frame_id of the odometry is {value_text(message.child_frame_id)}, expected "
+                f"{self._parameters.indenter_frame!r}: set the parameter indenter_frame, or have "
+                "the odometry of the indenter published",
+            )
+        stamp_ns = self._stamp_ns(message)
+        motion = self._take("indenter/odometry", pose, stamp_ns, frame_id=message.header.frame_id)
+        if self._is_realtime:
+            with self._lock:
+                self._carried = _Carried(motion, velocity, self._node.now_s())
+
+    def _take(self, name: str, pose: Pose, stamp_ns: int, *, frame_id: str) -> MotionOrder:
+        self._gate.check(pose, frame_id=frame_id)
+        self._admit(name)
+        return self._move(pose, stamp_ns)
 
     def _hear_twist(self, message: TwistStamped | Twist) -> None:
         axes = TwistFrame.PARENT
@@ -183,17 +266,18 @@ class MotionInput:
         self._move(velocity.moved(self._pose, duration_s), stamp_ns)
         self._twist_stamp_ns = stamp_ns
 
-    def _stamp_ns(self, message: PoseStamped | TwistStamped) -> int:
+    def _stamp_ns(self, message: PoseStamped | TwistStamped | Odometry) -> int:
         stamp_ns = msg_adapters.message_stamp_ns(message)
         # Tools that leave stamps at zero mean "now"; in lockstep there is no other clock.
         if stamp_ns == 0 and self._is_realtime:
             return self._node.time_ns()
         return stamp_ns
 
-    def _move(self, pose: Pose, stamp_ns: int) -> None:
+    def _move(self, pose: Pose, stamp_ns: int) -> MotionOrder:
         with self._lock:
             motion = self._gate.hear(pose, stamp_ns, frame_id=self._parameters.base_frame)
             self._pose = pose
         if motion.new_start is not None:
-            self._note(motion.new_start, f"new start, not a motion: {motion.new_start.value}")
+            self._note(motion.new_start, motion.reason)
         self._on_motion(motion)
+        return motion

@@ -1,6 +1,7 @@
 """`tactile_sim`: stands where an optical tactile sensor's driver would.
 
-An indenter's pose or velocity goes in; images, depth, the skin and the wrench come out.
+An indenter's pose (of a topic, odometry or TF) or velocity goes in; images, depth, the skin and the
+wrench come out.
 
 The real-time clock has one thread that presses, renders and publishes. Two, one for the gel and one
 for the camera, were measured: on two cores, which the readers of the images need as well, they slow
@@ -33,19 +34,22 @@ from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.simulated_time.latency import Latency
+from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
-from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TF, TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of, make_profile_in_force
 from dotsim_ros.nodes.tactile_sim.profiles import resolve_profile
 from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
+from dotsim_ros.nodes.tactile_sim.transform_input import transform_message
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor
 from msg_adapters import Status
 
 FRAMES_BROKEN = "the loop of frames failed"
+MISSING_INPUT_LOG_S = 5.0
 
 
 class TactileSim(WorkingNode):
@@ -54,6 +58,7 @@ class TactileSim(WorkingNode):
     def __init__(self) -> None:
         super().__init__("tactile_sim")
         self._settings = declare(self, TactileSimParameters)
+        _check_messages(self._settings)
         self._lock = RLock()
         self._is_enabled = True
         self._is_realtime = self._settings.clock == REALTIME
@@ -104,6 +109,9 @@ class TactileSim(WorkingNode):
             self._settings,
             faults=self._faults,
             on_motion=self._newest.put if self._is_realtime else self._lockstep_frame,
+        )
+        self._external_wrenches = ExternalWrenches(
+            self, self._settings, world_rotation=self._input.world_rotation
         )
         self.report_health(
             self._settings.diagnostics_period_s,
@@ -219,6 +227,7 @@ class TactileSim(WorkingNode):
                 return
             begun_s = time.perf_counter()
             self._outputs.publish(moment, stamp_ns)
+            self._external_wrenches.publish(moment.gel.wrench, moment.pose, stamp_ns)
             self._counter.note(
                 self.now_s(),
                 {**moment.timings_s, "publish": time.perf_counter() - begun_s},
@@ -228,12 +237,18 @@ class TactileSim(WorkingNode):
     def _health(self) -> list[Status]:
         # Not under the lock: poses would wait here until a frame ends, and the next frame would
         # begin with an old one.
+        missing = self._input.missing()
+        if missing:
+            self.get_logger().warning(
+                f"input: {missing}", throttle_duration_sec=MISSING_INPUT_LOG_S
+            )
         return statuses(
             self.get_name(),
             self._settings.sensor,
             condition=Condition(
                 is_enabled=self._is_enabled,
                 silence_s=self._input.silence_s(),
+                missing_input=missing,
                 timeout_s=self._settings.input_timeout_s if self._is_realtime else np.inf,
                 is_realtime=self._is_realtime,
                 late=self._pace.late + self._session.behind,
@@ -297,6 +312,15 @@ class TactileSim(WorkingNode):
             self._settings = changed
             if has_new_rate:
                 self._pace = self._new_pace()
+
+
+def _check_messages(settings: TactileSimParameters) -> None:
+    """Raise ValueError where messages are not installed, before the sensor is made, which takes
+    long."""
+    if settings.pose_source == TF:
+        transform_message()
+    if settings.entity_indenter or settings.entity_sensor:
+        entity_message()
 
 
 def indenter_of(text: str) -> Indenter:

@@ -17,6 +17,7 @@ from dotsim_ros.specification import NoiseSpecification, SolverSpecification
 
 REALTIME, LOCKSTEP = "realtime", "lockstep"
 POSE, TWIST, ANY = "pose", "twist", "any"
+TOPIC, TF, ODOMETRY = "topic", "tf", "odometry"
 TWIST_STAMPED, TWIST_PLAIN = "TwistStamped", "Twist"
 LARGEST_GRID_M = quantities_of(SolverSpecification)["grid_spacing_m"][1].high
 LARGEST_NOISE_LEVELS = quantities_of(NoiseSpecification)["deviation_levels"][1].high
@@ -77,6 +78,13 @@ class TactileSimParameters:
         choices=(POSE, TWIST, ANY),
         read_only=True,
     )
+    pose_source: str = option(
+        TOPIC,
+        "Where the pose comes from. topic: indenter/pose; odometry: indenter/odometry; tf: the "
+        "place of indenter_frame in base_frame on /tf and /tf_static. docs/simulators.md.",
+        choices=(TOPIC, TF, ODOMETRY),
+        read_only=True,
+    )
     twist_message: str = option(
         TWIST_STAMPED,
         "Type of indenter/twist.",
@@ -119,7 +127,37 @@ class TactileSimParameters:
     )
     indenter_frame: str = option(
         "indenter",
-        "A velocity stamped with this frame is along the indenter's axes.",
+        "Frame of the indenter: of velocities along its axes, of pose_source tf and odometry, and "
+        "of its external wrench.",
+        read_only=True,
+    )
+    world_frame: str = option(
+        "",
+        "With pose_source tf: the frame of Gazebo's world, for entity_wrench. Empty: the axes of "
+        "base_frame are the world's.",
+        read_only=True,
+    )
+    entity_indenter: str = option(
+        "",
+        "Gazebo's name of the link that presses, such as peg::link; its wrench goes out on "
+        "entity_wrench. Empty: none.",
+        read_only=True,
+    )
+    entity_indenter_centre_m: tuple[float, float, float] = option(
+        (0.0, 0.0, 0.0),
+        "Centre of mass of that link in indenter_frame: Gazebo lets forces act there.",
+        minimum=-10.0,
+        maximum=10.0,
+        read_only=True,
+    )
+    entity_sensor: str = option(
+        "", "The same of the link that carries the sensor. Empty: none.", read_only=True
+    )
+    entity_sensor_centre_m: tuple[float, float, float] = option(
+        (0.0, 0.0, 0.0),
+        "Centre of mass of that link in base_frame.",
+        minimum=-10.0,
+        maximum=10.0,
         read_only=True,
     )
     encoding: str = option("rgb8", "Encoding of image_raw.", choices=("rgb8", "bgr8", "mono8"))
@@ -197,6 +235,8 @@ class TactileSimParameters:
         for name, length in (
             ("start_position_m", 3),
             ("start_quaternion_xyzw", 4),
+            ("entity_indenter_centre_m", 3),
+            ("entity_sensor_centre_m", 3),
             ("crop_px", 4),
             ("image_size_px", 2),
         ):
@@ -226,6 +266,7 @@ class TactileSimParameters:
                 f"base_frame, optical_frame and indenter_frame are {frames}: they must differ and "
                 "must not be empty"
             )
+        self._check_pose_source()
         if self.effects_folder and not self.effects:
             raise ValueError(
                 f"effects_folder is {self.effects_folder!r}, but no overlay names an effect of it: "
@@ -240,6 +281,24 @@ class TactileSimParameters:
         if self.clock == LOCKSTEP and self.input == TWIST and self.twist_message == TWIST_PLAIN:
             raise ValueError(
                 "lockstep needs stamps: set twist_message to TwistStamped, or clock to realtime"
+            )
+
+    def _check_pose_source(self) -> None:
+        if self.pose_source != TOPIC and self.input == TWIST:
+            raise ValueError(
+                f"pose_source is {self.pose_source}, but input is {TWIST}, which reads no pose: "
+                f"set input to {POSE}"
+            )
+        if self.world_frame and self.pose_source != TF:
+            raise ValueError(
+                f"world_frame is {value_text(self.world_frame)}, but pose_source is "
+                f"{self.pose_source}: only {TF} knows more frames; leave world_frame empty where "
+                "the axes of base_frame are the world's"
+            )
+        if self.world_frame in (self.base_frame, self.indenter_frame):
+            raise ValueError(
+                f"world_frame is {value_text(self.world_frame)}, as base_frame or indenter_frame "
+                "is: expected another frame, or none"
             )
 
     def start_pose(self) -> Pose:

@@ -1,9 +1,9 @@
-"""Builds xarm_msgs, as far as `xarm_adapter` speaks it, from its public definitions.
+"""Builds packages of messages that are not on PyPI, as far as the nodes speak them, from their
+public definitions.
 
-UFACTORY's package is not on PyPI. ROS's own generators and a compiler make the same messages from
-the fields that xArm-Developer/xarm_ros2 defines: same names, types, order, and so the same on the
-wire, where the hash of a type counts neither comments nor defaults. Run as a program it builds into
-the folder that it is given.
+ROS's own generators and a compiler make the same messages from the fields that their owners define:
+same names, types, order, and so the same on the wire, where the hash of a type counts neither
+comments nor defaults. Run as a program it builds a package into a folder.
 """
 
 from __future__ import annotations
@@ -14,11 +14,27 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-PACKAGE = "xarm_msgs"
-DEFINITIONS = {
-    "msg/RobotMsg.msg": """\
+import pytest
+
+
+@dataclass(frozen=True)
+class Definitions:
+    """Texts of a package's files by name, and the packages of messages that they use."""
+
+    files: Mapping[str, str]
+    dependencies: tuple[str, ...]
+
+
+PACKAGES = {
+    # https://github.com/xArm-Developer/xarm_ros2, xarm_msgs
+    "xarm_msgs": Definitions(
+        {
+            "msg/RobotMsg.msg": """\
 std_msgs/Header header
 int16 state
 int16 mode
@@ -31,7 +47,7 @@ float32[] angle
 float32[6] pose
 float32[6] offset
 """,
-    "srv/MoveVelocity.srv": """\
+            "srv/MoveVelocity.srv": """\
 float32[] speeds
 bool is_sync true
 bool is_tool_coord false
@@ -40,8 +56,39 @@ float32 duration -1.0
 int16 ret
 string message
 """,
+        },
+        ("std_msgs", "builtin_interfaces", "service_msgs"),
+    ),
+    # https://github.com/ros2/geometry2, tf2_msgs
+    "tf2_msgs": Definitions(
+        {"msg/TFMessage.msg": "geometry_msgs/TransformStamped[] transforms\n"},
+        ("geometry_msgs", "std_msgs", "builtin_interfaces"),
+    ),
+    # https://github.com/gazebosim/ros_gz, ros_gz_interfaces
+    "ros_gz_interfaces": Definitions(
+        {
+            "msg/Entity.msg": """\
+uint8 NONE=0
+uint8 LIGHT=1
+uint8 MODEL=2
+uint8 LINK=3
+uint8 VISUAL=4
+uint8 COLLISION=5
+uint8 SENSOR=6
+uint8 JOINT=7
+uint64 id
+string name
+uint8 type
+""",
+            "msg/EntityWrench.msg": """\
+std_msgs/Header header
+ros_gz_interfaces/Entity entity
+geometry_msgs/Wrench wrench
+""",
+        },
+        ("geometry_msgs", "std_msgs", "builtin_interfaces"),
+    ),
 }
-DEPENDENCIES = ("std_msgs", "builtin_interfaces", "service_msgs")
 FAST, INTROSPECTION = "rosidl_typesupport_fastrtps_c", "rosidl_typesupport_introspection_c"
 GENERATORS = (
     "rosidl_generator_c",
@@ -70,8 +117,26 @@ def missing() -> str:
     return ", ".join(lacking)
 
 
-def build(folder: Path) -> Path:
-    """Build the package in a process of its own; return the folder to import it from.
+@contextmanager
+def importable(package: str, folder: Path) -> Iterator[Path]:
+    """Put a package on the paths of this process and of those that it starts, built into a folder
+    unless ROS has it; give the folder, and skip the test where it cannot be built."""
+    if importlib.util.find_spec(package) is not None:
+        yield folder
+        return
+    if lacking := missing():
+        pytest.skip(f"{package} cannot be built here: {lacking} is missing")
+    built = str(build(package, folder))
+    before = os.environ.get("PYTHONPATH", "")
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [built, before]))
+    sys.path.insert(0, built)
+    yield folder
+    sys.path.remove(built)
+    os.environ["PYTHONPATH"] = before
+
+
+def build(package: str, folder: Path) -> Path:
+    """Build a package in a process of its own; return the folder to import it from.
 
     Raises:
         RuntimeError: the build failed; with what it said.
@@ -80,18 +145,18 @@ def build(folder: Path) -> Path:
     # ROS from wheels lives in the interpreter's own prefix and names it nowhere.
     environment.setdefault("AMENT_PREFIX_PATH", sys.prefix)
     done = subprocess.run(
-        [sys.executable, __file__, str(folder)],
+        [sys.executable, __file__, package, str(folder)],
         env=environment,
         capture_output=True,
         text=True,
         check=False,
     )
     if done.returncode:
-        raise RuntimeError(f"xarm_msgs cannot be built:\n{done.stdout}\n{done.stderr}")
+        raise RuntimeError(f"{package} cannot be built:\n{done.stdout}\n{done.stderr}")
     return folder / "python"
 
 
-def _generate(folder: Path) -> None:
+def _generate(package: str, folder: Path) -> None:
     """Write the sources: C and type support in `c`, introspection apart, Python in `python`."""
     from ament_index_python.packages import get_package_share_directory
     from rosidl_cli.command.translate.api import translate
@@ -101,15 +166,16 @@ def _generate(folder: Path) -> None:
     from rosidl_typesupport_fastrtps_c.cli import GenerateFastRTPSCTypesupport
     from rosidl_typesupport_introspection_c.cli import GenerateIntrospectionCTypesupport
 
-    for name, text in DEFINITIONS.items():
+    definitions = PACKAGES[package]
+    for name, text in definitions.files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
     os.chdir(folder)
-    shares = [get_package_share_directory(name) for name in DEPENDENCIES]
+    shares = [get_package_share_directory(name) for name in definitions.dependencies]
     files = translate(
-        package_name=PACKAGE,
-        interface_files=list(DEFINITIONS),
+        package_name=package,
+        interface_files=list(definitions.files),
         include_paths=shares,
         output_format="idl",
         output_path=folder / "idl",
@@ -127,8 +193,8 @@ def _generate(folder: Path) -> None:
         ),
     ]
     for generator, part in generators:
-        generator.generate(PACKAGE, files, shares, folder / part / PACKAGE)
-    (folder / "python" / PACKAGE / "__init__.py").touch()
+        generator.generate(package, files, shares, folder / part / package)
+    (folder / "python" / package / "__init__.py").touch()
 
 
 def _compiled(folder: Path, part: str, includes: list[str]) -> list[str]:
@@ -144,12 +210,13 @@ def _compiled(folder: Path, part: str, includes: list[str]) -> list[str]:
     return objects
 
 
-def _compile(folder: Path) -> None:
+def _compile(package: str, folder: Path) -> None:
     """Make the extension that Python imports and the two libraries that type support opens."""
     import numpy
     from ament_index_python.packages import get_package_prefix
 
-    prefixes = sorted({get_package_prefix(name) for name in (*DEPENDENCIES, *GENERATORS)})
+    dependencies = PACKAGES[package].dependencies
+    prefixes = sorted({get_package_prefix(name) for name in (*dependencies, *GENERATORS)})
     roots = [Path(prefix) / "include" for prefix in prefixes]
     folders = [folder / "c", folder / "introspection", *roots]
     folders += [each for root in roots for each in sorted(root.iterdir()) if each.is_dir()]
@@ -158,24 +225,24 @@ def _compile(folder: Path) -> None:
     libraries = [f"-L{Path(prefix) / 'lib'}" for prefix in prefixes]
     libraries += [f"-l{name}" for name in LIBRARIES]
     libraries += [
-        f"-l{package}__{kind}"
-        for package in DEPENDENCIES
+        f"-l{name}__{kind}"
+        for name in dependencies
         for kind in (*GENERATORS[:3], FAST, INTROSPECTION)
     ]
-    home = folder / "python" / PACKAGE
+    home = folder / "python" / package
     beside = ["-Wl,-rpath,$ORIGIN", f"-L{home}"]
 
     def link(objects: list[str], name: str, *options: str) -> None:
         target = ["-shared", f"-Wl,-soname,{name}", "-o", str(home / name)]
         subprocess.run(["g++", *target, *objects, *beside, *options, *libraries], check=True)
 
-    fast, introspection = f"{PACKAGE}__{FAST}", f"{PACKAGE}__{INTROSPECTION}"
+    fast, introspection = f"{package}__{FAST}", f"{package}__{INTROSPECTION}"
     link(_compiled(folder, "c", includes), f"lib{fast}.so")
     link(_compiled(folder, "introspection", includes), f"lib{introspection}.so", f"-l{fast}")
     # Type support opens both libraries by name: they must be loaded already.
     link(
         _compiled(folder, "python", includes),
-        f"{PACKAGE}_s__rosidl_typesupport_c.so",
+        f"{package}_s__rosidl_typesupport_c.so",
         "-Wl,--no-as-needed",
         f"-l{fast}",
         f"-l{introspection}",
@@ -183,6 +250,6 @@ def _compile(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    root = Path(sys.argv[1]).absolute()
-    _generate(root)
-    _compile(root)
+    name, root = sys.argv[1], Path(sys.argv[2]).absolute()
+    _generate(name, root)
+    _compile(name, root)

@@ -1,0 +1,138 @@
+"""Where the indenter is in the sensor's base, from /tf and /tf_static.
+
+tf2_ros is not needed: it tells nobody when a transform comes, while the sensor has to make a frame
+of each. Its messages are, from the package tf2_msgs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from threading import Lock
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
+from rclpy.qos_overriding_options import QoSOverridingOptions
+
+import msg_adapters
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.frame_tree import FrameTree, OutOfOrderError
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.parameters import LOCKSTEP, TactileSimParameters
+
+# As tf2_ros listens: a message holds some of the frames, so that the newest alone is not enough.
+REALTIME_QOS = QoSProfile(depth=100)
+LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL)
+STATIC_QOS = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class TransformInput:
+    """Follows two frames of TF.
+
+    Args:
+        node: owns the subscriptions.
+        parameters: names of the frames, and clock.
+        guard: does something with an input, and counts and logs it where it is refused.
+        on_pose: takes the pose of the indenter in the base frame at each new time (ns).
+
+    Raises:
+        ValueError: tf2_msgs is not installed.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        parameters: TactileSimParameters,
+        *,
+        guard: Callable[[Callable[[], object]], None],
+        on_pose: Callable[[Pose, int], None],
+    ) -> None:
+        self._guard, self._on_pose = guard, on_pose
+        self._pair = (parameters.base_frame, parameters.indenter_frame)
+        self._world = (parameters.world_frame, parameters.base_frame)
+        pairs = [self._pair, self._world] if parameters.world_frame else [self._pair]
+        self._lock = Lock()
+        self._tree = FrameTree(pairs, maximum_step_s=parameters.maximum_step_s)
+        self._last_ns: int | None = None
+        is_lockstep = parameters.clock == LOCKSTEP
+        self._subscribe(node, "/tf", LOCKSTEP_QOS if is_lockstep else REALTIME_QOS, False)
+        self._subscribe(node, "/tf_static", STATIC_QOS, True)
+
+    def configure(self, parameters: TactileSimParameters) -> None:
+        """Take changed limits."""
+        with self._lock:
+            self._tree.maximum_step_s = parameters.maximum_step_s
+
+    def forget(self) -> None:
+        """Pass on the pose that is known as soon as the next transform comes."""
+        self._last_ns = None
+
+    def missing(self) -> str:
+        """Return why there is no pose of the indenter, in words; empty where there is one."""
+        with self._lock:
+            why = self._tree.missing(*self._pair)
+        if not why:
+            return ""
+        base, indenter = self._pair
+        return (
+            f"/tf and /tf_static do not place {indenter!r} (indenter_frame) in {base!r} "
+            f"(base_frame): {why}"
+        )
+
+    def world_rotation(self) -> FloatArray | None:
+        """Return the (3, 3) rotation from the base to the world; None where TF does not have it."""
+        with self._lock:
+            found = self._tree.locate(*self._world)
+        return None if found is None else found[0].rotation()
+
+    def _subscribe(self, node: GuardedNode, topic: str, quality: QoSProfile, static: bool) -> None:
+        node.create_subscription(
+            transform_message(),
+            topic,
+            lambda message: self._hear(message, is_static=static),
+            quality,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+
+    def _hear(self, message: msg_adapters.Message, *, is_static: bool) -> None:
+        for transform in message.transforms:
+            # One that is refused takes no other with it.
+            self._guard(partial(self._put, transform, is_static))
+        self._guard(self._pass_on)
+
+    def _put(self, transform: msg_adapters.Message, is_static: bool) -> None:
+        try:
+            with self._lock:
+                self._tree.put(
+                    transform.header.frame_id,
+                    transform.child_frame_id,
+                    msg_adapters.message_stamp_ns(transform),
+                    lambda: Pose(*msg_adapters.decode_transform(transform)),
+                    is_static=is_static,
+                )
+        except OutOfOrderError as error:
+            raise RefusedInputError(Fault.ORDER, str(error)) from None
+
+    def _pass_on(self) -> None:
+        with self._lock:
+            found = self._tree.locate(*self._pair)
+        if found is not None and found[1] != self._last_ns:
+            self._last_ns = found[1]
+            self._on_pose(*found)
+
+
+def transform_message() -> type:
+    """Return the class tf2_msgs/msg/TFMessage.
+
+    Raises:
+        ValueError: tf2_msgs is not installed.
+    """
+    try:
+        found: type = msg_adapters.message_class("tf2_msgs/msg/TFMessage")
+    except ImportError as error:
+        raise ValueError(
+            f"pose_source is tf, but {error}; it comes with apt's ros-jazzy-tf2-msgs, not with the "
+            "wheels of PyPI: there set pose_source to topic or odometry"
+        ) from None
+    return found
