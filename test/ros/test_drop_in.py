@@ -12,9 +12,11 @@ from pathlib import Path
 
 import pytest
 from harness import START_PATIENCE_S, Client, running
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.srv import SetCameraInfo
 
 import msg_adapters
+from dotsim_ros.nodes.tactile_sim.calibration_file import read_calibration
 
 DROP_IN = Path(__file__).parents[2] / "benchmarks" / "drop_in.py"
 SIDES = {"dual_compressed": (20, 22), "dual_difference": (20, 22), "dual_raw": (8, 10)}
@@ -66,9 +68,16 @@ def test_the_readers_of_the_driver_of_two_get_both(
     assert len(topics) == (4 if interface == "dual_difference" else 2)
 
 
-def test_what_belongs_to_an_image_goes_along_with_its_remap_and_a_rival_is_told_of() -> None:
+def test_what_belongs_to_an_image_goes_along_with_its_remap_and_a_rival_is_told_of(
+    tmp_path: Path,
+) -> None:
     remaps = ["-r", "image_raw:=/RunCamera/image_raw_1", "-r", "camera_info:=/mine/info"]
-    prefixed = {"frame_prefix": "left_", "diagnostics_period_s": 0.1}
+    kept = tmp_path / "kept" / "camera.yaml"
+    prefixed = {
+        "frame_prefix": "left_",
+        "diagnostics_period_s": 0.1,
+        "camera_info_url": f"file://{kept}",
+    }
     with running(parameters=prefixed, arguments=["-r", "__ns:=/left", *remaps]) as node:
         client = Client(topics={})
         try:
@@ -93,6 +102,21 @@ def test_what_belongs_to_an_image_goes_along_with_its_remap_and_a_rival_is_told_
             assert "give each a namespace" in states[name].message
             client.node.destroy_publisher(rival)
             client.wait(lambda: "publishers" not in states[name].message, "its end")
+            infos: list[CameraInfo] = []
+            client.node.create_subscription(CameraInfo, "/mine/info", infos.append, 5)
+            client.wait(lambda: infos, "intrinsics")
+            given = infos[-1]
+            given.k[0], given.distortion_model = 123.0, "plumb_bob"
+            service = "/left/set_camera_info"
+            answer = client.call(SetCameraInfo, service, camera_info=given)
+            assert answer.success, answer.status_message
+            assert read_calibration(kept).camera_matrix[0, 0] == 123.0
+            client.wait(lambda: infos[-1].k[0] == 123.0, "the calibration")
+            given.width = 320
+            answer = client.call(SetCameraInfo, service, camera_info=given)
+            assert not answer.success
+            assert "of 320 x 480 pixels, the images have 640 x 480" in answer.status_message
+            assert read_calibration(kept).width == 640
             count = len(images)
             client.wait(lambda: len(images) > count, "frames that go on")
         finally:

@@ -346,6 +346,8 @@ def _refused(srv_type: Any, reason: str) -> Any:
         response.results = [refused]
     elif srv_type is SetParametersAtomically:
         response.result = refused
+    elif hasattr(response, "status_message"):
+        response.success, response.status_message = False, reason
     elif hasattr(response, "message"):
         response.success, response.message = False, reason
     return response

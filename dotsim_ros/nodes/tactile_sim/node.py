@@ -34,6 +34,7 @@ from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.simulated_time.latency import Latency
+from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
@@ -100,6 +101,12 @@ class TactileSim(WorkingNode):
         self._newest = NewestMotion()
         self._pace = self._new_pace()
         self._outputs = FramePublishers(self, sensor, self._settings, noise=specification.noise)
+        self._calibration = CalibrationStore(
+            self,
+            self._settings.camera_info_url,
+            camera_name=self.label.replace("/", "_"),
+            on_change=self._outputs.take_calibration,
+        )
         self._input = MotionInput(
             self,
             self._settings,

@@ -28,6 +28,12 @@ class OutputParameters:
     camera_info_topic: str = option(
         "", "Topic of the intrinsics; empty: camera_info beside the images.", read_only=True
     )
+    camera_info_url: str = option(
+        "",
+        "Calibration that camera_info shows in place of the simulated camera's own, and that "
+        "set_camera_info writes: file:///PATH.yaml or package://PACKAGE/PATH.yaml.",
+        read_only=True,
+    )
     wrench_topic: str = option("wrench", "Topic of the wrench.", read_only=True)
     difference_topic: str = option(
         "image_diff",

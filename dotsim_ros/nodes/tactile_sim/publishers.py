@@ -61,6 +61,7 @@ class FramePublishers:
     ) -> None:
         self._sensor, self._noise = sensor, noise
         self._reference: ImageArray | None = None
+        self._calibration: msg_adapters.CameraCalibration | None = None
         self._depth_of: DepthConversion | None = None
         self._framing = self.framing_of(parameters)
         # A network, and effects that were found, know images of the sensor's own size.
@@ -139,16 +140,7 @@ class FramePublishers:
         if self._is_shown(self._image):
             self._image.publish(self._image_message(moment.render().image, stamp_ns))
         if _is_read(self._camera_info):
-            self._camera_info.publish(
-                msg_adapters.encode_camera_info(
-                    width=self._intrinsics.width,
-                    height=self._intrinsics.height,
-                    focal_px=self._intrinsics.focal_px,
-                    principal_point_px=self._intrinsics.principal_point_px,
-                    distortion=self._intrinsics.distortion,
-                    **optical,
-                )
-            )
+            self._camera_info.publish(self._camera_info_message(optical))
         if _is_read(self._wrench):
             wrench = moment.gel.wrench
             self._wrench.publish(
@@ -177,6 +169,33 @@ class FramePublishers:
 
     def _is_shown(self, publisher: Publisher) -> bool:
         return _is_read(publisher) and not self._parameters.fail_drop_images
+
+    def take_calibration(self, calibration: msg_adapters.CameraCalibration) -> None:
+        """Publish a calibration as camera_info, while images have its size.
+
+        Raises:
+            ValueError: they have another size now.
+        """
+        given, size = (calibration.width, calibration.height), self._framing.size_px
+        if given != size:
+            raise ValueError(
+                f"the calibration is of {given[0]} x {given[1]} pixels, the images have {size[0]} "
+                f"x {size[1]}: calibrate with these, or set image_size_px"
+            )
+        self._calibration = calibration
+
+    def _camera_info_message(self, header: _Header) -> Any:
+        own, given = self._intrinsics, self._calibration
+        if given is not None and (given.width, given.height) == (own.width, own.height):
+            return msg_adapters.encode_calibration(given, **header)
+        return msg_adapters.encode_camera_info(
+            width=own.width,
+            height=own.height,
+            focal_px=own.focal_px,
+            principal_point_px=own.principal_point_px,
+            distortion=own.distortion,
+            **header,
+        )
 
     def take_reference(self, image: ImageArray | None) -> None:
         """Take differences to an image of the sensor from now on; None: to the untouched one."""
