@@ -14,6 +14,7 @@ PARAMETER_FILES = sorted(
     path.relative_to(HERE).as_posix() for path in HERE.glob("params/**/*") if path.is_file()
 )
 LAUNCH_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("launch/*.launch.py"))
+ROBOT_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("urdf/*.xacro"))
 
 ROS = [
     "ros-jazzy-rclpy==7.1.6",
@@ -87,7 +88,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
         # Named in colcon.pkg: the commands are found after a workspace is sourced.
         f"share/{NAME}/hook": ["resource/path.dsv"],
     }
-    for path in [*PARAMETER_FILES, *LAUNCH_FILES]:
+    for path in [*PARAMETER_FILES, *LAUNCH_FILES, *ROBOT_FILES]:
         entries.setdefault(f"share/{NAME}/{Path(path).parent.as_posix()}", []).append(path)
     return list(entries.items())
 
