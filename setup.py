@@ -6,13 +6,15 @@ from pathlib import Path
 from setuptools import find_packages, setup
 
 NAME = "dotsim_ros"
-HERE = Path(__file__).parent
+# colcon build --symlink-install runs a link to this file.
+HERE = Path(__file__).resolve().parent
 VERSION = re.search(r'__version__ = "(.+)"', (HERE / NAME / "__init__.py").read_text()).group(1)
 
 PARAMETER_FILES = sorted(
     path.relative_to(HERE).as_posix() for path in HERE.glob("params/**/*") if path.is_file()
 )
 LAUNCH_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("launch/*.launch.py"))
+ROBOT_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("urdf/*.xacro"))
 
 ROS = [
     "ros-jazzy-rclpy==7.1.6",
@@ -90,8 +92,10 @@ def shared_files() -> list[tuple[str, list[str]]]:
     entries = {
         "share/ament_index/resource_index/packages": [f"resource/{NAME}"],
         f"share/{NAME}": ["package.xml"],
+        # Named in colcon.pkg: the commands are found after a workspace is sourced.
+        f"share/{NAME}/hook": ["resource/path.dsv"],
     }
-    for path in [*PARAMETER_FILES, *LAUNCH_FILES]:
+    for path in [*PARAMETER_FILES, *LAUNCH_FILES, *ROBOT_FILES]:
         entries.setdefault(f"share/{NAME}/{Path(path).parent.as_posix()}", []).append(path)
     return list(entries.items())
 

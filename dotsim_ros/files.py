@@ -13,7 +13,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -64,6 +63,9 @@ def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
     Raises:
         OSError: it could not be written.
     """
+    # Launch files look for files by this module, in an interpreter that may lack OpenCV.
+    import cv2
+
     with whole_file(path) as part:
         if not cv2.imwrite(str(part), cv2.cvtColor(image, cv2.COLOR_RGB2BGR)):
             raise OSError(f"{path} could not be written")

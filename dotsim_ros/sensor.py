@@ -19,7 +19,7 @@ from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
-from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image
+from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, part_of_idle
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.loading import completion_network
 from dotsim_ros.optics.noise import with_noise
@@ -118,6 +118,14 @@ class Frame:
             )
 
 
+_View = tuple[tuple[int, int, int, int], tuple[int, int]]
+"""A part of an image, and the size that it is seen at."""
+
+
+def _whole_view(camera: FisheyeCamera) -> _View:
+    return (0, 0, camera.width, camera.height), (camera.width, camera.height)
+
+
 class TactileSensor:
     """One sensor with one indenter.
 
@@ -144,14 +152,16 @@ class TactileSensor:
     ) -> None:
         self.specification, self.device, self.indenter = specification, device, indenter
         self.skin = skin_of(specification.gel)
-        self.camera = FisheyeCamera.from_specification(specification.camera)
+        self.whole_camera = FisheyeCamera.from_specification(specification.camera)
+        self.camera = self.whole_camera
+        self._view = self._whole_view = _whole_view(self.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.
         self._network = completion_network(specification, self.camera)
         self._progress = progress
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._solvers = SolverChanges(self._gel, specification.solver)
-        self._renderer = SkinRenderer(self.camera, self.skin, device=device)
-        self._set_idle(idle_frame_of(specification, self.camera))
+        self._own_idle = idle_frame_of(specification, self.camera)
+        self._make_images()
         self._noise = specification.noise
         self._time_s = 0.0
 
@@ -214,10 +224,56 @@ class TactileSensor:
         """The image without contact and without noise, (H, W, 3) uint8."""
         return self._idle.image
 
-    def _set_idle(self, idle: IdleFrame) -> None:
+    @property
+    def has_network(self) -> bool:
+        """Whether a network completes the image, which then has the camera's own view."""
+        return self._network is not None
+
+    def set_view(
+        self,
+        crop_px: tuple[int, int, int, int] | None = None,
+        size_px: tuple[int, int] | None = None,
+    ) -> None:
+        """Render a part of the camera's image from now on, or another number of its pixels.
+
+        `camera`, `idle_image` and the frames are those of the part; every pixel is rendered at its
+        own ray, so none is interpolated from others.
+
+        Args:
+            crop_px: x, y, width, height of the part, in pixels of the sensor's file; None: all.
+            size_px: width and height that it is rendered at; None: as many as it has.
+
+        Raises:
+            ValueError: the part reaches beyond the image, the size has another aspect ratio, or a
+                network completes the image, which knows the whole view only.
+        """
+        crop = crop_px or self._whole_view[0]
+        view = (crop, size_px or crop[2:])
+        if view == self._view:
+            return
+        camera = self.whole_camera.part(*crop).scaled(*view[1])
+        if self.has_network:
+            raise ValueError(
+                "a network completes the image of this sensor, and knows its whole view only: cut "
+                "and resize the finished image"
+            )
+        before = self.camera, self._view
+        self.camera, self._view = camera, view
+        try:
+            self._make_images()
+        except ValueError:
+            self.camera, self._view = before
+            raise
+
+    def _make_images(self) -> None:
+        """Make what renders for the camera, from the idle frame of the whole one."""
+        renderer = SkinRenderer(self.camera, self.skin, device=self.device)
+        idle = self._own_idle
+        if self._view != self._whole_view:
+            idle = part_of_idle(idle, *self._view)
         completion = None
         if self._network is not None:
-            untouched = self._renderer.render(self.skin.rest_position_m)
+            untouched = renderer.render(self.skin.rest_position_m)
             completion = self._network.at_rest(untouched, idle.image)
         self._image = ImageRenderer(
             self.camera,
@@ -229,7 +285,7 @@ class TactileSensor:
             completion=completion,
             device=self.device,
         )
-        self._idle = idle
+        self._renderer, self._idle = renderer, idle
 
     def set_idle_image(self, image: ImageArray, *, disc: LitDisc | None = None) -> None:
         """Replace the idle image; lighting and vignetting stay.
@@ -242,8 +298,10 @@ class TactileSensor:
         Raises:
             ValueError: as `fit_idle_image`; the image before stays.
         """
-        fitted = fit_idle_image(image, self.camera, disc=disc)
-        self._set_idle(IdleFrame(fitted, self._idle.lighting, self._idle.vignetting))
+        fitted = fit_idle_image(image, self.whole_camera, disc=disc)
+        before = self._own_idle
+        self._own_idle = IdleFrame(fitted, before.lighting, before.vignetting)
+        self._make_images()
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""

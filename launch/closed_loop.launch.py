@@ -100,7 +100,7 @@ def generate_launch_description() -> LaunchDescription:
                 choices=["true", "false"],
                 description="sensor, arm and policy in one process; both are simulated then",
             ),
-            OpaqueFunction(function=refuse_wrong_file),
+            OpaqueFunction(function=find_file),
             Node(
                 package="dotsim_ros",
                 executable="closed_loop",
@@ -166,6 +166,10 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def refuse_wrong_file(context: LaunchContext) -> None:
-    """Raise a ValueError, which ends the launch before a node starts, for a wrong params_file."""
-    check_params_file(LaunchConfiguration("params_file").perform(context))
+def find_file(context: LaunchContext) -> None:
+    """Make params_file a path, that of a shipped file where it names one.
+
+    A wrong one raises a ValueError, which ends the launch before a node starts.
+    """
+    given = LaunchConfiguration("params_file").perform(context)
+    context.launch_configurations["params_file"] = check_params_file(given)

@@ -1,6 +1,7 @@
 """Brings up tactile_sim, and on request the player of presses and the recorder.
 
 ros2 launch dotsim_ros tactile_sim.launch.py params_file:=MINE.yaml namespace:=left play:=true
+ros2 launch dotsim_ros tactile_sim.launch.py params_file:=drivers/run_camera.yaml
 ros2 launch dotsim_ros tactile_sim.launch.py effects:=report/effects_overlay.yaml
 """
 
@@ -57,7 +58,7 @@ def generate_launch_description() -> LaunchDescription:
                 choices=["true", "false"],
                 description="record a bag in the working directory",
             ),
-            OpaqueFunction(function=refuse_wrong_file),
+            OpaqueFunction(function=find_file),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
@@ -105,6 +106,10 @@ def generate_launch_description() -> LaunchDescription:
     )
 
 
-def refuse_wrong_file(context: LaunchContext) -> None:
-    """Raise a ValueError, which ends the launch before a node starts, for a wrong params_file."""
-    check_params_file(LaunchConfiguration("params_file").perform(context))
+def find_file(context: LaunchContext) -> None:
+    """Make params_file a path, that of a shipped file where it names one.
+
+    A wrong one raises a ValueError, which ends the launch before a node starts.
+    """
+    given = LaunchConfiguration("params_file").perform(context)
+    context.launch_configurations["params_file"] = check_params_file(given)

@@ -5,7 +5,14 @@ Encoders make messages of the installed ROS by default, and of a bag's type stor
 raises ValueError that says what was wrong and what was expected.
 """
 
-from msg_adapters.camera_info import FisheyeIntrinsics, decode_camera_info, encode_camera_info
+from msg_adapters.camera_info import (
+    CameraCalibration,
+    FisheyeIntrinsics,
+    decode_calibration,
+    decode_camera_info,
+    encode_calibration,
+    encode_camera_info,
+)
 from msg_adapters.cloud import Cloud, decode_cloud, decode_cloud_fields, encode_cloud
 from msg_adapters.diagnostics import Level, Status, decode_diagnostics, encode_diagnostics
 from msg_adapters.image import (
@@ -37,6 +44,7 @@ from msg_adapters.xarm import RobotState, decode_robot_state, encode_move_veloci
 __all__ = [
     "ROS",
     "BagTypes",
+    "CameraCalibration",
     "Cloud",
     "FisheyeIntrinsics",
     "Level",
@@ -46,6 +54,7 @@ __all__ = [
     "RosTypes",
     "Status",
     "compressed_image_size",
+    "decode_calibration",
     "decode_camera_info",
     "decode_cloud",
     "decode_cloud_fields",
@@ -62,6 +71,7 @@ __all__ = [
     "decode_twist",
     "decode_twist_stamped",
     "decode_wrench_stamped",
+    "encode_calibration",
     "encode_camera_info",
     "encode_cloud",
     "encode_compressed_image",

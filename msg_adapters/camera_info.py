@@ -12,6 +12,8 @@ from msg_adapters.stamps import encode_header
 from msg_adapters.types import ROS, Message, MessageTypes
 
 EQUIDISTANT = "equidistant"
+LARGEST_COEFFICIENT_COUNT = 14
+"""Of OpenCV's models."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +33,55 @@ class FisheyeIntrinsics:
     focal_px: NDArray[np.float64]
     principal_point_px: NDArray[np.float64]
     distortion: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CameraCalibration:
+    """What a sensor_msgs/CameraInfo says of a camera, of any distortion model.
+
+    Attributes:
+        width, height: of the image in pixels.
+        distortion_model: "plumb_bob", "equidistant", ...
+        distortion: (N,) its coefficients.
+        camera_matrix: (3, 3).
+        rectification: (3, 3).
+        projection: (3, 4).
+
+    Raises:
+        ValueError: no size, a matrix of another shape, a number that is not finite, or a camera
+            matrix without focal lengths.
+    """
+
+    width: int
+    height: int
+    distortion_model: str
+    distortion: NDArray[np.float64]
+    camera_matrix: NDArray[np.float64]
+    rectification: NDArray[np.float64]
+    projection: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.width <= 0 or self.height <= 0:
+            raise ValueError(f"camera of {self.width} x {self.height} pixels is empty")
+        count = np.size(self.distortion)
+        if count > LARGEST_COEFFICIENT_COUNT:
+            raise ValueError(
+                f"distortion has {count} coefficients, expected at most {LARGEST_COEFFICIENT_COUNT}"
+            )
+        shapes = {
+            "distortion": (count,),
+            "camera_matrix": (3, 3),
+            "rectification": (3, 3),
+            "projection": (3, 4),
+        }
+        for name, shape in shapes.items():
+            flat = np.ravel(getattr(self, name))
+            checked = finite_vector(flat, int(np.prod(shape)), name).reshape(shape)
+            object.__setattr__(self, name, checked)
+        if not (self.camera_matrix[0, 0] > 0.0 and self.camera_matrix[1, 1] > 0.0):
+            raise ValueError(
+                "camera_matrix has no positive focal lengths; zeros mean an uncalibrated camera"
+            )
 
 
 def encode_camera_info(
@@ -58,18 +109,35 @@ def encode_camera_info(
             f"camera of {width} x {height} pixels and focal length {focal.tolist()} px: all must "
             "be positive"
         )
-    camera_matrix = np.array([focal[0], 0.0, centre[0], 0.0, focal[1], centre[1], 0.0, 0.0, 1.0])
-    projection = np.insert(camera_matrix, [3, 6, 9], 0.0)
+    camera_matrix = np.array(
+        [[focal[0], 0.0, centre[0]], [0.0, focal[1], centre[1]], [0.0, 0.0, 1.0]]
+    )
+    calibration = CameraCalibration(
+        width=int(width),
+        height=int(height),
+        distortion_model=EQUIDISTANT,
+        distortion=coefficients,
+        camera_matrix=camera_matrix,
+        rectification=np.eye(3),
+        projection=np.hstack([camera_matrix, np.zeros((3, 1))]),
+    )
+    return encode_calibration(calibration, stamp_ns=stamp_ns, frame_id=frame_id, types=types)
+
+
+def encode_calibration(
+    calibration: CameraCalibration, *, stamp_ns: int, frame_id: str, types: MessageTypes = ROS
+) -> Message:
+    """Return a sensor_msgs/CameraInfo of a calibration of any model."""
     return types.make(
         "sensor_msgs/msg/CameraInfo",
         header=encode_header(stamp_ns, frame_id, types=types),
-        height=int(height),
-        width=int(width),
-        distortion_model=EQUIDISTANT,
-        d=types.doubles(coefficients),
-        k=types.doubles(camera_matrix),
-        r=types.doubles(np.eye(3).reshape(-1)),
-        p=types.doubles(projection),
+        height=calibration.height,
+        width=calibration.width,
+        distortion_model=calibration.distortion_model,
+        d=types.doubles(calibration.distortion),
+        k=types.doubles(calibration.camera_matrix.reshape(-1)),
+        r=types.doubles(calibration.rectification.reshape(-1)),
+        p=types.doubles(calibration.projection.reshape(-1)),
         binning_x=0,
         binning_y=0,
         roi=types.make(
@@ -80,6 +148,23 @@ def encode_camera_info(
             width=0,
             do_rectify=False,
         ),
+    )
+
+
+def decode_calibration(message: Message) -> CameraCalibration:
+    """Return the calibration of a sensor_msgs/CameraInfo, of any model.
+
+    Raises:
+        ValueError: as `CameraCalibration`.
+    """
+    return CameraCalibration(
+        width=int(message.width),
+        height=int(message.height),
+        distortion_model=message.distortion_model,
+        distortion=np.array(message.d, dtype=np.float64),
+        camera_matrix=np.array(message.k, dtype=np.float64),
+        rectification=np.array(message.r, dtype=np.float64),
+        projection=np.array(message.p, dtype=np.float64),
     )
 
 

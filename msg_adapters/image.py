@@ -15,6 +15,7 @@ PIXEL_LAYOUTS: dict[str, tuple[np.dtype[Any], int]] = {
     "rgb8": (np.dtype(np.uint8), 3),
     "bgr8": (np.dtype(np.uint8), 3),
     "mono8": (np.dtype(np.uint8), 1),
+    "8UC1": (np.dtype(np.uint8), 1),
     "32FC1": (np.dtype(np.float32), 1),
 }
 """Type of a channel and number of channels, by encoding."""
@@ -48,8 +49,9 @@ def encode_image(
     """Return a sensor_msgs/Image of pixels that are in the order of `encoding` already.
 
     Args:
-        pixels: (H, W, 3) uint8 for rgb8 and bgr8, (H, W) uint8 for mono8, (H, W) float32 for
-            32FC1 (metres, NaN where invalid: REP 117 and 118).
+        pixels: (H, W, 3) uint8 for rgb8 and bgr8, (H, W) uint8 for mono8 and 8UC1 (numbers
+            that are no grey levels), (H, W) float32 for 32FC1 (metres, NaN where invalid: REP 117
+            and 118).
         encoding: one of `PIXEL_LAYOUTS`.
         stamp_ns: time of acquisition.
         frame_id: optical frame.
@@ -84,7 +86,7 @@ def decode_image(message: Message) -> NDArray[Any]:
 
     Returns:
         (H, W, 3) uint8 in the order of the message's encoding for rgb8 and bgr8, (H, W) uint8 for
-        mono8, (H, W) float32 for 32FC1 (in the message's byte order).
+        mono8 and 8UC1, (H, W) float32 for 32FC1 (in the message's byte order).
 
     Raises:
         ValueError: unknown encoding, no pixels, a row shorter than its pixels, or a length of data
@@ -122,8 +124,10 @@ def decode_rgb(message: Message) -> NDArray[np.uint8]:
     Raises:
         ValueError: as `decode_image`, or an encoding that holds no colour.
     """
-    if message.encoding == "32FC1":
-        raise ValueError("image encoding '32FC1' holds depth, expected rgb8, bgr8 or mono8")
+    if message.encoding in ("32FC1", "8UC1"):
+        raise ValueError(
+            f"image encoding {message.encoding!r} holds depth, expected rgb8, bgr8 or mono8"
+        )
     pixels = decode_image(message)
     if message.encoding == "bgr8":
         return pixels[..., ::-1]

@@ -12,7 +12,7 @@ Pixel coordinates are (x, y) with the centre of the first pixel at (0, 0).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -135,6 +135,24 @@ class FisheyeCamera:
     def widest_angle_rad(self) -> float:
         """Return the largest angle from the axis that the distortion gives an image of its own."""
         return _widest_angle(self.distortion)
+
+    def part(self, x: int, y: int, width: int, height: int) -> FisheyeCamera:
+        """Return the camera whose image is a part of this one's, cut at its first column and row.
+
+        Raises:
+            ValueError: the part reaches beyond the image, or is empty.
+        """
+        if min(x, y) < 0 or x + width > self.width or y + height > self.height:
+            raise ValueError(
+                f"the part of {width} x {height} pixels from ({x}, {y}) reaches beyond the image "
+                f"of {self.width} x {self.height} pixels"
+            )
+        return replace(
+            self,
+            width=width,
+            height=height,
+            principal_point_px=self.principal_point_px - np.array([x, y]),
+        )
 
     def scaled(self, width: int, height: int) -> FisheyeCamera:
         """Return the camera of the same view with another number of pixels.

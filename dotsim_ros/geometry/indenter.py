@@ -9,6 +9,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import is_number, read_yaml, value_text
+from dotsim_ros.documents import is_number, parse_yaml, read_yaml, value_text
 from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
@@ -31,6 +32,9 @@ MAXIMUM_TRIANGLE_COUNT = 2_000_000
 GRID_MARGIN_M = 0.004
 LARGEST_LEVER_M = 0.02
 """Points farther from an indenter's tip do not count where it turns."""
+
+_CALL = re.compile(r"(\w+)\((.*)\)", re.DOTALL)
+_ARGUMENT = re.compile(r"(^|,)\s*(\w+)\s*=")
 
 AwayAxis = Literal["+x", "-x", "+y", "-y", "+z", "-z"]
 
@@ -307,6 +311,27 @@ def load_indenter(source: str | Path | Mapping[str, Any]) -> Indenter:
     if not isinstance(definition, Mapping):
         raise ValueError(f"{path}: expected a mapping with 'kind', got {type(definition).__name__}")
     return _from_mapping(definition, str(path), path.parent)
+
+
+def indenter_from_text(text: str) -> Indenter:
+    """Return the indenter of a name, a path, or a definition as one line.
+
+    A definition is `sphere(radius_m=0.003)`, or in braces what a YAML file of it holds. Programs
+    that read what they are given as YAML, such as `ros2 param set`, take braces for a mapping,
+    which no parameter of ROS can be.
+
+    Raises:
+        FileNotFoundError: no such file or name.
+        ValueError: the definition is not valid; the message says what was expected.
+    """
+    called = _CALL.fullmatch(text.strip())
+    if called is not None:
+        kind, values = called.groups()
+        named = _ARGUMENT.sub(r"\1 \2: ", values)
+        text = f"{{kind: {kind}, {named}}}"
+    if not text.lstrip().startswith("{"):
+        return load_indenter(text)
+    return load_indenter(parse_yaml(text, "indenter"))
 
 
 def _from_mapping(definition: Mapping[str, Any], where: str, folder: Path) -> Indenter:

@@ -198,6 +198,30 @@ class IdleFrame:
     fine: ImageArray | None = None
 
 
+def part_of_idle(
+    idle: IdleFrame, crop_px: tuple[int, int, int, int], size_px: tuple[int, int]
+) -> IdleFrame:
+    """Return what a part of the sensor's camera sees without contact.
+
+    Args:
+        idle: of the whole camera.
+        crop_px: x, y, width, height of the part.
+        size_px: width and height that the part is seen at.
+    """
+    x, y, width, height = crop_px
+    cut = np.ascontiguousarray(idle.image[y : y + height, x : x + width])
+    is_smaller = size_px[0] < width
+    # What is made smaller must be averaged, or its pattern would flicker.
+    interpolation = cv2.INTER_AREA if is_smaller else cv2.INTER_CUBIC
+    image = np.asarray(cv2.resize(cut, size_px, interpolation=interpolation), dtype=np.uint8)
+    fine = None
+    if idle.fine is not None and not is_smaller:
+        samples = idle.fine[2 * y : 2 * (y + height) - 1, 2 * x : 2 * (x + width) - 1]
+        image, fine = enlarged_fine(np.ascontiguousarray(samples), image, *size_px)
+    vignetting = idle.vignetting.of_part(height / idle.image.shape[0])
+    return IdleFrame(image, idle.lighting, vignetting, fine)
+
+
 def read_idle_frame(
     path: Path,
     camera: FisheyeCamera,

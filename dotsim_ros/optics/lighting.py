@@ -133,6 +133,13 @@ class Vignetting:
         """Return the vignetting of a sensor's file."""
         return cls(specification.falloff)
 
+    def of_part(self, height_share: float) -> Vignetting:
+        """Return the vignetting of a part of the image, by its share of the image's height."""
+        falloff = [
+            factor * height_share ** (2 * power) for power, factor in enumerate(self.falloff, 1)
+        ]
+        return Vignetting(tuple(falloff))
+
     def brightness(self, camera: FisheyeCamera) -> Float32Array:
         """Return (H, W) brightness relative to the principal point.
 

@@ -34,6 +34,19 @@ def test_the_framed_camera_projects_a_point_to_where_its_pixel_went():
     )
 
 
+def test_a_stretched_image_has_focal_lengths_of_both_axes():
+    framing = Framing.of_camera(
+        CAMERA, crop_px=(0, 0, 0, 0), image_size_px=(320, 180), image_aspect="stretch"
+    )
+    assert framing.rendered_px == (320, 240)
+    found = framing.intrinsics(CAMERA)
+    assert found.focal_px == pytest.approx([80.0, 60.0])
+    assert found.principal_point_px == pytest.approx([154.75, 93.4375])
+    row = np.zeros((240, 320), np.float32)
+    row[120:124] = 1.0
+    assert np.nonzero(framing.fit(row)[:, 0] > 0.5)[0].tolist() == [90, 91, 92]
+
+
 def test_depth_is_never_averaged_with_nothing():
     depth = np.full((480, 640), np.nan, np.float32)
     depth[:, 320:] = 0.01
@@ -47,7 +60,8 @@ def test_depth_is_never_averaged_with_nothing():
     ("crop_px", "image_size_px", "reason"),
     [
         ((600, 0, 100, 100), (0, 0), "reaches beyond"),
-        ((0, 0, 480, 480), (640, 480), "aspect ratio"),
+        ((0, 0, 480, 480), (640, 480), "aspect ratio.*image_aspect to stretch"),
+        ((0, 0, 8, 6), (640, 480), "at least 16 each way"),
     ],
 )
 def test_a_frame_that_no_camera_has_is_refused(crop_px, image_size_px, reason):

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 import warp as wp
+import yaml
 from numpy.typing import NDArray
 from scipy import ndimage
 
@@ -21,6 +22,7 @@ from dotsim_ros.geometry.indenter import (
     capsule,
     cone,
     flat_punch,
+    indenter_from_text,
     load_indenter,
     load_mesh,
     lying_cylinder,
@@ -416,3 +418,27 @@ def test_bad_definitions_are_refused(tmp_path: Path, definition: str, message: s
 def test_unknown_name_is_refused() -> None:
     with pytest.raises(FileNotFoundError, match="no_such_indenter"):
         load_indenter("no_such_indenter")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("sphere(radius_m=0.003)", sphere(0.003)),
+        (" capsule( radius_m = 0.002 ,length_m=0.004)", PRIMITIVES["capsule"]),
+        ("box(size_m=[0.006, 0.004, 0.005], edge_radius_m=0.0005)", PRIMITIVES["box"]),
+        ("{kind: sphere, radius_m: 0.003}", sphere(0.003)),
+    ],
+)
+def test_a_definition_in_one_line_is_what_a_parameter_can_hold(text, expected):
+    found = indenter_from_text(text)
+    assert (found.kind, found.parameters) == (expected.kind, expected.parameters)
+    # What reads values as YAML, as ros2 param set does, must take it for text.
+    assert isinstance(yaml.safe_load(text), str) is not text.startswith("{")
+
+
+@pytest.mark.parametrize(
+    "text", ["sphere()", "ball(radius_m=1)", "sphere(0.003)", "sphere(radius_m=[)"]
+)
+def test_a_wrong_definition_in_one_line_is_refused_with_the_reason(text):
+    with pytest.raises(ValueError, match=r"indenter (definition|is no valid)"):
+        indenter_from_text(text)

@@ -6,8 +6,11 @@ import pytest
 import yaml
 
 from dotsim_ros.files import parameter_path
+from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.tactile_sim.framing import Framing
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.specification import load_sensor
 
 
 @pytest.mark.parametrize(
@@ -21,6 +24,8 @@ from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
         ({"image_size_px": (640, 0)}, "both width and height"),
         ({"grid_spacing_m": 1e-4}, r"grid_spacing_m is 0\.0001, expected a number from 0\.0002"),
         ({"start_quaternion_xyzw": (0.0, 0.0, 0.0, 0.5)}, "length"),
+        ({"image_topic": ""}, "image_topic is empty"),
+        ({"radius_limits_m": (0.016, 0.012)}, "the smaller one first"),
         ({"device": "gpu9"}, "device is 'gpu9', expected cpu"),
         ({"base_frame": "same", "optical_frame": "same"}, "must differ"),
         ({"input_timeout_s": 0.03}, "shorter than a frame"),
@@ -40,12 +45,45 @@ def test_every_parameter_says_what_it_is():
         assert option_of(field).description.endswith((".", "zeros: as it is.")), field.name
 
 
-@pytest.mark.parametrize("name", ["tactile_sim.yaml", "remap_real_driver.yaml"])
-def test_the_shipped_files_hold_valid_parameters(name):
-    content = yaml.safe_load(parameter_path(name).read_text())
+def test_the_shipped_file_holds_the_defaults():
+    content = yaml.safe_load(parameter_path("tactile_sim.yaml").read_text())
     values = content["/**"]["ros__parameters"]
     plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
     parameters = TactileSimParameters(**plain)
-    if name == "tactile_sim.yaml":
-        assert parameters == TactileSimParameters()
-        assert set(plain) == {field.name for field in dataclasses.fields(TactileSimParameters)}
+    assert parameters == TactileSimParameters()
+    assert set(plain) == {field.name for field in dataclasses.fields(TactileSimParameters)}
+
+
+@pytest.mark.parametrize(
+    "name", sorted(path.name for path in parameter_path("drivers").glob("*.yaml"))
+)
+def test_the_files_for_drivers_hold_valid_parameters(name):
+    content = yaml.safe_load(parameter_path(f"drivers/{name}").read_text())
+    common = content.pop("/**")["ros__parameters"]
+    framings = set()
+    for section in ({}, *(each["ros__parameters"] for each in content.values())):
+        values = {**common, **section}
+        qualities = values.pop("qos_overrides", {})
+        plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+        parameters = TactileSimParameters(**plain)
+        framings.add(
+            Framing.of_camera(
+                FisheyeCamera.from_specification(load_sensor(parameters.sensor).camera),
+                crop_px=parameters.crop_px,
+                image_size_px=parameters.image_size_px,
+                image_aspect=parameters.image_aspect,
+            )
+        )
+        topics = {parameters.image_topic, parameters.difference_topic}
+        assert {name.removesuffix("/compressed") for name in qualities} <= topics
+    assert len(framings) == 1
+
+
+def test_a_prefix_is_put_before_every_frame():
+    plain = TactileSimParameters(frame_prefix="left_")
+    assert plain.base_frame == "densetact_base"
+    left = plain.prefixed()
+    assert left.base_frame == "left_densetact_base"
+    assert left.optical_frame == "left_densetact_optical_frame"
+    assert left.indenter_frame == "left_indenter"
+    assert left.prefixed() == left

@@ -273,7 +273,7 @@ def test_rosdep_file_defines_only_what_the_manifest_uses() -> None:
 
 def test_there_is_a_launch_file() -> None:
     names = [path.name for path in LAUNCH_FILES]
-    assert names == ["closed_loop.launch.py", "tactile_sim.launch.py"]
+    assert names == ["closed_loop.launch.py", "gripper.launch.py", "tactile_sim.launch.py"]
 
 
 @each_launch_file
@@ -339,9 +339,10 @@ def test_launch_file_refuses_a_wrong_parameter_file_before_any_node(path: Path) 
         if isinstance(found, ast.FunctionDef) and found.name == ast.unparse(called)
     ]
     (context,) = function.args.args
-    assert ast.unparse(function.body[-1]) == (
-        f"check_params_file(LaunchConfiguration('params_file').perform({context.arg}))"
-    )
+    assert [ast.unparse(statement) for statement in function.body[1:]] == [
+        f"given = LaunchConfiguration('params_file').perform({context.arg})",
+        f"{context.arg}.launch_configurations['params_file'] = check_params_file(given)",
+    ]
 
 
 @each_launch_file

@@ -12,11 +12,12 @@ from itertools import pairwise
 from pathlib import Path
 
 from dotsim_ros.documents import value_text
-from dotsim_ros.nodes.common.parameter_file import check_parameter_file
+from dotsim_ros.nodes.common.parameter_file import check_parameter_file, found_parameter_file
 from dotsim_ros.nodes.common.reasons import HOW
 from dotsim_ros.nodes.common.transport import PROFILE_FILES
 
 LARGEST_DOMAIN = 232
+PARAMS_FILE = "--params-file"
 
 
 def check_start(arguments: Sequence[str]) -> None:
@@ -71,7 +72,16 @@ def _foreign(arguments: Sequence[str]) -> Iterator[str]:
             yield argument
 
 
+def with_found_files(arguments: Sequence[str]) -> list[str]:
+    """Return a command line with the paths of the shipped files of parameters that it names."""
+    flags = ["", *arguments]
+    return [
+        found_parameter_file(value) if flag == PARAMS_FILE else value
+        for flag, value in zip(flags, arguments, strict=False)
+    ]
+
+
 def _parameter_files(arguments: Sequence[str]) -> Iterator[str]:
     for flag, value in pairwise(arguments):
-        if flag == "--params-file":
+        if flag == PARAMS_FILE:
             yield value

@@ -69,6 +69,12 @@ class GuardedNode(Node):
         self.add_on_set_parameters_callback(_refuse_nameless)
 
     @property
+    def label(self) -> str:
+        """Return what diagnostics call the node: its name, behind the namespace where it has one,
+        so that two sensors of one name are told apart."""
+        return str(self.get_fully_qualified_name()).strip("/")
+
+    @property
     def is_simulated(self) -> bool:
         """Return whether the node goes by simulated time."""
         return False
@@ -92,10 +98,10 @@ class GuardedNode(Node):
         is_recent = time.monotonic() - since_s < FAULT_MEMORY_S
         return [
             Status(
-                f"{self.get_name()}: callbacks",
+                f"{self.label}: callbacks",
                 Level.WARN if is_recent else Level.OK,
                 reason if is_recent else "running",
-                self.get_name(),
+                self.label,
                 {"failures": str(count), "last_failure": reason},
             )
         ]
@@ -340,6 +346,8 @@ def _refused(srv_type: Any, reason: str) -> Any:
         response.results = [refused]
     elif srv_type is SetParametersAtomically:
         response.result = refused
+    elif hasattr(response, "status_message"):
+        response.success, response.status_message = False, reason
     elif hasattr(response, "message"):
         response.success, response.message = False, reason
     return response

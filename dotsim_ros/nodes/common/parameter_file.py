@@ -6,12 +6,30 @@ which may lack what the nodes need.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 from dotsim_ros.documents import read_yaml, value_text
+from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.reasons import EXPECTED, reason_of
 
 PARAMETERS_KEY = "ros__parameters"
+SHARED = "params/"
+
+
+def found_parameter_file(name: str) -> str:
+    """Return the path of a file of parameters: as given, or else below `params/` of the package.
+
+    So the shipped files are found from any folder: `drivers/run_camera.yaml`, and as documents of
+    the repository call it `params/drivers/run_camera.yaml`. What is nowhere is returned as given.
+    """
+    if not name or Path(name).exists():
+        return name
+    try:
+        found = parameter_path(name.removeprefix(SHARED))
+    except FileNotFoundError:
+        return name
+    return str(found) if found.is_file() else name
 
 
 def check_parameter_file(path: str) -> None:
@@ -26,8 +44,8 @@ def check_parameter_file(path: str) -> None:
         raise ValueError(f"{path} holds no parameters; expected {EXPECTED['params file']}")
 
 
-def check_params_file(path: str) -> None:
-    """Refuse what a launch file was given as `params_file`.
+def check_params_file(name: str) -> str:
+    """Return the path of what a launch file was given as `params_file`, or refuse it.
 
     launch itself warns of a file that is not there and starts the nodes without it, so that all of
     their parameters, limits among them, are the defaults.
@@ -35,14 +53,16 @@ def check_params_file(path: str) -> None:
     Raises:
         ValueError: the file is not there, cannot be read, or holds no parameters.
     """
-    if not path:
+    if not name:
         raise ValueError(f"params_file is empty, expected {EXPECTED['params file']}")
+    path = found_parameter_file(name)
     try:
         check_parameter_file(path)
     except (OSError, ValueError) as error:
         raise ValueError(
             f"params_file {value_text(path)} is refused and no node is started: {reason_of(error)}"
         ) from error
+    return path
 
 
 def _holds_parameters(content: Any) -> bool:

@@ -27,7 +27,7 @@ from rclpy.time import Time
 from threadpoolctl import threadpool_limits
 
 import msg_adapters
-from dotsim_ros.nodes.common.arguments import check_start
+from dotsim_ros.nodes.common.arguments import check_start, with_found_files
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.reasons import reason_of
@@ -370,7 +370,7 @@ def run_nodes(
     interruption = _Interruption()
     signal.signal(signal.SIGINT, interruption)
     nodes: list[Node] = []
-    given = sys.argv[1:] if arguments is None else list(arguments)
+    given = with_found_files(sys.argv[1:] if arguments is None else arguments)
     try:
         check_start(given)
         rclpy.init(args=given)

@@ -188,7 +188,7 @@ class TactilePolicy(WorkingNode):
 
     def _health(self) -> list[Status]:
         return statuses(
-            self.get_fully_qualified_name().lstrip("/"),
+            self.label,
             self._policy.name,
             inputs=self._inputs,
             inference=self._inference,

@@ -192,7 +192,7 @@ class TactileRecord(WorkingNode):
             )
         report = self.report_health(
             REPORT_PERIOD_S,
-            lambda: statuses_of(self.get_name(), "", {"recording": self._health(recording)}),
+            lambda: statuses_of(self.label, "", {"recording": self._health(recording)}),
             "diagnostics have no time",
         )
         self.create_timer(

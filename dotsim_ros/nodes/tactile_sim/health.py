@@ -94,6 +94,7 @@ class Condition:
         late: frames that started late, or show the indenter on its way to the newest pose.
         dropped: frames that were left out.
         profile: what is told of it.
+        rivals: who else publishes what this sensor does, in words; empty for nobody.
     """
 
     is_enabled: bool
@@ -104,6 +105,7 @@ class Condition:
     late: int
     dropped: int
     profile: Mapping[str, str]
+    rivals: str = ""
 
 
 def statuses(
@@ -140,6 +142,8 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
     }
     if not condition.is_enabled:
         return Level.WARN, "disabled: call set_enabled to continue", values
+    if condition.rivals:
+        return Level.WARN, condition.rivals, values
     if condition.is_realtime and counter.count and condition.dropped > 0.01 * counter.count:
         return Level.WARN, "frames are dropped: the machine is too slow for this rate", values
     return Level.OK, "running", values

@@ -19,21 +19,23 @@ from threading import RLock
 from typing import Any
 
 import numpy as np
+from std_msgs.msg import Bool
 from std_srvs.srv import SetBool, Trigger
 
-from dotsim_ros.documents import parse_yaml
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
-from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.indenter import indenter_from_text
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.rivals import rivals_of
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.common.transport import carry_images
 from dotsim_ros.nodes.simulated_time.latency import Latency
+from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
@@ -57,7 +59,7 @@ class TactileSim(WorkingNode):
 
     def __init__(self) -> None:
         super().__init__("tactile_sim")
-        self._settings = declare(self, TactileSimParameters)
+        self._settings = declare(self, TactileSimParameters).prefixed()
         _check_messages(self._settings)
         self._lock = RLock()
         self._is_enabled = True
@@ -104,6 +106,12 @@ class TactileSim(WorkingNode):
         self._newest = NewestMotion()
         self._pace = self._new_pace()
         self._outputs = FramePublishers(self, sensor, self._settings, noise=specification.noise)
+        self._calibration = CalibrationStore(
+            self,
+            self._settings.camera_info_url,
+            camera_name=self.label.replace("/", "_"),
+            on_change=self._outputs.take_calibration,
+        )
         self._input = MotionInput(
             self,
             self._settings,
@@ -118,6 +126,7 @@ class TactileSim(WorkingNode):
             self._health,
             without_clock="frames cannot be stamped",
         )
+        self.create_subscription(Bool, self._settings.reference_topic, self._on_reset_reference, 10)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
         self.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
@@ -170,7 +179,7 @@ class TactileSim(WorkingNode):
         specification = replace(specification, noise=NoiseSpecification())
         sensor = TactileSensor(
             specification,
-            indenter=indenter_of(self._settings.indenter),
+            indenter=indenter_from_text(self._settings.indenter),
             device=self._settings.device,
             progress=self._tell_progress,
         )
@@ -243,8 +252,8 @@ class TactileSim(WorkingNode):
                 f"input: {missing}", throttle_duration_sec=MISSING_INPUT_LOG_S
             )
         return statuses(
-            self.get_name(),
-            self._settings.sensor,
+            self.label,
+            f"{self.get_namespace().strip('/')}/{self._settings.sensor}".strip("/"),
             condition=Condition(
                 is_enabled=self._is_enabled,
                 silence_s=self._input.silence_s(),
@@ -254,6 +263,7 @@ class TactileSim(WorkingNode):
                 late=self._pace.late + self._session.behind,
                 dropped=self._pace.dropped,
                 profile=self._profile.values(),
+                rivals=rivals_of(self, self._outputs.topics),
             ),
             counter=self._counter,
             faults=self._faults,
@@ -285,6 +295,11 @@ class TactileSim(WorkingNode):
         response.message = f"the image at rest is on {self.get_fully_qualified_name()}/idle_image"
         return response
 
+    def _on_reset_reference(self, message: Any) -> None:
+        if message.data:
+            with self._lock:
+                self._outputs.take_reference(self._session.moment.render().image)
+
     def _on_set_enabled(self, request: Any, response: Any) -> Any:
         with self._lock:
             self._is_enabled = request.data
@@ -294,19 +309,19 @@ class TactileSim(WorkingNode):
         return response
 
     def _change_parameters(self, changed: TactileSimParameters) -> None:
-        indenter = (
-            None if changed.indenter == self._settings.indenter else indenter_of(changed.indenter)
-        )
+        indenter = None
+        if changed.indenter != self._settings.indenter:
+            indenter = indenter_from_text(changed.indenter)
         # All that may be refused comes before anything is changed, and what takes long (ten seconds
         # for the largest mesh) before the frames have to wait for it.
         self._outputs.framing_of(changed)
         if indenter is not None and indenter.mesh is not None:
             indenter.distance_grid()
         with self._lock:
+            self._outputs.configure(changed)
             if indenter is not None:
                 self._session.change_indenter(indenter)
                 self._input.forget()
-            self._outputs.configure(changed)
             self._input.configure(changed)
             has_new_rate = changed.rate_hz != self._settings.rate_hz
             self._settings = changed
@@ -321,18 +336,6 @@ def _check_messages(settings: TactileSimParameters) -> None:
         transform_message()
     if settings.entity_indenter or settings.entity_sensor:
         entity_message()
-
-
-def indenter_of(text: str) -> Indenter:
-    """Return the indenter of a name, a path, or a definition in braces.
-
-    Raises:
-        ValueError: no valid indenter.
-        FileNotFoundError: no such file or name.
-    """
-    if not text.lstrip().startswith("{"):
-        return load_indenter(text)
-    return load_indenter(parse_yaml(text, "indenter"))
 
 
 def main() -> int:

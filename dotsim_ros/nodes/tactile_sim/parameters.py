@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.nodes.common.options import option
 from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
+from dotsim_ros.nodes.tactile_sim.output_parameters import OutputParameters
 from dotsim_ros.nodes.tactile_sim.profiles import BY_CLOCK, NAMES, resolve_profile
 from dotsim_ros.quantity import check_value, quantities_of
 from dotsim_ros.specification import NoiseSpecification, SolverSpecification
@@ -25,7 +26,7 @@ SENSORS_OWN = -1.0
 
 
 @dataclass(frozen=True)
-class TactileSimParameters:
+class TactileSimParameters(OutputParameters):
     """Parameters of `tactile_sim`; each field says what it is.
 
     Raises:
@@ -41,8 +42,8 @@ class TactileSimParameters:
     indenter: str = option(
         "sphere_4mm",
         "What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML file, "
-        "or a definition such as '{kind: sphere, radius_m: 0.003}' or "
-        "'{kind: mesh, path: screw.stl, scale: 0.001}'.",
+        "or a definition such as 'sphere(radius_m=0.003)' or "
+        "'mesh(path=screw.stl, scale=0.001)'.",
     )
     clock: str = option(
         REALTIME,
@@ -169,7 +170,7 @@ class TactileSimParameters:
     )
     image_size_px: tuple[int, int] = option(
         (0, 0),
-        "Width and height that the part is resized to; zeros: as it is.",
+        "Width and height that the part is published at; zeros: as it is.",
         minimum=0,
         maximum=16384,
     )
@@ -231,7 +232,7 @@ class TactileSimParameters:
     )
 
     def __post_init__(self) -> None:
-        check_options(self)
+        super().__post_init__()
         for name, length in (
             ("start_position_m", 3),
             ("start_quaternion_xyzw", 4),
@@ -300,6 +301,16 @@ class TactileSimParameters:
                 f"world_frame is {value_text(self.world_frame)}, as base_frame or indenter_frame "
                 "is: expected another frame, or none"
             )
+
+    def prefixed(self) -> TactileSimParameters:
+        """Return the same with the names of frames as they are published."""
+        return replace(
+            self,
+            frame_prefix="",
+            base_frame=f"{self.frame_prefix}{self.base_frame}",
+            optical_frame=f"{self.frame_prefix}{self.optical_frame}",
+            indenter_frame=f"{self.frame_prefix}{self.indenter_frame}",
+        )
 
     def start_pose(self) -> Pose:
         """Return where the indenter starts under velocity input.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, TypedDict
 import cv2
 import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
+from numpy.typing import NDArray
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
@@ -14,8 +15,12 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
+from dotsim_ros.arrays import ImageArray
+from dotsim_ros.nodes.tactile_sim.difference import difference_image
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
+from dotsim_ros.nodes.tactile_sim.output_parameters import AXIAL
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.optics.depth import DepthConversion, radius_bytes
 from dotsim_ros.optics.noise import with_noise
 
 if TYPE_CHECKING:
@@ -55,15 +60,38 @@ class FramePublishers:
         noise: NoiseSpecification,
     ) -> None:
         self._sensor, self._noise = sensor, noise
+        self._reference: ImageArray | None = None
+        self._calibration: msg_adapters.CameraCalibration | None = None
+        self._depth_of: DepthConversion | None = None
+        self._framing = self.framing_of(parameters)
+        # A network, and effects that were found, know images of the sensor's own size.
+        self._renders_part = not (sensor.has_network or parameters.effects)
         self.configure(parameters)
-        self._image = self._publisher(node, Image, "image_raw")
-        self._compressed = self._publisher(node, CompressedImage, "image_raw/compressed")
-        self._camera_info = self._publisher(node, CameraInfo, "camera_info")
+        self._image = self._publisher(node, Image, parameters.image_topic)
+        # Of the topic as it is after a remap, so that what belongs to an image goes along with it.
+        image_topic = self._image.topic_name
+        self._compressed = self._publisher(node, CompressedImage, f"{image_topic}/compressed")
+        self._camera_info = self._publisher(
+            node,
+            CameraInfo,
+            parameters.camera_info_topic or _beside(node, image_topic, "camera_info"),
+        )
+        self._difference = self._publisher(node, Image, parameters.difference_topic)
+        self._difference_compressed = self._publisher(
+            node, CompressedImage, f"{self._difference.topic_name}/compressed"
+        )
         self._depth = self._publisher(node, Image, "depth/image")
+        self._radius = self._publisher(node, Image, parameters.radius_topic)
+        self._radius_shown = self._publisher(node, Image, parameters.radius_shown_topic)
         self._points = self._publisher(node, PointCloud2, "points")
-        self._wrench = self._publisher(node, WrenchStamped, "wrench")
+        self._wrench = self._publisher(node, WrenchStamped, parameters.wrench_topic)
         self._state = self._publisher(node, PoseStamped, "indenter/state")
         self._idle = node.create_publisher(Image, "~/idle_image", LATCHED_QOS)
+
+    @property
+    def topics(self) -> tuple[str, str]:
+        """Names, as they are, of the topics by which readers know the sensor."""
+        return self._image.topic_name, self._wrench.topic_name
 
     def framing_of(self, parameters: TactileSimParameters) -> Framing:
         """Return what of the sensor's image parameters ask for.
@@ -72,20 +100,38 @@ class FramePublishers:
             ValueError: the crop or the size does not fit the camera, or takes too much memory.
         """
         return Framing.of_camera(
-            self._sensor.camera,
+            self._sensor.whole_camera,
             crop_px=parameters.crop_px,
             image_size_px=parameters.image_size_px,
+            image_aspect=parameters.image_aspect,
         )
 
     def configure(self, parameters: TactileSimParameters) -> None:
-        """Take changed parameters; errors as `framing_of`, and the ones before stay."""
-        self._framing = self.framing_of(parameters)
-        self._camera = self._framing.camera(self._sensor.camera)
-        self._parameters = parameters
+        """Take changed parameters; errors as `framing_of`, and the ones before stay.
+
+        Another part or size of the image takes some tenths of a second, and makes the untouched
+        image the reference.
+        """
+        framing = self.framing_of(parameters)
+        if self._renders_part:
+            self._sensor.set_view(framing.crop_px, framing.rendered_px)
+        if framing != self._framing:
+            self._reference = self._depth_of = None
+        self._framing, self._parameters = framing, parameters
+        self._intrinsics = framing.intrinsics(self._sensor.whole_camera)
 
     def shows_image(self) -> bool:
         """Return whether a topic that needs the camera's image has a subscriber."""
-        return any(self._is_shown(each) for each in (self._image, self._compressed, self._depth))
+        shown = (
+            self._image,
+            self._compressed,
+            self._difference,
+            self._difference_compressed,
+            self._depth,
+            self._radius,
+            self._radius_shown,
+        )
+        return any(self._is_shown(each) for each in shown)
 
     def publish(self, moment: SensorMoment, stamp_ns: int) -> None:
         """Publish a moment on every topic with a subscriber; render it only for an image."""
@@ -94,16 +140,7 @@ class FramePublishers:
         if self._is_shown(self._image):
             self._image.publish(self._image_message(moment.render().image, stamp_ns))
         if _is_read(self._camera_info):
-            self._camera_info.publish(
-                msg_adapters.encode_camera_info(
-                    width=self._camera.width,
-                    height=self._camera.height,
-                    focal_px=self._camera.focal_px,
-                    principal_point_px=self._camera.principal_point_px,
-                    distortion=self._camera.distortion,
-                    **optical,
-                )
-            )
+            self._camera_info.publish(self._camera_info_message(optical))
         if _is_read(self._wrench):
             wrench = moment.gel.wrench
             self._wrench.publish(
@@ -115,18 +152,10 @@ class FramePublishers:
                 msg_adapters.encode_pose_stamped(pose.position_m, pose.quaternion_xyzw, **base)
             )
         if self._is_shown(self._compressed):
-            self._compressed.publish(
-                msg_adapters.encode_compressed_image(
-                    self._framing.apply(self._noisy(moment.render().image, stamp_ns)),
-                    compression=self._parameters.compression,
-                    quality=self._parameters.jpeg_quality,
-                    **optical,
-                )
-            )
-        if self._is_shown(self._depth):
-            # Never averaged: between skin and nothing lies no skin.
-            depth = self._framing.apply(moment.render().depth_m, interpolation=cv2.INTER_NEAREST)
-            self._depth.publish(msg_adapters.encode_image(depth, encoding="32FC1", **optical))
+            seen = self._framed(self._noisy(moment.render().image, stamp_ns))
+            self._compressed.publish(self._compressed_message(seen, optical))
+        self._publish_difference(moment, optical)
+        self._publish_depth(moment, optical)
         if _is_read(self._points):
             rest_m, skin_m = self._sensor.skin.rest_position_m, moment.gel.skin_position_m
             self._points.publish(
@@ -141,15 +170,99 @@ class FramePublishers:
     def _is_shown(self, publisher: Publisher) -> bool:
         return _is_read(publisher) and not self._parameters.fail_drop_images
 
+    def take_calibration(self, calibration: msg_adapters.CameraCalibration) -> None:
+        """Publish a calibration as camera_info, while images have its size.
+
+        Raises:
+            ValueError: they have another size now.
+        """
+        given, size = (calibration.width, calibration.height), self._framing.size_px
+        if given != size:
+            raise ValueError(
+                f"the calibration is of {given[0]} x {given[1]} pixels, the images have {size[0]} "
+                f"x {size[1]}: calibrate with these, or set image_size_px"
+            )
+        self._calibration = calibration
+
+    def _camera_info_message(self, header: _Header) -> Any:
+        own, given = self._intrinsics, self._calibration
+        if given is not None and (given.width, given.height) == (own.width, own.height):
+            return msg_adapters.encode_calibration(given, **header)
+        return msg_adapters.encode_camera_info(
+            width=own.width,
+            height=own.height,
+            focal_px=own.focal_px,
+            principal_point_px=own.principal_point_px,
+            distortion=own.distortion,
+            **header,
+        )
+
+    def take_reference(self, image: ImageArray | None) -> None:
+        """Take differences to an image of the sensor from now on; None: to the untouched one."""
+        self._reference = image
+
+    def _publish_difference(self, moment: SensorMoment, header: _Header) -> None:
+        plain, compressed = self._difference, self._difference_compressed
+        if not (self._is_shown(plain) or self._is_shown(compressed)):
+            return
+        reference = self._sensor.idle_image if self._reference is None else self._reference
+        difference = difference_image(
+            self._framed(self._noisy(moment.render().image, header["stamp_ns"])),
+            self._framed(reference),
+            self._parameters.difference_gain,
+        )
+        if self._is_shown(plain):
+            encoding = self._parameters.encoding
+            pixels = encoded_pixels(difference, encoding)
+            plain.publish(msg_adapters.encode_image(pixels, encoding=encoding, **header))
+        if self._is_shown(compressed):
+            compressed.publish(self._compressed_message(difference, header))
+
+    def _publish_depth(self, moment: SensorMoment, header: _Header) -> None:
+        if self._is_shown(self._depth):
+            depth_m = moment.render().depth_m
+            if self._parameters.depth_convention == AXIAL:
+                depth_m = self._conversion().axial_m(depth_m)
+            # Never averaged: between skin and nothing lies no skin.
+            depth_m = self._framed(depth_m, interpolation=cv2.INTER_NEAREST)
+            self._depth.publish(msg_adapters.encode_image(depth_m, encoding="32FC1", **header))
+        if not (self._is_shown(self._radius) or self._is_shown(self._radius_shown)):
+            return
+        radius = radius_bytes(
+            self._conversion().radius_m(moment.render().depth_m), self._parameters.radius_limits_m
+        )
+        radius = self._framed(radius, interpolation=cv2.INTER_NEAREST)
+        if self._is_shown(self._radius):
+            self._radius.publish(msg_adapters.encode_image(radius, encoding="8UC1", **header))
+        if self._is_shown(self._radius_shown):
+            grey = np.repeat(radius[..., None], 3, axis=2)
+            self._radius_shown.publish(msg_adapters.encode_image(grey, encoding="rgb8", **header))
+
+    def _conversion(self) -> DepthConversion:
+        if self._depth_of is None:
+            self._depth_of = DepthConversion(self._sensor.camera)
+        return self._depth_of
+
+    def _framed(self, pixels: NDArray[Any], *, interpolation: int = cv2.INTER_AREA) -> NDArray[Any]:
+        """Return pixels of a frame as they are published."""
+        frame = self._framing.fit if self._renders_part else self._framing.apply
+        return frame(pixels, interpolation=interpolation)
+
+    def _compressed_message(self, pixels: ImageArray, header: _Header) -> Any:
+        return msg_adapters.encode_compressed_image(
+            pixels,
+            compression=self._parameters.compression,
+            quality=self._parameters.jpeg_quality,
+            **header,
+        )
+
     def publish_idle(self, frame: Frame, stamp_ns: int) -> None:
         """Publish the image without contact, kept for late readers."""
         self._idle.publish(self._image_message(frame.image, stamp_ns))
 
     def _image_message(self, rgb: np.ndarray[Any, np.dtype[np.uint8]], stamp_ns: int) -> Any:
         return msg_adapters.encode_image(
-            encoded_pixels(
-                self._framing.apply(self._noisy(rgb, stamp_ns)), self._parameters.encoding
-            ),
+            encoded_pixels(self._framed(self._noisy(rgb, stamp_ns)), self._parameters.encoding),
             encoding=self._parameters.encoding,
             stamp_ns=stamp_ns,
             frame_id=self._parameters.optical_frame,
@@ -169,6 +282,13 @@ class FramePublishers:
     def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:
         overriding = QoSOverridingOptions.with_default_policies()
         return node.create_publisher(kind, topic, FRAME_QOS, qos_overriding_options=overriding)
+
+
+def _beside(node: Node, topic: str, name: str) -> str:
+    """Return the topic of a name beside another, unless the user has renamed it on its own."""
+    given = node.resolve_topic_name(name)
+    is_renamed = given != node.resolve_topic_name(name, only_expand=True)
+    return given if is_renamed else f"{topic.rpartition('/')[0]}/{name}"
 
 
 def _is_read(publisher: Publisher) -> bool:

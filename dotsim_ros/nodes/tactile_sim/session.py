@@ -24,6 +24,7 @@ from dotsim_ros.sensor import GelFailureError
 if TYPE_CHECKING:
     from dotsim_ros.effects.effect import Active
     from dotsim_ros.gel.make import GelFrame
+    from dotsim_ros.geometry.camera import FisheyeCamera
     from dotsim_ros.geometry.indenter import Indenter
     from dotsim_ros.sensor import Frame, TactileSensor
     from dotsim_ros.specification import SolverSpecification
@@ -50,11 +51,14 @@ class SensorMoment:
     ) -> None:
         self._sensor, self.gel, self.pose, self._camera = sensor, gel, pose, camera
         self._frame: Frame | None = None
+        self._seen_by: FisheyeCamera | None = None
 
     def render(self) -> Frame:
-        """Return the whole frame; it is rendered the first time."""
-        if self._frame is None:
+        """Return the whole frame; it is rendered the first time, and when the sensor's camera has
+        become another."""
+        if self._frame is None or self._seen_by is not self._sensor.camera:
             frame = self._sensor.see(self.gel, self.pose)
+            self._seen_by = self._sensor.camera
             if self._camera is not None:
                 begun_s = time.perf_counter()
                 image = self._camera(frame.image, frame.skin_position_m)

@@ -219,7 +219,7 @@ class TimeStepper(WorkingNode):
             "waiting_for": waiting_for,
         }
         message = self._fault or (waiting_for if state == "waiting" else "") or state
-        return statuses_of(self.get_name(), "", {"time": (level, message, values)})
+        return statuses_of(self.label, "", {"time": (level, message, values)})
 
     def _log_waiting(self, waiting_for: str) -> None:
         if waiting_for:

@@ -175,7 +175,7 @@ class XarmAdapter(WorkingNode):
     def _health(self) -> list[Status]:
         now_s = self.now_s()
         with self._lock:
-            return link_statuses(self.get_name(), self._link, self._faults, now_s=now_s)
+            return link_statuses(self.label, self._link, self._faults, now_s=now_s)
 
     def _change_parameters(self, changed: XarmAdapterParameters) -> None:
         with self._lock:

@@ -241,7 +241,7 @@ class XarmSim(WorkingNode):
                 late=self._pace.late,
                 dropped=self._pace.dropped,
             )
-        return arm_statuses(self.get_name(), condition, self._faults, now_s=now_s)
+        return arm_statuses(self.label, condition, self._faults, now_s=now_s)
 
     def _on_emergency_stop(self, _request: Any, response: Any) -> Any:
         with self._lock:
