@@ -11,11 +11,14 @@ import pytest
 import yaml
 from gap_findings import named, no_gap, unknown
 from optical_films import (
+    CENTRE,
     CHOSEN,
     FILMS,
     FRAMES,
+    HEIGHT,
     METER,
     REFERENCES,
+    WIDTH,
     beside_a_lamp,
     changes_of,
     drawn,
@@ -137,6 +140,57 @@ def test_two_effects_at_once_are_both_named(searched):
     assert {one.effect.name for one in answer.named} == {"vignetting", "led_imbalance_red"}
     (loss,) = answer.estimates["led_imbalance_red"]
     assert loss.value == pytest.approx(0.1, abs=0.03)
+
+
+def darker_edges(loss):
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    square = ((x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2) / (0.5 * HEIGHT) ** 2
+    return lambda pixels: pixels * (1.0 - loss * square)[..., None]
+
+
+def test_a_size_that_is_beyond_the_plausible_is_unknown_and_one_at_the_end_is_not(searched):
+    answer = searched.answer(residuals_with(darker_edges(0.4), 4))
+    assert answer.verdict is Verdict.UNKNOWN
+    assert answer.named == ()
+    assert answer.beyond is not None
+    assert (answer.beyond.effect.name, answer.beyond.parameter.name) == ("vignetting", "edge_loss")
+    assert answer.beyond.value == pytest.approx(0.4, rel=0.1)
+    beyond = (answer.beyond.parameter, answer.beyond.value)
+    gap = ChannelGap("image", "levels", 2.0, 2.0, 1.0, 1.0)
+    told = optical_sentence(
+        Verdict.UNKNOWN, (), (), gap, nearest=answer.beyond.effect, beyond=beyond
+    )
+    assert "vignetting, but the images ask for edge_loss = 0.4" in told
+    assert "its plausible range is 0 to 0.3" in told
+    # As large as is plausible is no sign of anything else.
+    answer = searched.answer(residuals_with(darker_edges(0.3), 4))
+    assert answer.verdict is Verdict.NAMED
+    assert answer.beyond is None
+    (loss,) = answer.estimates["vignetting"]
+    assert loss.value == pytest.approx(0.3, rel=0.02)
+
+
+def test_what_would_have_to_be_beyond_its_range_is_no_alternative():
+    vignetting = LIBRARY["vignetting"]
+    (loss,) = vignetting.parameters
+
+    def faint(high):
+        size = replace(loss, high=high, probes=(0.05,))
+        return replace(vignetting, name="faint", parameters=(size,))
+
+    films = [film_of(number) for number in REFERENCES]
+    random = np.random.default_rng(7)
+    case = case_of(films, [drawn(change, random) for change in changes_of(films)])
+    null = fit_optical_null(case, [vignetting, faint(0.3)], sensor="synthetic", source="films")
+    residuals = residuals_with(darker_edges(0.1), 1)
+    case = case_of(FILMS, residuals)
+    alternatives = {}
+    for high in (0.05, 0.3):
+        effects = [vignetting, faint(high)]
+        search = ImageSearch(case, case.shots, effects, null, alpha=0.02, seed=0)
+        answer = search.answer(residuals)
+        alternatives[high] = {*answer.alternatives, *(one.effect.name for one in answer.named)}
+    assert alternatives == {0.05: {"vignetting"}, 0.3: {"vignetting", "faint"}}
 
 
 def test_a_lens_out_of_focus_is_unknown(searched):
