@@ -184,6 +184,22 @@ def _asked(parameter: EffectParameter, value: float) -> str:
     )
 
 
+def weighed(effect: Effect, estimate: Estimate, names: Sequence[str]) -> str:
+    """Return that known weights give the scale of the force, in a sentence."""
+    return (
+        f"{effect.title} is missing, by the known weight ({', '.join(names)}): {shown(estimate)}; "
+        "the presses were searched with forces divided by it."
+    )
+
+
+def weight_without_reference(names: Sequence[str]) -> str:
+    """Return why weights are not used against a commissioning, and what to do."""
+    return (
+        f"the known weight ({', '.join(names)}) was not used: the commissioning has none, so how "
+        "its gauge read is not known; weigh at each commissioning, or search without --reference"
+    )
+
+
 def reaches_end(effect: Effect, estimate: Estimate) -> str | None:
     """Return that an interval reaches the end of the plausible range, None for one that does not.
 
