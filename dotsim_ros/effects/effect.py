@@ -113,6 +113,9 @@ class SeenImage:
         centre_px: (2,) x and y of the optical axis.
         focal_px: pixels a radian of the equidistant fisheye.
         flow_px_s: (H, W, 2) how fast the image moves; zero where it is not known.
+        depth_m: (H, W) distance of the skin along each pixel's ray; NaN where no skin is seen.
+        normal: (H, W, 3) unit normal of the skin, optical frame, on the camera's side; NaN where
+            no skin is seen.
     """
 
     stamp_s: float
@@ -122,6 +125,8 @@ class SeenImage:
     centre_px: FloatArray
     focal_px: float
     flow_px_s: FloatArray
+    depth_m: FloatArray
+    normal: FloatArray
 
 
 MotionFilter = Callable[[float, Pose, FloatArray], Pose]

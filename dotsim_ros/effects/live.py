@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.effects.effect import (
     Active,
     GelTerm,
@@ -88,6 +88,26 @@ class FilteredSensor(Protocol):
         """Return how far (H, W, 2) what each pixel shows has moved in the image, x then y."""
 
 
+class FilteredFrame(Protocol):
+    """What the filters of the image need of a rendered frame, as `dotsim_ros.sensor.Frame`."""
+
+    @property
+    def image(self) -> ImageArray:
+        """Of the camera, (H, W, 3) uint8."""
+
+    @property
+    def skin_position_m(self) -> FloatArray:
+        """The skin (V, 3), base frame."""
+
+    @property
+    def depth_m(self) -> Float32Array:
+        """Distance (H, W) along the ray, NaN where no skin is seen."""
+
+    @property
+    def normal(self) -> Float32Array:
+        """Unit normal (H, W, 3) in the optical frame, towards the camera."""
+
+
 class LiveEffects:
     """The filters of pose, response and image of one sensor.
 
@@ -155,7 +175,7 @@ class LiveEffects:
 
     def camera(
         self, before_m: FloatArray | None, step_s: float
-    ) -> Callable[[ImageArray, FloatArray], ImageArray] | None:
+    ) -> Callable[[FilteredFrame], ImageArray] | None:
         """Return what the camera makes of this moment's image, whenever it is rendered; None where
         no effect acts on it.
 
@@ -164,27 +184,29 @@ class LiveEffects:
             step_s: since then.
 
         Returns:
-            A function of the rendered image (H, W, 3) and the skin (V, 3) that it shows.
+            A function of the rendered frame.
         """
         if not self._has_image:
             return None
         image, stamp_s, session_s = self._image, self._stamp_s, self._session_s
         sensor = self._sensor
 
-        def seen(rendered: ImageArray, skin_position_m: FloatArray) -> ImageArray:
+        def seen(frame: FilteredFrame) -> ImageArray:
             if before_m is None:
-                flow = np.zeros((*rendered.shape[:2], 2))
+                flow = np.zeros((*frame.image.shape[:2], 2))
             else:
-                flow = sensor.image_motion_px(before_m, skin_position_m) / step_s
+                flow = sensor.image_motion_px(before_m, frame.skin_position_m) / step_s
             pixels = image(
                 SeenImage(
                     stamp_s=stamp_s,
                     session_s=session_s,
-                    pixels=rendered.astype(np.float64),
+                    pixels=frame.image.astype(np.float64),
                     idle=sensor.idle_image.astype(np.float64),
                     centre_px=sensor.camera.principal_point_px,
                     focal_px=sensor.camera.focal_px,
                     flow_px_s=flow,
+                    depth_m=frame.depth_m.astype(np.float64),
+                    normal=frame.normal.astype(np.float64),
                 )
             )
             return np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8)

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.effects.effect import FORCE
 from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.gap.decision import ALIKE
+from dotsim_ros.gap.decision import ALIKE, APART
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, centred
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy
 from dotsim_ros.gap.presses.evidence import Case, make_trajectories
@@ -18,10 +19,18 @@ from dotsim_ros.gap.presses.inference import cosines, lengths
 from dotsim_ros.gap.presses.isolability import pairs_of
 from dotsim_ros.gap.presses.screening import excited_variants
 from dotsim_ros.gap.presses.search_state import GapRequest
+from dotsim_ros.gap.presses.weighed import EFFECT as FORCE_SCALE
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.measurement import protocol_of, read_poses
+
+WEIGHT = (
+    "rest a known mass on the force gauge for some seconds, hung on it or, where the gauge carries "
+    "the sensor, on the dome; list the bag with its mass_kg under 'weights' of dataset.yaml. "
+    "Without it a force scale that is wrong by less than a third is taken for another stiffness"
+)
+"""The protocol that no press replaces."""
 
 FOUND = 8.0
 """Whitened size from which an effect is found with 95 % probability: its score, the square, is to
@@ -37,7 +46,8 @@ def plan(request: GapRequest) -> dict[str, Any]:
     Returns:
         `effects`: for each, the whitened size of its first probe, the size that can be found, its
         unit, and seconds of each protocol; `cosines`: of each pair; `alike`: pairs that are too
-        close, with what to add; `silent`: effects that nothing excites, with what would.
+        close, with what to add; `silent`: effects that nothing excites, with what would; `add`:
+        protocols beside presses that are missing, with how to record them.
     """
     data_set = read_data_set(request.measured)
     # That of the planned measurement, where it is known.
@@ -92,6 +102,12 @@ def plan(request: GapRequest) -> dict[str, Any]:
     matrix = np.stack(columns, axis=1)
     size, rho = lengths(evidence, matrix), cosines(evidence, matrix)
     moved = [probe - v.absent for v, probe in zip(variants, probes, strict=True)]
+    smallest = {
+        name: float(abs(moved[k]) * FOUND / max(size[k], 1e-9)) for k, name in enumerate(names)
+    }
+    if FORCE_SCALE in smallest and data_set.weights:
+        # A weight alone gives it, to its own tolerance.
+        smallest[FORCE_SCALE] = APART * min(one.tolerance for one in data_set.weights)
     pairs = pairs_of(
         evidence, [v.effect for v in variants], matrix, [t.recording for t in trajectories]
     )
@@ -103,7 +119,7 @@ def plan(request: GapRequest) -> dict[str, Any]:
             name: {
                 "whitened_size": float(size[k]),
                 "probe": float(moved[k]),
-                "smallest_found": float(abs(moved[k]) * FOUND / max(size[k], 1e-9)),
+                "smallest_found": smallest[name],
                 "unit": library[name].parameters[0].unit,
             }
             for k, name in enumerate(names)
@@ -125,6 +141,7 @@ def plan(request: GapRequest) -> dict[str, Any]:
             if abs(p.cosine) > ALIKE
         ],
         "silent": {name: library[name].protocol for name in silent},
+        "add": {} if data_set.weights or FORCE not in request.channels else {"weight": WEIGHT},
         "warnings": [*warnings, *left_out, *failures],
     }
 
@@ -144,5 +161,6 @@ def plan_lines(planned: Mapping[str, Any]) -> list[str]:
     ]
     for name, protocol in planned["silent"].items():
         lines.append(f"{name}: nothing excites it; add {protocol}")
+    lines += [f"add the protocol {name}: {how}" for name, how in planned["add"].items()]
     lines += [f"- {text}" for text in planned["warnings"]]
     return lines

@@ -31,6 +31,10 @@ SKIN_FORMS = {
 """The arrays of a skin's file."""
 SMALLEST_SKIN_M = 1e-3
 LONGEST_NAME = 200
+STANDARD_GRAVITY_M_S2 = 9.80665
+WEIGHT_TOLERANCE = 0.005
+"""Deviation of a weight, as a share, where the index does not say another: gravity differs by 0.3 %
+between places, and a gauge by as much with how it is held."""
 
 
 @dataclass(frozen=True)
@@ -59,16 +63,35 @@ class DataSetEntry:
 
 
 @dataclass(frozen=True)
+class WeightEntry:
+    """A recording of the force gauge under a known weight.
+
+    Attributes:
+        name: the bag's name.
+        bag: its folder.
+        known_force_n: what the gauge carries.
+        tolerance: one deviation of that, as a share of it.
+    """
+
+    name: str
+    bag: Path
+    known_force_n: float
+    tolerance: float
+
+
+@dataclass(frozen=True)
 class DataSet:
     """What a data set's folder holds; bags are read when asked.
 
     Attributes:
         directory: the folder.
         entries: its trajectories, in the order of the index.
+        weights: recordings of known weights.
     """
 
     directory: Path
     entries: tuple[DataSetEntry, ...]
+    weights: tuple[WeightEntry, ...] = ()
 
     @property
     def has_skin_mesh(self) -> bool:
@@ -122,8 +145,8 @@ class DataSet:
         return path
 
 
-def _entry(directory: Path, index: int, record: Any, base_frame: str) -> DataSetEntry:
-    place = f"{directory / INDEX}, trajectory {index}"
+def _bag(directory: Path, record: Any, place: str) -> Path:
+    """Return the bag that a record of the index names, which is there."""
     if not isinstance(record, dict) or not isinstance(record.get("bag"), str):
         raise ValueError(
             f"{place}: expected a mapping with the key 'bag', got {value_text(record)}"
@@ -135,6 +158,12 @@ def _entry(directory: Path, index: int, record: Any, base_frame: str) -> DataSet
         is_there = bag.exists()
     if not is_there:
         raise FileNotFoundError(f"{place}: there is no bag {value_text(record['bag'])}")
+    return bag
+
+
+def _entry(directory: Path, index: int, record: Any, base_frame: str) -> DataSetEntry:
+    place = f"{directory / INDEX}, trajectory {index}"
+    bag = _bag(directory, record, place)
     frames = record.get("frames", 0)
     if isinstance(frames, bool) or not isinstance(frames, int) or frames < 0:
         raise ValueError(f"{place}: frames must be a whole number, got {value_text(frames)}")
@@ -146,6 +175,31 @@ def _entry(directory: Path, index: int, record: Any, base_frame: str) -> DataSet
         has_images=bool(record.get("images", False)),
         base_frame=base_frame,
     )
+
+
+def _weight(directory: Path, index: int, record: Any) -> WeightEntry:
+    place = f"{directory / INDEX}, weight {index}"
+    bag = _bag(directory, record, place)
+    given = [key for key in ("mass_kg", "known_force_n") if key in record]
+    if len(given) != 1:
+        raise ValueError(
+            f"{place}: expected either 'mass_kg' or 'known_force_n', got "
+            f"{' and '.join(given) or 'neither'}"
+        )
+    known = _positive(record[given[0]], f"{place}: {given[0]}")
+    return WeightEntry(
+        name=bag.name,
+        bag=bag,
+        known_force_n=known * STANDARD_GRAVITY_M_S2 if given == ["mass_kg"] else known,
+        tolerance=_positive(record.get("tolerance", WEIGHT_TOLERANCE), f"{place}: tolerance"),
+    )
+
+
+def _positive(value: Any, place: str) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not 0.0 < value < np.inf:
+        raise ValueError(f"{place} is {value_text(value)}, expected a number above 0")
+    return float(value)
 
 
 def _mesh_name(value: Any, place: str) -> str:
@@ -192,7 +246,17 @@ def read_data_set(directory: str | Path) -> DataSet:
             f"{index}: two trajectories have the name {twice!r}, that of their bags' folders; give "
             "every bag its own"
         )
-    return DataSet(directory, entries)
+    weights = content.get("weights", [])
+    if not isinstance(weights, list):
+        raise ValueError(
+            f"{index}: weights is {value_text(weights)}, expected a list of bags, each with its "
+            "mass_kg"
+        )
+    return DataSet(
+        directory,
+        entries,
+        tuple(_weight(directory, number, record) for number, record in enumerate(weights)),
+    )
 
 
 def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None) -> Indenter:

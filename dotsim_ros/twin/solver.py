@@ -163,13 +163,14 @@ class PressSolver:
 
     def work_of(self, requests: Sequence[SolveRequest]) -> int:
         """Return how much of the requests is to be solved, as `Progress` counts it."""
-        return sum(task.work for task in _tasks(self._missing(requests)))
+        return sum(task.work for task in _tasks(self._missing(requests, self._keys(requests))))
 
     def run_each(
         self, requests: Sequence[SolveRequest], progress: Progress | None = None
     ) -> list[SimulatedPress | str]:
         """Return skin and force of each request, or why it could not be solved."""
-        missing = self._missing(requests)
+        keys = self._keys(requests)
+        missing = self._missing(requests, keys)
         self.prepare(list(missing.values()))
         tasks = _tasks(missing)
         total = sum(task.work for task in tasks)
@@ -191,15 +192,16 @@ class PressSolver:
                 if progress is not None:
                     progress(work, total)
         return [
-            _with_modulus(self._known[self._key(request)], request.values.youngs_modulus_pa)
-            for request in requests
+            _with_modulus(self._known[key], request.values.youngs_modulus_pa)
+            for key, request in zip(keys, requests, strict=True)
         ]
 
-    def _missing(self, requests: Sequence[SolveRequest]) -> dict[str, SolveRequest]:
+    def _missing(
+        self, requests: Sequence[SolveRequest], keys: Sequence[str]
+    ) -> dict[str, SolveRequest]:
         """Return by key the requests that are neither known nor on disk, each once."""
         missing: dict[str, SolveRequest] = {}
-        for request in requests:
-            key = self._key(request)
+        for key, request in zip(keys, requests, strict=True):
             if key in self._known or key in missing:
                 continue
             stored = _load(self._path(key), (len(request.poses), self._vertex_count))
@@ -208,6 +210,9 @@ class PressSolver:
             else:
                 self._known[key] = stored
         return missing
+
+    def _keys(self, requests: Sequence[SolveRequest]) -> list[str]:
+        return [self._key(request) for request in requests]
 
     def _key(self, request: SolveRequest) -> str:
         values = replace(request.values, youngs_modulus_pa=REFERENCE_MODULUS_PA)

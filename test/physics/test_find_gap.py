@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.evaluation.gap.hidden.laws import LAWS
@@ -21,6 +22,7 @@ from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.measured.trajectory import Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.specification import load_sensor
 
 PROTOCOLS = ("hold_0", "slide_0")
@@ -37,8 +39,21 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def searched(
-    tmp_path: Path, run: Path, *effects: tuple[str, float]
+    tmp_path: Path,
+    run: Path,
+    *effects: tuple[str, float],
+    candidates: tuple[str, ...] = CANDIDATES,
+    weight: float | None = None,
 ) -> tuple[Findings, Overlay | None]:
+    """Measure a unit with hidden effects, and search it.
+
+    Args:
+        tmp_path: of the data set.
+        run: of the solves.
+        effects: hidden ones with their sizes.
+        candidates: effects to look for.
+        weight: scale at which its gauge reads a known weight; None without one.
+    """
     sensor = load_sensor("sensor_a")
     # A refined gel needs tables for each skin and Poisson's ratio: minutes.
     sensor = replace(sensor, solver=replace(sensor.solver, refined=False, grid_spacing_m=COARSE_M))
@@ -46,6 +61,8 @@ def searched(
     skin = dome_skin(sensor.gel.outer_radius_m, SKIN_SPACING_M)
     measure_unit(data, sensor, skin, Truth(effects), seed=SEED, only=PROTOCOLS)
     (data / "truth.json").write_text("{}", encoding="utf-8")
+    if weight is not None:
+        weigh(data, weight)
     told: list[tuple[str, int, int]] = []
     found = search_presses(
         GapRequest(
@@ -53,7 +70,7 @@ def searched(
             sensor=sensor,
             directory=run,
             indenters=data / "indenters",
-            candidates=CANDIDATES,
+            candidates=candidates,
             seed=1,
         ),
         lambda *one: told.append(one),
@@ -64,6 +81,44 @@ def searched(
     assert solves[0][1] == pytest.approx(solves[-1][1], abs=8)
     assert solves[-1][0] == solves[-1][1]
     return found
+
+
+def weigh(data: Path, scale: float) -> None:
+    """Record a mass of 200 g, that a gauge with noise reads at a scale."""
+    random = np.random.default_rng(SEED)
+    force_n = 0.015 * random.standard_normal((80, 3))
+    force_n[30:, 2] += scale * 0.2 * 9.80665
+    stamp_ns = 1_000_000_000 + 50_000_000 * np.arange(80)
+    wrench = WrenchChannel(stamp_ns, force_n, np.zeros_like(force_n))
+    write_trajectory(data / "bags" / "weight_0", Trajectory(wrench=wrench))
+    index = yaml.safe_load((data / "dataset.yaml").read_text(encoding="utf-8"))
+    index["weights"] = [{"bag": "bags/weight_0", "mass_kg": 0.2}]
+    (data / "dataset.yaml").write_text(yaml.safe_dump(index), encoding="utf-8")
+
+
+def test_a_force_scale_of_four_fifths_is_named_by_a_known_weight_alone(
+    tmp_path: Path, run: Path
+) -> None:
+    wanted = ("force_scale", *CANDIDATES)
+    for folder in ("without", "weighed", "right"):
+        (tmp_path / folder).mkdir()
+    hidden = ("scaled_force", -0.2)
+    # The stiffness may be as wrong.
+    without, overlay = searched(tmp_path / "without", run, hidden, candidates=wanted)
+    assert "force_scale" not in without.named
+    assert overlay is None
+    findings, overlay = searched(tmp_path / "weighed", run, hidden, candidates=wanted, weight=0.8)
+    assert findings.verdict is Verdict.NAMED
+    assert findings.named == ("force_scale",)
+    assert "by the known weight (weight_0): scale = 0.8" in findings.sentence
+    assert overlay is not None
+    (estimate,) = overlay.effects[0].parameters
+    assert (estimate.low, estimate.high) == pytest.approx((0.792, 0.808), abs=0.004)
+    assert estimate.low <= 0.8 <= estimate.high
+    # A gauge that reads the weight as it is leaves the forces alone.
+    findings, overlay = searched(tmp_path / "right", run, candidates=wanted, weight=1.0)
+    assert findings.verdict is Verdict.NO_GAP
+    assert overlay is None
 
 
 def test_a_unit_with_nothing_wrong_has_no_gap(tmp_path: Path, run: Path) -> None:

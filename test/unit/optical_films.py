@@ -4,10 +4,12 @@ from functools import cache
 
 import cv2
 import numpy as np
+from scipy import ndimage
 
 from dotsim_ros.gap.images.model import Film
 from dotsim_ros.gap.images.tile_noise import Correlation, TileNoise, contact_change
 from dotsim_ros.gap.images.tiles import NAMES, TileMeter, tile_grid
+from dotsim_ros.geometry.camera import FisheyeCamera
 
 HEIGHT, WIDTH = 60, 80
 FRAMES = 4
@@ -41,6 +43,16 @@ def idle_frame():
 
 
 IDLE = idle_frame()
+CAMERA_HEIGHT_M, DOME_M = 2.5e-3, 15.75e-3
+CAMERA = FisheyeCamera(WIDTH, HEIGHT, FOCAL, CENTRE)
+RAYS = CAMERA.rays()[0]
+
+
+def dome_depth_m(rays, displacement_m=(0.0, 0.0, 0.0)):
+    """Return how far a dome is along rays (..., 3) from a camera above its centre."""
+    start = np.array([0.0, 0.0, CAMERA_HEIGHT_M]) + displacement_m
+    along = rays @ start
+    return -along + np.sqrt(along**2 - start @ start + DOME_M**2)
 
 
 def film_of(number):
@@ -50,11 +62,16 @@ def film_of(number):
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     dent = np.exp(-((x - middle[0]) ** 2 + (y - middle[1]) ** 2) / 60.0)[..., None]
     depth = np.linspace(0.0, 0.4, FRAMES)[:, None, None, None]
+    # As far as 3 mm from where it was, and with the dome's normals, as if it were smooth.
+    depth_m = dome_depth_m(RAYS) * (1.0 - 0.5 * depth * dent)[..., 0]
+    normal = -(RAYS * dome_depth_m(RAYS)[..., None] + [0.0, 0.0, CAMERA_HEIGHT_M]) / DOME_M
     return Film(
         0.1 * np.arange(FRAMES),
         10.0 * number + 0.1 * np.arange(FRAMES),
         (IDLE * (1.0 - depth * dent)).astype(np.float32),
         np.zeros((FRAMES, HEIGHT, WIDTH, 2), dtype=np.float32),
+        depth_m.astype(np.float32),
+        np.broadcast_to(normal, (FRAMES, HEIGHT, WIDTH, 3)).astype(np.float32),
         IDLE,
         CENTRE,
         FOCAL,
@@ -114,6 +131,46 @@ def drawn(change, random):
 def null_residual(seed):
     random = np.random.default_rng(seed)
     return [drawn(change, random) for change in CHANGES]
+
+
+def out_of_focus(film):
+    # A lens of 0.9 mm in focus at 9 mm, its blur that of a bell and in steps of the depth.
+    vergence = np.abs(1.0 / film.depth_m - 1.0 / 9e-3)
+    blur_px = np.round(0.25 * FOCAL * 0.9e-3 * vergence / 0.02) * 0.02
+    result = film.pixels.copy()
+    for frame, image in enumerate(film.pixels):
+        # Finer pixels: a bell of a fifth of a pixel has no blur on its own.
+        fine = cv2.resize(image, None, fx=4, fy=4, interpolation=cv2.INTER_CUBIC)
+        for width_px in np.unique(blur_px[frame][blur_px[frame] > 0.0]):
+            soft = cv2.GaussianBlur(fine, (0, 0), 4.0 * float(width_px))
+            soft = cv2.resize(soft, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+            same = cv2.resize(fine, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA)
+            there = blur_px[frame] == width_px
+            result[frame][there] += (soft - same)[there]
+    return result
+
+
+def beside_a_lamp(film, direction, level):
+    # A lamp far away: Lambert's cosine, and nothing where the skin turns from it.
+    return film.pixels + level * np.maximum(-film.normal @ direction, 0.0)[..., None]
+
+
+def seen_from(film, displacement_m):
+    # Where the dome, without its dents, was seen before.
+    point_m = RAYS * dome_depth_m(RAYS, displacement_m)[..., None] + displacement_m
+    x, y = np.moveaxis(CAMERA.project_optical(point_m), -1, 0)
+    return np.stack(
+        [
+            np.stack(
+                [
+                    ndimage.map_coordinates(image[..., k], [y, x], order=3, mode="nearest")
+                    for k in range(3)
+                ],
+                axis=-1,
+            )
+            for image in film.pixels
+        ]
+    )
 
 
 def vignetted(pixels):

@@ -160,6 +160,17 @@ def test_an_effect_on_the_image_leaves_the_rest_alone(sensor: TactileSensor) -> 
     assert red.timings_s["effects"] > 0.0
 
 
+def test_daylight_falls_on_the_side_of_the_live_skin_that_faces_it(sensor: TactileSensor) -> None:
+    motion = MotionOrder(pressed(0.8), STEP_NS, None)
+    plain = session_of(sensor).follow(motion).render()
+    light = active("daylight", added_share=0.1, azimuth_rad=0.0, elevation_rad=0.0)
+    lit = session_of(sensor, light).follow(motion).render()
+    added = lit.image.astype(float) - plain.image
+    middle = plain.image.shape[1] // 2
+    assert added[:, middle:].mean() > 2.0 * added[:, :middle].mean() > 0.0
+    assert not added[np.isnan(plain.depth_m)].any()
+
+
 def test_motion_blur_needs_a_motion(sensor: TactileSensor) -> None:
     def images(session: SensorSession) -> list[np.ndarray]:
         # The first frame comes from nowhere, the second one drags the skin, the third one rests.

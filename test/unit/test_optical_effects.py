@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from dotsim_ros.effects.builtin.defocus import disc_px
 from dotsim_ros.effects.effect import IMAGE, Active, SeenImage, image_filters
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.optical_terms import sampled
@@ -18,8 +19,11 @@ FOCAL = 16.0
 EFFECTS = {name: effect for name, effect in load_effects().items() if effect.image is not None}
 STATIC = (
     "ambient_light",
+    "camera_displacement",
     "camera_extrinsics",
     "camera_intrinsics",
+    "daylight",
+    "defocus",
     "gamma",
     "led_imbalance_blue",
     "led_imbalance_green",
@@ -31,8 +35,13 @@ STATIC = (
 MOVING = ("motion_blur", "rolling_shutter")
 
 
+def rays():
+    """Return the directions (H, W, 3) of the pixels."""
+    return FisheyeCamera(WIDTH, HEIGHT, FOCAL, CENTRE).rays()[0]
+
+
 def seen_image(**changes):
-    """Return a smooth image that fills the scale."""
+    """Return a smooth image that fills the scale, of a dome around the camera."""
     y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
     pixels = np.stack([100.0 + 60.0 * np.sin(0.3 * x + k) * np.cos(0.25 * y) for k in range(3)], 2)
     values = {
@@ -43,6 +52,8 @@ def seen_image(**changes):
         "centre_px": CENTRE,
         "focal_px": FOCAL,
         "flow_px_s": np.broadcast_to([40.0, -20.0], (HEIGHT, WIDTH, 2)),
+        "depth_m": np.full((HEIGHT, WIDTH), 15e-3),
+        "normal": -rays(),
     }
     return SeenImage(**{**values, **changes})
 
@@ -148,8 +159,6 @@ def test_a_longer_lens_enlarges_about_the_optical_axis():
 
 
 def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does():
-    camera = FisheyeCamera(WIDTH, HEIGHT, FOCAL, CENTRE)
-    rays, _ = camera.rays()
     # An image that is a smooth function of the ray: turning it has a closed form.
     angle = 0.05
     turn = np.array(
@@ -159,12 +168,143 @@ def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does():
             [0.0, np.sin(angle), np.cos(angle)],
         ]
     )
-    pixels = 100.0 + 60.0 * rays
+    pixels = 100.0 + 60.0 * rays()
     seen = seen_with("camera_extrinsics", seen_image(pixels=pixels), tilt_x_rad=angle)
-    expected = 100.0 + 60.0 * rays @ turn.T
+    expected = 100.0 + 60.0 * rays() @ turn.T
     inner = (slice(5, 40), slice(10, 55))
     np.testing.assert_allclose(seen[inner], expected[inner], atol=0.3)
     assert np.abs(seen[inner] - pixels[inner]).max() > 2.0
+
+
+def on_a_plane(distance_m):
+    """Return where (H, W, 3) the rays meet a plane across the optical axis, and the depth there;
+    NaN where they do not."""
+    cosine = np.where(rays()[..., 2] > 0.1, rays()[..., 2], np.nan)
+    return rays() * (distance_m / cosine)[..., None], distance_m / cosine
+
+
+def painted(point_m):
+    """Return an image (H, W, 3) that is a smooth function of the place (H, W, 3)."""
+    x, y = np.moveaxis(np.nan_to_num(point_m[..., :2]), -1, 0)
+    return 100.0 + 50.0 * np.stack([np.sin(90.0 * x), np.cos(90.0 * y), np.sin(90.0 * (x + y))], -1)
+
+
+@pytest.mark.parametrize("moved_m", [(4e-4, 0.0, 0.0), (-2e-4, 3e-4, 0.0), (0.0, 0.0, 5e-4)])
+def test_a_displaced_camera_sees_each_point_from_its_new_place(moved_m):
+    x_m, y_m, z_m = moved_m
+    point_m, depth_m = on_a_plane(12e-3)
+    image = seen_image(pixels=painted(point_m), depth_m=depth_m)
+    seen = seen_with("camera_displacement", image, x_m=x_m, y_m=y_m, z_m=z_m)
+    # The plane as it is seen from there.
+    expected = painted(on_a_plane(12e-3 - z_m)[0] + np.array([x_m, y_m, 0.0]))
+    near = np.linalg.norm(point_m[..., :2], axis=2) < 16e-3
+    np.testing.assert_allclose(seen[near], expected[near], atol=0.3)
+    assert np.abs(expected - image.pixels)[near].max() > 1.0
+
+
+def test_near_skin_moves_farther_than_far_skin():
+    # Left of the axis the skin is at half the distance; the image is a ramp along x.
+    depth_m = np.where(np.arange(WIDTH) < 33, 7.5e-3, 15e-3) * np.ones((HEIGHT, 1))
+    ramp = np.broadcast_to(3.0 * np.arange(WIDTH)[None, :, None], (HEIGHT, WIDTH, 3))
+    seen = seen_with("camera_displacement", seen_image(pixels=ramp, depth_m=depth_m), x_m=3e-4)
+    moved_px = (seen[22, :, 0] - ramp[22, :, 0]) / 3.0
+    # Where the ray is across the motion all of it shows: t / s radians.
+    assert moved_px[36] == pytest.approx(FOCAL * 3e-4 / 15e-3, rel=0.05)
+    assert moved_px[29] == pytest.approx(FOCAL * 3e-4 / 7.5e-3, rel=0.05)
+    far = seen_image(depth_m=np.full((HEIGHT, WIDTH), 1e3))
+    np.testing.assert_allclose(
+        seen_with("camera_displacement", far, x_m=5e-4), far.pixels, atol=1e-3
+    )
+
+
+def test_the_circle_of_confusion_is_that_of_a_thin_lens():
+    # A pupil of 0.4 mm, in focus at 20 mm, at 10 mm: 0.4e-3 (100 - 50) = 0.02 rad.
+    depth_m = np.full((HEIGHT, WIDTH), 10e-3)
+    depth_m[0], depth_m[1] = 20e-3, np.nan
+    diameter = disc_px(
+        seen_image(depth_m=depth_m), pupil_area_m2=0.25 * np.pi * 0.4e-3**2, focus_m=20e-3
+    )
+    np.testing.assert_allclose(diameter[2:], FOCAL * 0.02)
+    np.testing.assert_array_equal(diameter[:2], 0.0)
+
+
+def seen_through_discs(diameter_px, pixels):
+    """Return pixels of skin at 10 mm, each spread over a disc of so many pixels."""
+    pupil_m = diameter_px / FOCAL / (1.0 / 10e-3 - 1.0 / 20e-3)
+    image = seen_image(pixels=pixels, depth_m=np.full((HEIGHT, WIDTH), 10e-3))
+    return seen_with("defocus", image, pupil_area_m2=0.25 * np.pi * pupil_m**2, focus_m=20e-3)
+
+
+@pytest.mark.parametrize("diameter_px", [0.3, 1.0, 2.5, 4.4, 12.0])
+def test_an_edge_out_of_focus_is_as_wide_as_its_disc(diameter_px):
+    step = np.where(np.arange(WIDTH) < 32, 40.0, 200.0)
+    pixels = np.broadcast_to(step[None, :, None], (HEIGHT, WIDTH, 3))
+    edge = seen_through_discs(diameter_px, pixels)[22, :, 0]
+    slope, place = np.diff(edge) / 160.0, np.arange(WIDTH - 1)
+    assert slope.sum() == pytest.approx(1.0)
+    variance = slope @ place**2 - (slope @ place) ** 2
+    # The variance of a disc along an axis.
+    assert variance == pytest.approx(diameter_px**2 / 16.0, rel=1e-6)
+
+
+def test_a_large_disc_blurs_an_edge_by_its_chords():
+    diameter_px = 12.0
+    step = np.where(np.arange(WIDTH) < 32, 0.0, 200.0)
+    edge = seen_through_discs(
+        diameter_px, np.broadcast_to(step[None, :, None], (HEIGHT, WIDTH, 3))
+    )[22, :, 0]
+    t = np.clip((np.arange(WIDTH) - 31.5) / (0.5 * diameter_px), -1.0, 1.0)
+    share = 0.5 + (np.arcsin(t) + t * np.sqrt(1.0 - t**2)) / np.pi
+    np.testing.assert_allclose(edge / 200.0, share, atol=0.015)
+
+
+def test_skin_in_focus_stays_sharp_beside_skin_that_is_not():
+    depth_m = np.where(np.arange(WIDTH) < 32, 20e-3, 10e-3) * np.ones((HEIGHT, 1))
+    image = seen_image(depth_m=depth_m)
+    seen = seen_with("defocus", image, pupil_area_m2=1e-6, focus_m=20e-3)
+    np.testing.assert_array_equal(seen[:, :32], image.pixels[:, :32])
+    assert np.abs(seen[:, 32:] - image.pixels[:, 32:]).max() > 0.3
+
+
+def daylit(azimuth_rad, elevation_rad, diffuse_share):
+    """Return (H, W) how much of the light falls on the skin that each pixel shows.
+
+    It is that of a dome around the camera, whose outward normal is the ray.
+    """
+    image = seen_image()
+    values = {"azimuth_rad": azimuth_rad, "elevation_rad": elevation_rad}
+    seen = seen_with("daylight", image, added_share=0.08, diffuse_share=diffuse_share, **values)
+    np.testing.assert_allclose(np.ptp(seen - image.pixels, axis=2), 0.0, atol=1e-12)
+    return (seen - image.pixels)[..., 0] / (255.0 * 0.08)
+
+
+def test_daylight_falls_on_the_side_that_faces_it():
+    diffuse, direct = daylit(0.0, 0.0, 1.0), daylit(0.0, 0.0, 0.0)
+    np.testing.assert_allclose(diffuse, 0.5 * (1.0 + rays()[..., 0]), atol=1e-12)
+    np.testing.assert_allclose(direct, np.maximum(rays()[..., 0], 0.0), atol=1e-12)
+    # A quarter of a turn off the axis, 25.1 px of it, the skin faces the light, or turns from it.
+    for added, on_the_axis in ((diffuse, 0.5), (direct, 0.0)):
+        assert added[22, 33] == pytest.approx(on_the_axis)
+        assert added[22, 33 + 25] == pytest.approx(1.0, abs=1e-3)
+        assert added[22, 33 - 25] == pytest.approx(0.0, abs=1e-3)
+    assert daylit(0.5 * np.pi, 0.0, 1.0)[22 + 20, 33] > 0.9
+
+
+def test_a_hemisphere_has_three_quarters_of_the_sky_above_it_and_half_of_a_lamp_s():
+    # By area: sin(a) da at the angle a from the axis, along a row from the axis to the rim.
+    weight = np.sin(np.arange(26) / FOCAL)
+    for diffuse_share, share in ((1.0, 0.75), (0.0, 0.5)):
+        added = daylit(0.0, 0.5 * np.pi, diffuse_share)[22, 33 : 33 + 26]
+        assert np.average(added, weights=weight) == pytest.approx(share, abs=0.02)
+
+
+def test_daylight_falls_on_skin_alone():
+    normal = -rays()
+    normal[:10] = np.nan
+    image = seen_image(normal=normal)
+    seen = seen_with("daylight", image)
+    np.testing.assert_array_equal(seen[:10], image.pixels[:10])
+    assert np.all(seen[12:] >= image.pixels[12:])
 
 
 def test_vignetting_falls_with_the_square_of_the_radius():

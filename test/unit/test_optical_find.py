@@ -11,19 +11,26 @@ import pytest
 import yaml
 from gap_findings import named, no_gap, unknown
 from optical_films import (
+    CENTRE,
     CHOSEN,
     FILMS,
     FRAMES,
+    HEIGHT,
     METER,
     REFERENCES,
+    WIDTH,
+    beside_a_lamp,
     changes_of,
     drawn,
     film_of,
     null_residual,
+    out_of_focus,
+    seen_from,
     truth,
     vignetted,
 )
 
+from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap.find import channels_of, combined
@@ -135,11 +142,132 @@ def test_two_effects_at_once_are_both_named(searched):
     assert loss.value == pytest.approx(0.1, abs=0.03)
 
 
+def darker_edges(loss):
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH]
+    square = ((x - CENTRE[0]) ** 2 + (y - CENTRE[1]) ** 2) / (0.5 * HEIGHT) ** 2
+    return lambda pixels: pixels * (1.0 - loss * square)[..., None]
+
+
+def test_a_size_that_is_beyond_the_plausible_is_unknown_and_one_at_the_end_is_not(searched):
+    answer = searched.answer(residuals_with(darker_edges(0.4), 4))
+    assert answer.verdict is Verdict.UNKNOWN
+    assert answer.named == ()
+    assert answer.beyond is not None
+    assert (answer.beyond.effect.name, answer.beyond.parameter.name) == ("vignetting", "edge_loss")
+    assert answer.beyond.value == pytest.approx(0.4, rel=0.1)
+    beyond = (answer.beyond.parameter, answer.beyond.value)
+    gap = ChannelGap("image", "levels", 2.0, 2.0, 1.0, 1.0)
+    told = optical_sentence(
+        Verdict.UNKNOWN, (), (), gap, nearest=answer.beyond.effect, beyond=beyond
+    )
+    assert "vignetting, but the images ask for edge_loss = 0.4" in told
+    assert "its plausible range is 0 to 0.3" in told
+    # As large as is plausible is no sign of anything else.
+    answer = searched.answer(residuals_with(darker_edges(0.3), 4))
+    assert answer.verdict is Verdict.NAMED
+    assert answer.beyond is None
+    (loss,) = answer.estimates["vignetting"]
+    assert loss.value == pytest.approx(0.3, rel=0.02)
+
+
+def test_what_would_have_to_be_beyond_its_range_is_no_alternative():
+    vignetting = LIBRARY["vignetting"]
+    (loss,) = vignetting.parameters
+
+    def faint(high):
+        size = replace(loss, high=high, probes=(0.05,))
+        return replace(vignetting, name="faint", parameters=(size,))
+
+    films = [film_of(number) for number in REFERENCES]
+    random = np.random.default_rng(7)
+    case = case_of(films, [drawn(change, random) for change in changes_of(films)])
+    null = fit_optical_null(case, [vignetting, faint(0.3)], sensor="synthetic", source="films")
+    residuals = residuals_with(darker_edges(0.1), 1)
+    case = case_of(FILMS, residuals)
+    alternatives = {}
+    for high in (0.05, 0.3):
+        effects = [vignetting, faint(high)]
+        search = ImageSearch(case, case.shots, effects, null, alpha=0.02, seed=0)
+        answer = search.answer(residuals)
+        alternatives[high] = {*answer.alternatives, *(one.effect.name for one in answer.named)}
+    assert alternatives == {0.05: {"vignetting"}, 0.3: {"vignetting", "faint"}}
+
+
 def test_a_lens_out_of_focus_is_unknown(searched):
     answer = searched.answer(residuals_with(lambda p: cv2.GaussianBlur(p, (0, 0), 1.0), 3))
     assert answer.verdict is Verdict.UNKNOWN
     assert answer.named == ()
     assert answer.excess > answer.largest_excess
+
+
+@pytest.fixture(scope="module")
+def lens_and_light():
+    """The search for what depth and normals of the skin enter, beside what is taken for it."""
+    effects = [
+        LIBRARY[name]
+        for name in (
+            *("ambient_light", "camera_displacement", "camera_extrinsics", "daylight", "defocus"),
+            *("gamma", "vignetting"),
+        )
+    ]
+    films = [film_of(number) for number in REFERENCES]
+    random = np.random.default_rng(7)
+    residuals = [drawn(change, random) for change in changes_of(films)]
+    null = fit_optical_null(
+        case_of(films, residuals), effects, sensor="synthetic", source="eight synthetic films"
+    )
+    case = case_of(FILMS, null_residual(0))
+    return ImageSearch(case, case.shots, effects, null, alpha=0.02, seed=0)
+
+
+def film_residuals(law, seed):
+    """Return the residuals of films that a law (film) -> (F, H, W, 3) changed."""
+    return [
+        METER.difference(law(film), film.pixels) + one
+        for film, one in zip(FILMS, null_residual(seed), strict=True)
+    ]
+
+
+def test_a_blur_that_depends_on_depth_is_a_lens_out_of_focus(lens_and_light):
+    answer = lens_and_light.answer(film_residuals(out_of_focus, 1))
+    assert answer.verdict is Verdict.NAMED
+    assert [one.effect.name for one in answer.named] == ["defocus"]
+    area, focus = answer.estimates["defocus"]
+    assert area.value == pytest.approx(0.25 * np.pi * 0.9e-3**2, rel=0.5)
+    assert focus.value == pytest.approx(9e-3, rel=0.2)
+
+
+def test_a_lamp_at_one_side_is_daylight_from_there(lens_and_light):
+    direction = np.array([np.cos(1.2), np.sin(1.2), 0.0])
+    answer = lens_and_light.answer(
+        film_residuals(lambda film: beside_a_lamp(film, direction, 10.0), 2)
+    )
+    assert answer.verdict is Verdict.NAMED
+    assert [one.effect.name for one in answer.named] == ["daylight"]
+    share, azimuth, *_ = answer.estimates["daylight"]
+    assert share.value == pytest.approx(10.0 / 255.0, rel=0.4)
+    assert azimuth.value == pytest.approx(1.2, abs=0.2)
+
+
+def test_a_displaced_camera_is_told_from_a_turned_one_by_its_parallax(lens_and_light):
+    moved_m = np.array([3e-4, 0.0, -2e-4])
+    answer = lens_and_light.answer(film_residuals(lambda film: seen_from(film, moved_m), 3))
+    assert answer.verdict is Verdict.NAMED
+    assert [one.effect.name for one in answer.named] == ["camera_displacement"]
+    found = [one.value for one in answer.estimates["camera_displacement"]]
+    assert found == pytest.approx(moved_m, abs=0.5e-4)
+
+
+def test_lens_and_light_are_not_named_where_they_are_not(lens_and_light):
+    for seed in range(4):
+        assert lens_and_light.answer(null_residual(seed)).verdict is Verdict.NO_GAP
+    veiled = lens_and_light.answer(film_residuals(lambda film: film.pixels + 5.0, 4))
+    assert "daylight" not in [one.effect.name for one in veiled.named]
+    tilt = LIBRARY["camera_extrinsics"]
+    turned = [Active(tilt, tilt.checked({"tilt_x_rad": 0.02, "tilt_y_rad": 0.0, "roll_rad": 0.02}))]
+    answer = lens_and_light.answer(film_residuals(lambda film: film.with_effects(turned), 5))
+    assert [one.effect.name for one in answer.named] == ["camera_extrinsics"]
+    assert answer.alternatives == ()
 
 
 def test_the_noise_of_images_comes_back_from_its_file(null, signatures, tmp_path):

@@ -53,6 +53,20 @@ def test_a_contact_changes_the_image_where_it_is(film):
     assert np.any(film.pixels[1] % 1.0 != 0.0)
 
 
+def test_a_film_knows_how_far_the_skin_is_and_where_it_faces(model, film):
+    x, y = np.rint(film.centre_px).astype(int)
+    depth_m = film.depth_m[:, y, x]
+    assert depth_m[0] - depth_m[1] == pytest.approx(1.0e-3, rel=0.1)
+    # At the apex the skin faces the camera.
+    np.testing.assert_allclose(film.normal[0, y, x], [0.0, 0.0, -1.0], atol=0.05)
+    np.testing.assert_array_equal(model.idle_film().depth_m[0], film.depth_m[0])
+    half = resized(film, WIDTH // 2, HEIGHT // 2)
+    assert half.depth_m[0, y // 2, x // 2] == pytest.approx(depth_m[0], rel=0.02)
+    length = np.linalg.norm(half.normal, axis=-1)
+    assert np.isnan(length[0, 0, 0])
+    np.testing.assert_allclose(length[np.isfinite(length)], 1.0, rtol=1e-5)
+
+
 def test_times_are_those_of_the_frames_and_of_the_session(film):
     seen = list(film.seen())
     assert [one.stamp_s for one in seen] == STAMP_S.tolist()

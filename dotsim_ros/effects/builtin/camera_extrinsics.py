@@ -2,7 +2,7 @@
 
 A camera that turns without moving sees the same rays elsewhere, whatever their depth, so the
 image is resampled exactly but for the lens's radial distortion, which is not known here. A
-camera that has moved sees a parallax that depends on depth: that is left out.
+camera that has moved sees a parallax that depends on depth: that is `camera_displacement`.
 """
 
 from __future__ import annotations
@@ -44,6 +44,6 @@ EFFECT = Effect(
     channels=(IMAGE,),
     protocol="images of the idle pattern",
     excited_by=any_frame,
-    taken_for=("camera_intrinsics", "pose_offset"),
+    taken_for=("camera_intrinsics", "camera_displacement", "pose_offset"),
     image=_image,
 )

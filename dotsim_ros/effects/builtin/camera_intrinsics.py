@@ -39,6 +39,6 @@ EFFECT = Effect(
     channels=(IMAGE,),
     protocol="images of the idle pattern",
     excited_by=any_frame,
-    taken_for=("camera_extrinsics", "pose_offset"),
+    taken_for=("camera_extrinsics", "camera_displacement", "pose_offset"),
     image=_image,
 )

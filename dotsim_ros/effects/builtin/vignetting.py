@@ -24,6 +24,6 @@ EFFECT = Effect(
     channels=(IMAGE,),
     protocol="any images, also without contact",
     excited_by=any_frame,
-    taken_for=("gamma",),
+    taken_for=("gamma", "daylight"),
     image=_image,
 )

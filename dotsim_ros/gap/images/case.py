@@ -51,6 +51,8 @@ class Shot:
             session_s=self.film.session_s[frames],
             pixels=self.film.pixels[frames],
             flow_px_s=self.film.flow_px_s[frames],
+            depth_m=self.film.depth_m[frames],
+            normal=self.film.normal[frames],
         )
         return replace(
             self,

@@ -291,7 +291,11 @@ def _optical_findings(
             f"the name of the images' effect is not stable: {answer.stability:.0%} of bootstrap "
             "repetitions over trajectories agree; record more trajectories"
         )
+    for one in answer.named:
+        reached = wording.reaches_end(one.effect, answer.estimates[one.effect.name][0])
+        warnings += [] if reached is None else [reached]
     gap = _colour_gap(judged, before, after, search, null)
+    beyond = answer.beyond
     return OpticalFindings(
         verdict=answer.verdict,
         sentence=wording.optical_sentence(
@@ -299,7 +303,8 @@ def _optical_findings(
             [(one.effect, answer.estimates[one.effect.name]) for one in answer.named],
             [library[name] for name in answer.alternatives],
             gap,
-            nearest=library[answer.scores[0].name] if answer.scores[0].fit > 0.0 else None,
+            nearest=_nearest(answer, library),
+            beyond=None if beyond is None else (beyond.parameter, beyond.value),
         ),
         named=tuple(one.effect.name for one in answer.named),
         alternatives=answer.alternatives,
@@ -321,6 +326,14 @@ def _optical_findings(
         frame_count=sum(len(shot.measured) for shot in case.shots),
         noise_source=null.source,
     )
+
+
+def _nearest(answer: OpticalAnswer, library: Mapping[str, Effect]) -> Effect | None:
+    """Return the effect that comes nearest, where any explains something."""
+    if answer.beyond is not None:
+        return answer.beyond.effect
+    best = answer.scores[0]
+    return library[best.name] if best.fit > 0.0 else None
 
 
 def _closed(

@@ -4,6 +4,11 @@ The best effect's signature is made anew at the size found (a secant instead of 
 shape searched about the best probe. A second effect enters past the threshold and with a share of
 what the first one leaves (`decision.FURTHER`). What the named ones leave is compared with what
 trajectories leave in which nothing is missing.
+
+Where a size stands at an end of its plausible range, the range is opened by as much again, as in
+the rule of presses (`decision.OPENED`). If the images ask for a size out there, farther from the
+end than noise and the model's error let it be, the effect imitates something else: what is missing
+is unknown, unless an effect that takes off as much is within its own range.
 """
 
 from __future__ import annotations
@@ -22,6 +27,7 @@ from dotsim_ros.gap.images.case import OpticalCase, Shot
 from dotsim_ros.gap.images.null import OpticalNull
 from dotsim_ros.gap.images.search import (
     CameraNuisance,
+    Direction,
     EffectScore,
     OpticalSearch,
     Signature,
@@ -62,6 +68,21 @@ class Fitted:
 
 
 @dataclass(frozen=True)
+class BeyondRange:
+    """A size that images ask an effect for, and that it can hardly have.
+
+    Attributes:
+        effect: it.
+        parameter: that is beyond its range.
+        value: of it.
+    """
+
+    effect: Effect
+    parameter: EffectParameter
+    value: float
+
+
+@dataclass(frozen=True)
 class OpticalAnswer:
     """What the rule makes of images.
 
@@ -76,6 +97,7 @@ class OpticalAnswer:
             1 - alpha of data without any effect stay below.
         stability: share of bootstrap repetitions over trajectories with the same first effect.
         estimates: the parameters of each named effect.
+        beyond: why the effect that explains most is not named, where it asks for too large a size.
     """
 
     verdict: Verdict
@@ -89,6 +111,7 @@ class OpticalAnswer:
     largest_excess: float
     stability: float | None
     estimates: Mapping[str, tuple[Estimate, ...]]
+    beyond: BeyondRange | None = None
 
 
 class ImageSearch:
@@ -140,17 +163,19 @@ class ImageSearch:
         count = sum(one.size for one in measured)
         most = self.null.largest_excess(self.alpha)
         before = self._square(measured)
-        first = self._first(scores)
+        able = [score for score in scores if score.statistic > self.threshold]
         named: list[Fitted] = []
+        beyond: BeyondRange | None = None
         explained = 0.0
-        if first is not None:
-            named, left = self._named(measured, first)
+        if able:
+            named, left, beyond = self._plausible(measured, able)
             gained = before - left
             explained = gained / max(gained + max(left - most * count, 0.0), 1e-9)
         excess = before / count
         verdict = Verdict.NO_GAP
-        if first is not None:
-            verdict = Verdict.NAMED if explained >= decision.EXPLAINED else Verdict.UNKNOWN
+        if able:
+            is_answer = beyond is None and explained >= decision.EXPLAINED
+            verdict = Verdict.NAMED if is_answer else Verdict.UNKNOWN
         elif excess > most:
             verdict = Verdict.UNKNOWN
         alternatives: tuple[str, ...] = ()
@@ -158,7 +183,7 @@ class ImageSearch:
         estimates: dict[str, tuple[Estimate, ...]] = {}
         if verdict is Verdict.NAMED:
             if len(named) == 1:
-                alternatives = self._alternatives(scores, named[0])
+                alternatives = self._alternatives(measured, scores, named[0])
             verdict = Verdict.SET if alternatives else Verdict.NAMED
             estimates, stability = self._estimates(measured, named)
         else:
@@ -175,7 +200,58 @@ class ImageSearch:
             most,
             stability,
             estimates,
+            beyond,
         )
+
+    def _plausible(
+        self, measured: Sequence[FloatArray], able: Sequence[EffectScore]
+    ) -> tuple[list[Fitted], float, BeyondRange | None]:
+        """Return the effects that are added, the square that they leave, and which of them asks for
+        a size beyond its range; what takes off as much within its own range takes their place.
+
+        Args:
+            measured: residuals.
+            able: the scores past the threshold, the best first.
+        """
+        named, left = self._named(measured, able[0])
+        beyond = self._beyond(measured, named)
+        if beyond is None:
+            return named, left, None
+        for other in able[1 : decision.SCREENED]:
+            others, rest = self._named(measured, other)
+            if rest < left + decision.SAME and self._beyond(measured, others) is None:
+                return others, rest, None
+        return named, left, beyond
+
+    def _beyond(
+        self, measured: Sequence[FloatArray], named: Sequence[Fitted]
+    ) -> BeyondRange | None:
+        """Return the size beyond its plausible range that images ask an effect for, None where they
+        are explained as well within."""
+        for one in named:
+            rest = self._without(measured, [other for other in named if other is not one])
+            found = self._beyond_of(rest, one)
+            if found is not None:
+                return found
+        return None
+
+    def _beyond_of(self, residuals: Sequence[FloatArray], one: Fitted) -> BeyondRange | None:
+        """Return as `_beyond` of one effect, beside nothing."""
+        values = one.score.values
+        ends = {p.name: p.end_at(values[p.name]) for p in one.effect.parameters}
+        directions = tuple(_opened(d, ends[d.name]) for d in one.signature.directions)
+        if directions == one.signature.directions:
+            return None
+        opened = replace(one.signature, directions=directions)
+        search = self._searching({one.effect.name: (opened,)})
+        further = search.score(residuals)[0].values
+        if search.apart(further, values) <= decision.SAME:
+            return None
+        for parameter in one.effect.parameters:
+            value = further[parameter.name]
+            if not parameter.low <= value <= parameter.high:
+                return BeyondRange(one.effect, parameter, value)
+        return None
 
     def _first(self, scores: Sequence[EffectScore]) -> EffectScore | None:
         """Return the score that explains most of those past the threshold."""
@@ -248,11 +324,19 @@ class ImageSearch:
         score = self._searching(signatures).score(residuals)[0]
         return Fitted(effect, score, signatures[effect.name][0])
 
-    def _alternatives(self, scores: Sequence[EffectScore], best: Fitted) -> tuple[str, ...]:
-        """Return the effects that the data do not distinguish from the best one."""
+    def _alternatives(
+        self, measured: Sequence[FloatArray], scores: Sequence[EffectScore], best: Fitted
+    ) -> tuple[str, ...]:
+        """Return the effects that the data do not distinguish from the best one, and that need not
+        be beyond their range."""
         order = sorted(scores, key=lambda score: score.name != best.effect.name)
-        past = {score.name for score in scores if score.statistic > self.threshold}
-        return tuple(n for n in alike(order, self.search.likeness())[1:] if n in past)
+        past = {score.name: score for score in scores if score.statistic > self.threshold}
+        near = [name for name in alike(order, self.search.likeness())[1:] if name in past]
+        return tuple(
+            name
+            for name in near
+            if self._beyond(measured, [self._refined(measured, past[name])]) is None
+        )
 
     def _estimates(
         self, measured: Sequence[FloatArray], named: Sequence[Fitted]
@@ -323,6 +407,16 @@ def _probed_at(effect: Effect, values: Mapping[str, float]) -> Effect:
                 value = parameter.none + float(side) * least
         parameters.append(replace(parameter, probes=(value,)))
     return replace(effect, parameters=tuple(parameters))
+
+
+def _opened(direction: Direction, end: float | None) -> Direction:
+    """Return a direction whose range goes on beyond an end; None for one that it does not reach."""
+    if end is None:
+        return direction
+    further = decision.OPENED * (end - direction.none)
+    return replace(
+        direction, low=direction.low + min(further, 0.0), high=direction.high + max(further, 0.0)
+    )
 
 
 def _beside(parameter: EffectParameter, value: float, reach: float) -> list[float]:

@@ -36,6 +36,9 @@ class Film:
         session_s: (F,) times since the session's start.
         pixels: (F, H, W, 3) linear to the sensor's numbers, 0 to 255, not rounded.
         flow_px_s: (F, H, W, 2) how fast the image moves.
+        depth_m: (F, H, W) distance of the skin along the ray; NaN where none is seen.
+        normal: (F, H, W, 3) unit normal of the skin, optical frame, on the camera's side; NaN where
+            none is seen.
         idle: (H, W, 3) the same camera's image without contact.
         centre_px: (2,) x and y of the optical axis.
         focal_px: pixels a radian.
@@ -45,6 +48,8 @@ class Film:
     session_s: FloatArray
     pixels: Float32Array
     flow_px_s: Float32Array
+    depth_m: Float32Array
+    normal: Float32Array
     idle: FloatArray
     centre_px: FloatArray
     focal_px: float
@@ -60,6 +65,8 @@ class Film:
                 self.centre_px,
                 self.focal_px,
                 self.flow_px_s[frame].astype(np.float64),
+                self.depth_m[frame].astype(np.float64),
+                self.normal[frame].astype(np.float64),
             )
 
     def with_effects(self, effects: Sequence[Active]) -> Float32Array:
@@ -78,6 +85,8 @@ def resized(film: Film, width: int, height: int) -> Film:
         film.session_s,
         np.stack([resized_image(one, width, height) for one in film.pixels]),
         np.stack([np.float32(scale) * resized_image(f, width, height) for f in film.flow_px_s]),
+        np.stack([resized_image(one, width, height) for one in film.depth_m]),
+        np.stack([_unit(resized_image(one, width, height)) for one in film.normal]),
         resized_image(film.idle, width, height),
         # The centre of the first pixel is (0, 0).
         scale * (film.centre_px + 0.5) - 0.5,
@@ -90,6 +99,10 @@ def resized_image(image: NDArray[Any], width: int, height: int) -> NDArray[Any]:
     smaller = width < image.shape[1]
     way = cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(image, (width, height), interpolation=way))
+
+
+def _unit(vectors: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 class TwinCamera:
@@ -134,10 +147,10 @@ class TwinCamera:
         self._triangles = skin.triangles
         self._renderer = SkinRenderer(self.camera, skin)
         network = completion_network(sensor, self.camera)
+        self._untouched = self._renderer.render(skin.rest_position_m)
         completion = None
         if network is not None:
-            untouched = self._renderer.render(skin.rest_position_m)
-            completion = network.at_rest(untouched, self.idle)
+            completion = network.at_rest(self._untouched, self.idle)
         self._completion = completion
         self._image = ImageRenderer(
             self.camera,
@@ -158,7 +171,7 @@ class TwinCamera:
             stamp_s: (F,) times of the frames.
             start_s: time of the first frame since the session's start.
         """
-        images, flows = [], []
+        images, flows, views = [], [], []
         before: View | None = None
         for frame, position in enumerate(skin_position_m):
             view = self._renderer.render(position)
@@ -169,15 +182,17 @@ class TwinCamera:
                 lapse_s = float(stamp_s[frame] - stamp_s[frame - 1])
                 flows.append(flow_of(before, view, self._triangles) / np.float32(lapse_s))
             before = view
+            views.append(view)
         return self._film(
-            stamp_s, start_s + (stamp_s - stamp_s[0]), np.stack(images), np.stack(flows)
+            stamp_s, start_s + (stamp_s - stamp_s[0]), np.stack(images), np.stack(flows), views
         )
 
     def idle_film(self) -> Film:
         """Return the film of one frame that shows the gel untouched, at the session's start."""
         height, width = self.idle.shape[:2]
         flow = np.zeros((1, height, width, 2), dtype=np.float32)
-        return self._film(np.zeros(1), np.zeros(1), self.idle[None].astype(np.float32), flow)
+        pixels = self.idle[None].astype(np.float32)
+        return self._film(np.zeros(1), np.zeros(1), pixels, flow, [self._untouched])
 
     def _film(
         self,
@@ -185,12 +200,15 @@ class TwinCamera:
         session_s: FloatArray,
         pixels: Float32Array,
         flow_px_s: Float32Array,
+        views: Sequence[View],
     ) -> Film:
         return Film(
             stamp_s,
             session_s,
             pixels,
             flow_px_s,
+            np.stack([view.depth_m for view in views]),
+            np.stack([view.normal for view in views]),
             self.idle.astype(np.float64),
             self.camera.principal_point_px,
             self.camera.focal_px,

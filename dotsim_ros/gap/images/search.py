@@ -313,6 +313,19 @@ class OpticalSearch:
         """Return (N,) a residual, (F, T, 6) of each trajectory, whitened and free of nuisances."""
         return self._free(self._whitened([tuple(r[..., None] for r in residual)]))[:, 0]
 
+    def apart(self, values: Mapping[str, float], others: Mapping[str, float]) -> float:
+        """Return how far apart two sizes of the only signature are: the square of it, over what
+        noise and the model's error leave of it.
+
+        Args:
+            values, others: of its parameters.
+        """
+        ((signature, part, variance),) = zip(
+            self._signatures, self._slices, self._spurious, strict=True
+        )
+        steps = np.array([(values[d.name] - others[d.name]) / d.step for d in signature.directions])
+        return float(steps @ _weight(self._gram[part, part], variance) @ steps)
+
     def score(self, residual: Sequence[FloatArray]) -> list[EffectScore]:
         """Return the scores of all effects, best first.
 
@@ -480,9 +493,7 @@ class OpticalSearch:
         values |= {
             d.name: d.none + float(s) * d.step for d, s in zip(directions, size, strict=True)
         }
-        # The size varies by its sampling error, the inverse of gram, and by the model's error.
-        weight = np.linalg.solve(np.eye(len(gram)) + gram * variance, gram)
-        square = float(size @ weight @ size)
+        square = float(size @ _weight(gram, variance) @ size)
         explained = gain / max(beyond, gain, _TINY)
         return EffectScore(
             name,
@@ -493,6 +504,12 @@ class OpticalSearch:
             values,
             True,
         )
+
+
+def _weight(gram: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return the inverse (P, P) of a size's covariance: that of its sampling error, the inverse of
+    gram, and of the model's error."""
+    return np.asarray(np.linalg.solve(np.eye(len(gram)) + gram * variance, gram))
 
 
 def freed(

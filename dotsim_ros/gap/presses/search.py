@@ -25,6 +25,14 @@ from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, no
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
 from dotsim_ros.gap.presses.screening import excited_variants, planned_requests
 from dotsim_ros.gap.presses.search_state import GapRequest, Progress, Search, SolveProgress
+from dotsim_ros.gap.presses.weighed import (
+    EFFECT,
+    is_wrong,
+    weighed_scale,
+    with_right_forces,
+    with_scale,
+    without_scale,
+)
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
@@ -43,10 +51,14 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
     if not 0.0 < request.alpha < 1.0:
         raise ValueError(f"alpha is {request.alpha}, expected between 0 and 1")
     measurement, reference = _read(request)
+    scale, weight_warnings = weighed_scale(request)
+    if scale is not None:
+        measurement = with_right_forces(measurement, scale)
     library = request.library()
     unknown = sorted(set(request.candidates) - set(library))
     if unknown:
         raise ValueError(f"no effect {', '.join(unknown)}; known are {', '.join(library)}")
+    request = without_scale(request, library, scale)
     noise = noise_from_idle(
         measurement.recordings, measurement.skin.rest_position_m, ChannelNoise()
     )
@@ -55,6 +67,7 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
     warnings = [
         *measurement.warnings,
         *wording.data_warnings(measurement, request.channels, reference is not None),
+        *weight_warnings,
     ]
     if noise.source == "declared":
         warnings.append("no frame is without contact: the declared noise is used")
@@ -96,6 +109,8 @@ def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, O
             request, case, chosen, held_out, noise, discrepancy, random, progress, warnings
         )
         findings, overlay = _run(search, measurement, reference, solving)
+    if scale is not None and is_wrong(scale):
+        findings, overlay = with_scale(findings, overlay, scale, library[EFFECT])
     seconds = time.monotonic() - begun_s
     return replace(findings, solve_count=solver.solve_count, seconds=seconds), overlay
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from dotsim_ros.effects.effect import Effect
+from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, Verdict
 from dotsim_ros.measured.measurement import Measurement, protocol_of
@@ -106,10 +106,7 @@ def sentence(
             first = nearest.parameters[0]
             unit = f" {first.unit}" if first.unit else ""
             if beyond is not None:
-                text += (
-                    f", but the data ask for {first.name} = {beyond:.2g}{unit}, and its plausible "
-                    f"range is {first.low:g} to {first.high:g}{unit}"
-                )
+                text += f", but the data {_asked(first, beyond)}"
             if left_open is not None:
                 text += f", but it closes {left_open:.0%} of the held-out trajectories' gap"
             if sizes is not None:
@@ -142,6 +139,7 @@ def optical_sentence(
     gap: ChannelGap,
     *,
     nearest: Effect | None,
+    beyond: tuple[EffectParameter, float] | None = None,
 ) -> str:
     """Return what was found in the images, in one or two sentences.
 
@@ -151,13 +149,16 @@ def optical_sentence(
         alternatives: effects that cannot be distinguished from the first.
         gap: of the tiles' colours.
         nearest: the effect that comes nearest, where none is named.
+        beyond: parameter of the nearest that is beyond its range, and the value that the images ask
+            for.
     """
     if verdict is Verdict.NO_GAP:
         return "Images: no gap beyond noise and the twin's own error."
     if verdict is Verdict.UNKNOWN:
         text = "Images: they differ from the twin's, and no effect of the library explains it."
         if nearest is not None:
-            text += f" The nearest is: {_amid(nearest.title)}."
+            text += f" The nearest is: {_amid(nearest.title)}"
+            text += "." if beyond is None else f", but the images {_asked(*beyond)}."
         return text
     parts = [
         f"{_amid(effect.title)} is missing: {', '.join(shown(e) for e in estimates)}"
@@ -172,6 +173,31 @@ def optical_sentence(
         others = ", ".join(effect.title for effect in alternatives)
         text += f" The images do not distinguish it from: {others}."
     return text
+
+
+def _asked(parameter: EffectParameter, value: float) -> str:
+    """Return that a value is asked for which is beyond the plausible range."""
+    unit = f" {parameter.unit}" if parameter.unit else ""
+    return (
+        f"ask for {parameter.name} = {value:.2g}{unit}, and its plausible range is "
+        f"{parameter.low:g} to {parameter.high:g}{unit}"
+    )
+
+
+def weighed(effect: Effect, estimate: Estimate, names: Sequence[str]) -> str:
+    """Return that known weights give the scale of the force, in a sentence."""
+    return (
+        f"{effect.title} is missing, by the known weight ({', '.join(names)}): {shown(estimate)}; "
+        "the presses were searched with forces divided by it."
+    )
+
+
+def weight_without_reference(names: Sequence[str]) -> str:
+    """Return why weights are not used against a commissioning, and what to do."""
+    return (
+        f"the known weight ({', '.join(names)}) was not used: the commissioning has none, so how "
+        "its gauge read is not known; weigh at each commissioning, or search without --reference"
+    )
 
 
 def reaches_end(effect: Effect, estimate: Estimate) -> str | None:

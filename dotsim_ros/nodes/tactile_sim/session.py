@@ -39,7 +39,7 @@ class SensorMoment:
         sensor: which sees.
         gel: what it sees.
         pose: of the indenter.
-        camera: what effects make of the image and the skin that it shows; None for nothing.
+        camera: what effects make of a frame's image; None for nothing.
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class SensorMoment:
         sensor: TactileSensor,
         gel: GelFrame,
         pose: Pose | None,
-        camera: Callable[[ImageArray, FloatArray], ImageArray] | None = None,
+        camera: Callable[[Frame], ImageArray] | None = None,
     ) -> None:
         self._sensor, self.gel, self.pose, self._camera = sensor, gel, pose, camera
         self._frame: Frame | None = None
@@ -61,7 +61,7 @@ class SensorMoment:
             self._seen_by = self._sensor.camera
             if self._camera is not None:
                 begun_s = time.perf_counter()
-                image = self._camera(frame.image, frame.skin_position_m)
+                image = self._camera(frame)
                 spent_s = time.perf_counter() - begun_s
                 frame = replace(
                     frame, image=image, timings_s={**frame.timings_s, "effects": spent_s}
@@ -131,7 +131,7 @@ class SensorSession:
         self._effects.answered(self._sensor.press(pose, step_s), moved)
         camera = self._effects.camera(None, step_s)
         if camera is not None:
-            camera(frame.image, frame.skin_position_m)
+            camera(frame)
         self.reset()
         return time.monotonic() - start_s
 

@@ -3,8 +3,8 @@
 They act on measured images: vignetting falls with the fourth power of a cosine (a thin lens), the
 camera answers by a logarithm instead of a power, LEDs dim with two time constants, a colour's LEDs
 leak into the other channels, the exposure lags behind what it follows, a turned camera is resampled
-by splines, a worn spot has a ragged edge. Two are of no library: a lens out of focus, and bands of
-a flickering lamp.
+by splines, a worn spot has a ragged edge, a lens out of focus blurs as a bell whatever the depth, a
+lamp shines on a sphere about the lens. One is of no library: bands of a flickering lamp.
 """
 
 from __future__ import annotations
@@ -22,6 +22,10 @@ from dotsim_ros.arrays import FloatArray
 FULL_SCALE = 255.0
 LEAK = 0.06
 """Share of a colour's light that the other channels see."""
+HALF_HEIGHT_DEG = 86.0
+"""What half the image's height shows, as the maker of `sensor_a` states it."""
+DARK_LEVELS = 8.0
+"""What is darker in the idle image is beside the skin."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +110,16 @@ def _veil(takes: Takes, size: float) -> FloatArray:
     return takes.pixels + FULL_SCALE * size * side[None, None, :, None]
 
 
+def _lamp(takes: Takes, size: float) -> FloatArray:
+    # Far to the right, and as far down: what a sphere around the lens has of it.
+    height, width = takes.pixels.shape[1:3]
+    y, x = np.mgrid[0:height, 0:width]
+    angle = _radius(takes.pixels) * np.radians(HALF_HEIGHT_DEG)
+    towards = np.arctan2(y - 0.5 * (height - 1), x - 0.5 * (width - 1)) - 0.25 * np.pi
+    lit = np.maximum(np.sin(angle) * np.cos(towards), 0.0) * (takes.idle.max(axis=2) > DARK_LEVELS)
+    return takes.pixels + FULL_SCALE * size * lit[..., None]
+
+
 def _shifted(takes: Takes, size: float) -> FloatArray:
     # The size is in pixels of an image 240 px high.
     moved = size * takes.pixels.shape[1] / 240.0
@@ -144,9 +158,10 @@ LAWS: Mapping[str, ImageLaw] = {
         ImageLaw("leaking_red", "led_imbalance_red", (0.01, 0.03, 0.06, 0.12), "", _leaking),
         ImageLaw("lagging_exposure", "auto_exposure", (0.15, 0.3, 0.6, 0.9), "", _lagging),
         ImageLaw("window", "ambient_light", (0.004, 0.01, 0.02, 0.04), "share", _veil),
+        ImageLaw("lamp", "daylight", (0.01, 0.02, 0.04, 0.08), "share", _lamp),
         ImageLaw("knocked", "camera_intrinsics", (0.1, 0.3, 0.6, 1.2), "px", _shifted),
         ImageLaw("ragged_spot", "worn_coat", (0.05, 0.1, 0.2, 0.4), "share", _ragged_spot),
-        ImageLaw("defocused", "", (0.4, 0.6, 0.9, 1.4), "px", _defocused),
+        ImageLaw("defocused", "defocus", (0.4, 0.6, 0.9, 1.4), "px", _defocused),
         ImageLaw("banded", "", (0.01, 0.02, 0.05, 0.1), "share", _banded),
     )
 }

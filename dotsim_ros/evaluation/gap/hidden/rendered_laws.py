@@ -99,16 +99,13 @@ LAWS: Mapping[str, RenderedLaw] = {
         RenderedLaw("fading_leds", ("led_dimming",), (0.05, 0.15), "share", _fading),
         RenderedLaw("weak_green", ("led_imbalance_green",), (0.03, 0.1), "share", _weak(3, 4, 5)),
         RenderedLaw("one_weak_blue", ("led_imbalance_blue",), (0.3,), "share", _weak(7)),
-        RenderedLaw("daylight", ("ambient_light",), (0.01, 0.03), "of white", _daylight),
-        RenderedLaw("moved_camera", ("camera_extrinsics", "camera_intrinsics"), (0.1e-3, 0.4e-3),
-            "m", _moved),
+        RenderedLaw("daylight", ("daylight",), (0.01, 0.03), "of white", _daylight),
+        RenderedLaw("moved_camera", ("camera_displacement",), (0.1e-3, 0.4e-3), "m", _moved),
         RenderedLaw("turned_camera", ("camera_extrinsics",), (0.006, 0.02), "rad", _turned),
         RenderedLaw("dark_edge", ("vignetting",), (0.04, 0.12), "edge loss", _dark_edge),
         RenderedLaw("metering", ("auto_exposure",), (1.0,), "strength", _metering),
         RenderedLaw("worn_spot", ("worn_coat",), (0.15, 0.4), "share", _worn),
-        RenderedLaw("out_of_focus", (), (0.15e-3, 0.4e-3), "m", _out_of_focus),
+        RenderedLaw("out_of_focus", ("defocus",), (0.15e-3, 0.4e-3), "m", _out_of_focus),
         RenderedLaw("dusty", (), (0.06e-3,), "m", _dusty),
     )
 }  # fmt: skip
-"""The library's effect for a camera that has moved is one that has turned or whose axis has: its
-parallax is of no library, and either name sends the owner to the camera's mount."""
