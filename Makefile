@@ -26,10 +26,11 @@ TWO := -n 2 --dist loadfile --no-loadscope-reorder
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
-.PHONY: help setup demo demo-loop test faults fuzz bench soak lint docs results-status clean
+.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs results-status clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
+	@echo "make live    the sensor in the browser: drag an indenter over it"
 	@echo "make demo    the node, real presses replayed into it, a bag and a video in $(OUT)/demo"
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
@@ -48,6 +49,9 @@ $(INSTALLED): setup.py
 	$(PYTHON) -m venv $(VENV_OPTIONS) $(CLEAR) $(VENV)
 	$(VENV)/bin/python -m pip install --quiet --editable ".[$(EXTRAS)]"
 	@touch $@
+
+live: setup
+	$(RUN) dotsim_ros live --open --out $(OUT)/live
 
 demo: setup
 	$(RUN) dotsim_ros demo --out $(OUT)/demo

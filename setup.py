@@ -27,6 +27,8 @@ TEST = [
     "imageio>=2.22",
     # an independent reader of the bags that are written
     "mcap>=1.2",
+    # drives the Chromium that the system has
+    "playwright>=1.45",
     "psutil",
     # pytest 9 breaks the launch_testing plugin of ROS 2 Jazzy
     "pytest<9",
@@ -55,6 +57,10 @@ REINFORCEMENT = [
 # what the gap finder is judged on
 RENDERING = [
     "mitsuba>=3.8",
+]
+# the page of `dotsim_ros live`
+LIVE = [
+    "websockets>=13",
 ]
 # work on the machines of a cluster; without its extras, which bring a dashboard
 SCALE = [
@@ -115,6 +121,7 @@ setup(
     package_data={
         f"{NAME}.params": [path.removeprefix("params/") for path in PARAMETER_FILES],
         NAME: ["py.typed"],
+        f"{NAME}.live": ["page/*"],
         "msg_adapters": ["py.typed"],
     },
     data_files=shared_files(),
@@ -146,9 +153,10 @@ setup(
         "mujoco": MUJOCO,
         "reinforcement": [*ENVIRONMENTS, *MUJOCO, *REINFORCEMENT],
         "learning": LEARNING,
+        "live": LIVE,
         "rendering": RENDERING,
         "scale": SCALE,
-        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *MUJOCO, *REINFORCEMENT, *SCALE],
+        "test": [*TEST, *RENDERING, *ENVIRONMENTS, *MUJOCO, *REINFORCEMENT, *LIVE, *SCALE],
         "dev": DEVELOPMENT,
         "docs": DOCUMENTATION,
     },

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay
 
 import msg_adapters
@@ -35,13 +35,7 @@ class SkinMap:
 
     def __init__(self, rest_m: ArrayLike, *, size_px: int) -> None:
         rest = np.asarray(rest_m, dtype=np.float64)
-        if len(rest) < 3:
-            raise ValueError(f"a skin of {len(rest)} points cannot be drawn")
-        flat = _flattened(rest)
-        try:
-            triangulation = Delaunay(flat)
-        except RuntimeError as error:
-            raise ValueError("the skin's points lie on a line") from error
+        flat, triangulation = _triangulated(rest)
         half = 1.02 * float(np.abs(flat).max())
         ticks = np.linspace(-half, half, size_px)
         across, down = np.meshgrid(ticks, ticks)
@@ -62,6 +56,34 @@ class SkinMap:
         at_corners = np.asarray(values, dtype=np.float64)[self._corners]
         image[self._inside] = (at_corners * self._weights).sum(axis=1)
         return image
+
+
+def skin_triangles(rest_m: ArrayLike) -> NDArray[np.int32]:
+    """Return (T, 3) triangles between the vertices (V, 3) of a skin at rest, counter-clockwise seen
+    from outside, for a skin of which nothing but its points is known.
+
+    Raises:
+        ValueError: fewer than 3 vertices, all on a line, or one that is not finite.
+    """
+    flat, triangulation = _triangulated(np.asarray(rest_m, dtype=np.float64))
+    triangles = triangulation.simplices.astype(np.int32)
+    first, second = (flat[triangles[:, corner]] - flat[triangles[:, 0]] for corner in (1, 2))
+    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    triangles[area < 0.0] = triangles[area < 0.0][:, ::-1]
+    return triangles
+
+
+def _triangulated(rest: FloatArray) -> tuple[FloatArray, Delaunay]:
+    """Return the flattened skin (V, 2) and its triangulation."""
+    if len(rest) < 3:
+        raise ValueError(f"a skin of {len(rest)} points cannot be drawn")
+    if not np.isfinite(rest).all():
+        raise ValueError("the skin at rest holds a point that is not finite")
+    flat = _flattened(rest)
+    try:
+        return flat, Delaunay(flat)
+    except RuntimeError as error:
+        raise ValueError("the skin's points lie on a line") from error
 
 
 def _flattened(rest: FloatArray) -> FloatArray:

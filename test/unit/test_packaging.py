@@ -247,7 +247,7 @@ def test_every_node_with_a_main_is_an_executable() -> None:
 def test_what_is_imported_is_required() -> None:
     ros = ros_depends("exec_depend")
     foreign = {NAMES_ELSEWHERE.get(name, name) for name in imported_modules() - ros}
-    lists = ("LEARNING", "RENDERING", "ENVIRONMENTS", "MUJOCO", "REINFORCEMENT", "SCALE")
+    lists = ("LEARNING", "RENDERING", "ENVIRONMENTS", "MUJOCO", "REINFORCEMENT", "SCALE", "LIVE")
     extras = set().union(*map(extra, lists))
     assert foreign - requirements() - extras == set()
 

@@ -1,0 +1,142 @@
+"""From the mouse to the skin: how long the live page takes to show what a drag has moved.
+
+python benchmarks/live.py --json FILE
+
+Starts `dotsim_ros live`, opens its page in headless Chromium without a graphics card, drags the
+indenter 2 mm into the apex and along the skin, and asks the page for the times from each event of
+the mouse to the drawing of the first skin that shows it. Browser, sensor and rendering share the
+machine's cores, as they do for a user without a graphics card.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from playwright.sync_api import Page, sync_playwright
+
+from dotsim_ros.cores import available_core_count
+from dotsim_ros.files import write_json
+from dotsim_ros.provenance import provenance
+
+BROWSERS = ("chromium", "google-chrome")
+WINDOW = {"width": 1280, "height": 800}
+START_S = 300.0
+MOVE_S = 1.0 / 60.0
+DEEP_MM = 2.0
+GOAL_MS = 100.0
+
+
+def opened_address(server: subprocess.Popen[str]) -> str:
+    """Return where the page is, once the server says so."""
+    assert server.stdout is not None
+    for line in server.stdout:
+        if found := re.search(r"http://\S+", line):
+            return found[0]
+    raise RuntimeError("dotsim_ros live ended without a page")
+
+
+def taken(page: Page) -> tuple[float, float]:
+    """Return where the mouse holds the indenter."""
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    x = box["x"] + box["width"] / 2
+    for y in np.arange(box["y"] + 5, box["y"] + box["height"], 5):
+        page.mouse.move(x, y)
+        if page.locator("#scene.over").count():
+            page.mouse.down()
+            return x, float(y)
+    raise RuntimeError("no indenter under the mouse")
+
+
+def drag(page: Page, seconds: float) -> tuple[float, list[float]]:
+    """Return the rate in Hz at the end of a drag in contact, and its times in milliseconds."""
+    x, y = taken(page)
+    while float(page.locator("#motion").text_content() or 0.0) < DEEP_MM:
+        y += 1.0
+        page.mouse.move(x, y)
+        page.wait_for_timeout(1e3 * MOVE_S)
+    page.evaluate("lagsMs.length = 0")
+    begun_s = time.perf_counter()
+    while (past_s := time.perf_counter() - begun_s) < seconds:
+        page.mouse.move(x + 25.0 * math.sin(2.0 * past_s), y + 4.0 * math.sin(5.0 * past_s))
+        page.wait_for_timeout(1e3 * MOVE_S)
+    rate = float(page.locator("#rate").text_content() or 0.0)
+    page.mouse.up()
+    return rate, page.evaluate("lagsMs")
+
+
+def main() -> None:
+    """Measure, print, and write JSON where asked."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seconds", type=float, default=20.0, help="of the drag (20)")
+    parser.add_argument("--json", type=Path, help="file to write the figures to")
+    parser.add_argument("--screenshot", type=Path, help="file for a picture of the page")
+    arguments = parser.parse_args()
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        parser.error(f"none of {', '.join(BROWSERS)} is installed")
+    with tempfile.TemporaryDirectory() as recordings:
+        server = subprocess.Popen(
+            [
+                *(sys.executable, "-m", "dotsim_ros.cli.main", "live"),
+                *("--port", "0", "--out", recordings),
+            ],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            rate, lags_ms = _measured(opened_address(server), browser, arguments)
+        finally:
+            server.terminate()
+            server.wait()
+    p50, p95, p99 = (float(np.percentile(lags_ms, share)) for share in (50, 95, 99))
+    print(
+        f"drag to skin: {p50:.0f} ms at the median, {p95:.0f} at the 95th percentile, {p99:.0f} at "
+        f"the 99th (goal {GOAL_MS:.0f}), {len(lags_ms)} drags, {rate:.1f} frames/s"
+    )
+    if arguments.json is not None:
+        figures: dict[str, Any] = {
+            "cores": available_core_count(),
+            "seconds": arguments.seconds,
+            "drags": len(lags_ms),
+            "frames_per_second": rate,
+            "drag_to_skin_p50_ms": round(p50, 1),
+            "drag_to_skin_p95_ms": round(p95, 1),
+            "drag_to_skin_p99_ms": round(p99, 1),
+            "goal_ms": GOAL_MS,
+        }
+        write_json(arguments.json, {**provenance(), **figures})
+
+
+def _measured(
+    address: str, browser: str, arguments: argparse.Namespace
+) -> tuple[float, list[float]]:
+    with sync_playwright() as playwright:
+        opened = playwright.chromium.launch(
+            executable_path=browser,
+            # As root, in a container, there is no other sandbox.
+            args=["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"],
+        )
+        page = opened.new_page(viewport=WINDOW)
+        page.goto(address)
+        page.locator("#indenter:enabled").wait_for(timeout=1e3 * START_S)
+        figures = drag(page, arguments.seconds)
+        if arguments.screenshot is not None:
+            page.wait_for_timeout(1000)
+            page.screenshot(path=arguments.screenshot)
+        opened.close()
+        return figures
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""What the page shows: the scene, the skin at one time, and what the camera sees of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.pose import Pose
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What stays while the indenter moves.
+
+    Attributes:
+        rest_m: (V, 3) the skin at rest, base frame.
+        triangles: (T, 3) vertex numbers.
+        indenter: what presses, drawn by its surface; None where that is not known.
+        depth_m: the nearest and farthest depth, the ends of the colours; None: not known.
+    """
+
+    rest_m: FloatArray
+    triangles: NDArray[np.integer]
+    indenter: Indenter | None = None
+    depth_m: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class SkinMoment:
+    """The skin at one time.
+
+    Attributes:
+        stamp_ns: the time.
+        skin_m: (V, 3) base frame.
+        force_n: (3,) of the gel on the indenter, base frame; None where it is not known.
+        torque_nm: (3,) about the base frame's origin; zero where it is not known.
+        pose: of the indenter, that the skin shows; None where it is away or not known.
+        number: of the newest order that the skin shows; 0: of none.
+        spent_s: time of the frame before it, camera included; None where it is not known.
+        rate_hz: frames a second at the moment.
+        is_converged: whether the gel's solver met its tolerance.
+        is_behind: whether the indenter is still on its way to where it was ordered.
+    """
+
+    stamp_ns: int
+    skin_m: FloatArray
+    force_n: FloatArray | None
+    torque_nm: FloatArray
+    pose: Pose | None
+    number: int = 0
+    spent_s: float | None = None
+    rate_hz: float = 0.0
+    is_converged: bool = True
+    is_behind: bool = False
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What the camera sees.
+
+    Attributes:
+        stamp_ns: the time.
+        image: (H, W, 3) uint8, red, green, blue; None where there is none.
+        depth_m: (H, W) along the ray, NaN where no skin is seen; None where it is not known.
+    """
+
+    stamp_ns: int
+    image: ImageArray | None
+    depth_m: NDArray[np.floating] | None

@@ -1,0 +1,180 @@
+"""A bag as the page scrubs through it: every moment ready to be sent."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+import msg_adapters
+from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.live.moments import Picture, Scene, SkinMoment
+from dotsim_ros.live.payloads import (
+    history_payload,
+    picture_payload,
+    pressed_depth_range_of,
+    scene_payload,
+    skin_payload,
+)
+from dotsim_ros.live.recorder import NAME_TOPIC, NAME_TYPE
+from dotsim_ros.measured.bag import BagReader, bag_name
+from dotsim_ros.measured.mcap.reader import Tolerance
+from dotsim_ros.view.skin_map import rest_position_m, skin_triangles
+from dotsim_ros.view.timeline import (
+    BagMoment,
+    Forces,
+    ViewTopics,
+    find_topics,
+    iterate_moments,
+    read_forces,
+    read_stamps,
+)
+
+LARGEST_MOMENT_COUNT = 1500
+"""A minute at 25 Hz, some 200 MB; of a longer bag as many are shown, evenly spread."""
+POSE_ENDINGS = ("indenter/pose", "indenter/state")
+POSE_TYPE = "geometry_msgs/msg/PoseStamped"
+
+
+@dataclass(frozen=True)
+class Playback:
+    """What a page shows of a bag.
+
+    Attributes:
+        name: of the bag.
+        scene: payload; None where the bag holds no skin.
+        history: payload of all forces; None where it holds none.
+        stamp_ns: (N,) of the moments.
+        skins: N payloads, None where there is no skin yet.
+        pictures: N payloads.
+    """
+
+    name: str
+    scene: bytes | None
+    history: bytes | None
+    stamp_ns: IntArray
+    skins: tuple[bytes | None, ...]
+    pictures: tuple[bytes, ...]
+
+
+def read_playback(path: Path) -> Playback:
+    """Return a bag, whole or unfinished, with all that a page shows of it.
+
+    Raises:
+        FileNotFoundError: no bag at `path`.
+        ValueError: it is no bag that can be read, a message is malformed, or it shows nothing.
+    """
+    with BagReader(path, Tolerance.UNFINISHED) as reader:
+        there = reader.topics()
+    if not there:
+        raise ValueError(f"{path} holds no message that can be read; record the bag anew")
+    topics = find_topics(there)
+    stamps_ns = read_stamps(path, topics).stamp_ns
+    if stamps_ns.size == 0:
+        raise ValueError(f"{path} shows nothing: no image, no depth and no skin")
+    forces = read_forces(path, topics.wrench)
+    poses = _Poses(path, there)
+    chosen = _spread(stamps_ns)
+    scene: Scene | None = None
+    depth_m: tuple[float, float] | None = None
+    skins: list[bytes | None] = []
+    pictures: list[bytes] = []
+    for moment in _moments(path, topics, chosen):
+        if moment.cloud is not None and scene is None:
+            rest_m = rest_position_m(moment.cloud)
+            scene = Scene(rest_m, skin_triangles(rest_m), _indenter(path, there))
+        if moment.depth_m is not None and depth_m is None:
+            depth_m = pressed_depth_range_of(moment.depth_m)
+        skins.append(_skin(moment, forces, poses, path, scene))
+        pictures.append(
+            picture_payload(Picture(moment.stamp_ns, moment.image, moment.depth_m), depth_m)
+        )
+    return Playback(
+        bag_name(path),
+        None if scene is None else scene_payload(scene),
+        None if forces is None else history_payload(1e-9 * forces.stamp_ns, forces.force_n),
+        np.array(sorted(chosen), dtype=np.int64),
+        tuple(skins),
+        tuple(pictures),
+    )
+
+
+class _Poses:
+    """The poses of a bag by their stamps; none where it holds none."""
+
+    def __init__(self, path: Path, there: dict[str, str]) -> None:
+        found = [
+            topic
+            for ending in POSE_ENDINGS
+            for topic, kind in there.items()
+            if kind == POSE_TYPE and f"/{topic}".endswith(f"/{ending}")
+        ]
+        self._stamp_ns: IntArray = np.zeros(0, dtype=np.int64)
+        if not found:
+            return
+        posed: dict[int, Pose] = {}
+        with BagReader(path, Tolerance.UNFINISHED) as reader:
+            for message in reader.messages(found[0]):
+                content = message.message()
+                stamp_ns = msg_adapters.message_stamp_ns(content)
+                posed[stamp_ns] = Pose(*msg_adapters.decode_pose_stamped(content))
+        self._stamp_ns = np.array(sorted(posed), dtype=np.int64)
+        self._poses = [posed[stamp_ns] for stamp_ns in sorted(posed)]
+
+    def at(self, stamp_ns: int) -> Pose | None:
+        """Return the newest pose at a time."""
+        index = int(np.searchsorted(self._stamp_ns, stamp_ns, side="right")) - 1
+        return self._poses[index] if index >= 0 else None
+
+
+def _indenter(path: Path, there: dict[str, str]) -> Indenter | None:
+    """Return what pressed, where the bag names a shipped shape."""
+    if there.get(NAME_TOPIC) != NAME_TYPE:
+        return None
+    with BagReader(path, Tolerance.UNFINISHED) as reader:
+        name = next((str(each.message().data) for each in reader.messages(NAME_TOPIC)), "")
+    # Never a path: a bag may come from anywhere.
+    if not re.fullmatch(r"\w{1,100}", name):
+        return None
+    try:
+        return load_indenter(name)
+    except (ValueError, OSError):
+        return None
+
+
+def _spread(stamps_ns: IntArray) -> set[int]:
+    if len(stamps_ns) <= LARGEST_MOMENT_COUNT:
+        return set(stamps_ns.tolist())
+    index = np.linspace(0, len(stamps_ns) - 1, LARGEST_MOMENT_COUNT).round().astype(int)
+    return set(stamps_ns[index].tolist())
+
+
+def _moments(path: Path, topics: ViewTopics, chosen: set[int]) -> Iterator[BagMoment]:
+    """Yield the chosen moments, each once, in the order of their stamps."""
+    last_ns = -1
+    for moment in iterate_moments(path, topics):
+        if moment.stamp_ns in chosen and moment.stamp_ns > last_ns:
+            last_ns = moment.stamp_ns
+            yield moment
+
+
+def _skin(
+    moment: BagMoment, forces: Forces | None, poses: _Poses, path: Path, scene: Scene | None
+) -> bytes | None:
+    if moment.cloud is None or scene is None:
+        return None
+    skin_m: FloatArray = np.asarray(moment.cloud.position, dtype=np.float64)
+    if skin_m.shape != scene.rest_m.shape:
+        raise ValueError(
+            f"{path}: the skin has {len(skin_m)} points after {len(scene.rest_m)}: it must keep "
+            "its vertices"
+        )
+    force_n = None if forces is None else forces.at(moment.stamp_ns)
+    return skin_payload(
+        SkinMoment(moment.stamp_ns, skin_m, force_n, np.zeros(3), poses.at(moment.stamp_ns))
+    )

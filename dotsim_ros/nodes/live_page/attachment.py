@@ -1,0 +1,247 @@
+"""A running `tactile_sim`, or a real sensor's driver, on the live page: topics in, poses out."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped, WrenchStamped
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import Image, PointCloud2
+from std_srvs.srv import Trigger
+
+import msg_adapters
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.live.desk import LiveDesk
+from dotsim_ros.live.moments import Picture, Scene, SkinMoment
+from dotsim_ros.live.payloads import pressed_depth_range_of
+from dotsim_ros.measured.trajectory import BASE_FRAME
+from dotsim_ros.nodes.common.spin import WorkingNode
+from dotsim_ros.view.skin_map import rest_position_m, skin_triangles
+
+# The newest alone: a page that falls behind must not show what was.
+IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
+STATE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
+LOOK_PERIOD_S = 0.5
+RATE_WINDOW_S = 2.0
+WAITING = "waiting for {topic}: is the node running, in this ROS_DOMAIN_ID and namespace?"
+
+
+class LiveAttachment(WorkingNode):
+    """Shows what a node publishes, and presses it; see `desk.Subject`.
+
+    Args:
+        desk: shows it.
+        node_name: of the node, for its parameter `indenter` and its service `reset`.
+        indenters: names to choose from.
+        indenter: drawn until the node says what presses it; None: nothing.
+    """
+
+    def __init__(
+        self,
+        desk: LiveDesk,
+        *,
+        node_name: str,
+        indenters: Sequence[str],
+        indenter: Indenter | None,
+    ) -> None:
+        super().__init__("live_page")
+        self.indenters: Sequence[str] = indenters
+        # A node's profile is its own.
+        self.profiles: Sequence[str] = ()
+        self._desk, self._node_name, self._indenter = desk, node_name, indenter
+        self._scene: Scene | None = None
+        self._pose: Pose | None = None
+        self._force_n: FloatArray | None = None
+        self._torque_nm: FloatArray = np.zeros(3)
+        self._image: Any = None
+        self._seen_depth_s = -np.inf
+        self._rest_depth_m: tuple[float, float] | None = None
+        self._heard_s: deque[float] = deque()
+        self._is_asked = False
+        self._publisher = self.create_publisher(
+            PoseStamped,
+            "indenter/pose",
+            STATE_QOS,
+            qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+        )
+        self.title = self._publisher.topic_name.removesuffix("indenter/pose") + node_name
+        for kind, topic, hear, qos in (
+            (Image, "image_raw", self._on_image, IMAGE_QOS),
+            (Image, "depth/image", self._on_depth, IMAGE_QOS),
+            (PointCloud2, "points", self._on_points, IMAGE_QOS),
+            (WrenchStamped, "wrench", self._on_wrench, STATE_QOS),
+            (PoseStamped, "indenter/state", self._on_state, STATE_QOS),
+            (DiagnosticArray, "/diagnostics", self._on_diagnostics, STATE_QOS),
+        ):
+            self.create_subscription(
+                kind,
+                topic,
+                hear,
+                qos,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
+        self._get = self.create_client(GetParameters, f"{node_name}/get_parameters")
+        self._set = self.create_client(
+            SetParametersAtomically, f"{node_name}/set_parameters_atomically"
+        )
+        self._reset = self.create_client(Trigger, f"{node_name}/reset")
+        self.create_timer(LOOK_PERIOD_S, self._look)
+
+    def begin(self) -> None:
+        """Let the pages press the node."""
+        self._desk.attend(self)
+        self._desk.tell_state(busy=WAITING.format(topic=self.resolve_topic_name("points")))
+
+    # Orders, from the server's thread.
+
+    def move(self, pose: Pose | None, number: int) -> None:
+        """See `desk.Subject`."""
+        if pose is None:
+            raise ValueError(
+                "a node's indenter cannot be taken away: drag it off, or reset the node"
+            )
+        self._publisher.publish(
+            msg_adapters.encode_pose_stamped(
+                pose.position_m,
+                pose.quaternion_xyzw,
+                stamp_ns=self.time_ns(),
+                frame_id=BASE_FRAME,
+            )
+        )
+
+    def choose_indenter(self, name: str) -> None:
+        """See `desk.Subject`."""
+        self._need(self._set, "parameters")
+        change = Parameter("indenter", value=name).to_parameter_msg()
+        answer = self._set.call_async(SetParametersAtomically.Request(parameters=[change]))
+        answer.add_done_callback(partial(self._on_set, name))
+        self._desk.tell_state(busy=f"the node prepares {name}")
+
+    def choose_profile(self, name: str) -> None:
+        """See `desk.Subject`."""
+        raise ValueError(f"profile {name} is the node's own: set it when the node is started")
+
+    def reset(self) -> None:
+        """See `desk.Subject`."""
+        self._need(self._reset, "service reset")
+        self._reset.call_async(Trigger.Request()).add_done_callback(self._on_reset)
+
+    def _need(self, client: Any, what: str) -> None:
+        if not client.service_is_ready():
+            raise ValueError(
+                f"no node answers for the {what} of {self._node_name}; name it with --node"
+            )
+
+    def _on_set(self, name: str, answer: Any) -> None:
+        result = answer.result().result
+        if result.successful:
+            self._take_indenter(name)
+        else:
+            self._desk.tell(result.reason)
+        self._desk.tell_state(busy="")
+
+    def _on_reset(self, answer: Any) -> None:
+        if not answer.result().success:
+            self._desk.tell(answer.result().message)
+
+    # What the node says.
+
+    def _look(self) -> None:
+        """Ask the node what presses it, as soon as it answers, and say where it is silent."""
+        now_s = time.monotonic()
+        if not self._is_asked and self._get.service_is_ready():
+            self._is_asked = True
+            answer = self._get.call_async(GetParameters.Request(names=["indenter"]))
+            answer.add_done_callback(self._on_indenter)
+        if self._heard_s and now_s - self._heard_s[-1] > RATE_WINDOW_S:
+            self._heard_s.clear()
+            self._desk.tell_state(
+                can_press=False, busy=WAITING.format(topic=self.resolve_topic_name("points"))
+            )
+            self._is_asked = False
+
+    def _on_indenter(self, answer: Any) -> None:
+        values = answer.result().values
+        if values and values[0].type == ParameterType.PARAMETER_STRING:
+            self._take_indenter(values[0].string_value)
+
+    def _take_indenter(self, name: str) -> None:
+        self._desk.tell_state(indenter=name)
+        try:
+            self._indenter = load_indenter(name)
+        except (ValueError, OSError):
+            # A file of another machine, or a definition: it presses all the same.
+            self._indenter = None
+        if self._scene is not None:
+            self._show(replace(self._scene, indenter=self._indenter))
+
+    def _show(self, scene: Scene) -> None:
+        self._scene = scene
+        self._desk.show_scene(scene)
+
+    def _on_wrench(self, message: WrenchStamped) -> None:
+        self._force_n, self._torque_nm = msg_adapters.decode_wrench_stamped(message)
+
+    def _on_state(self, message: PoseStamped) -> None:
+        self._pose = Pose(*msg_adapters.decode_pose_stamped(message))
+
+    def _on_points(self, message: PointCloud2) -> None:
+        cloud = msg_adapters.decode_cloud(message)
+        skin_m = np.asarray(cloud.position, dtype=np.float64)
+        if self._scene is None or len(self._scene.rest_m) != len(skin_m):
+            rest_m = rest_position_m(cloud)
+            triangles = skin_triangles(rest_m)
+            self._show(Scene(rest_m, triangles, self._indenter, self._rest_depth_m))
+        now_s = time.monotonic()
+        self._heard_s.append(now_s)
+        while now_s - self._heard_s[0] > RATE_WINDOW_S:
+            self._heard_s.popleft()
+        if len(self._heard_s) == 1:
+            self._desk.tell_state(can_press=True, busy="")
+        self._desk.show_skin(
+            SkinMoment(
+                msg_adapters.message_stamp_ns(message),
+                skin_m,
+                self._force_n,
+                self._torque_nm,
+                self._pose,
+                rate_hz=len(self._heard_s) / RATE_WINDOW_S,
+            )
+        )
+
+    def _on_image(self, message: Image) -> None:
+        self._image = message
+        # The depth comes after the image of its frame, and where there is none, the image alone.
+        if time.monotonic() - self._seen_depth_s > RATE_WINDOW_S:
+            self._show_picture(msg_adapters.message_stamp_ns(message), None)
+
+    def _on_depth(self, message: Image) -> None:
+        depth_m = msg_adapters.decode_image(message)
+        self._seen_depth_s = time.monotonic()
+        if self._rest_depth_m is None:
+            self._rest_depth_m = pressed_depth_range_of(depth_m)
+            if self._scene is not None:
+                self._show(replace(self._scene, depth_m=self._rest_depth_m))
+        self._show_picture(msg_adapters.message_stamp_ns(message), depth_m)
+
+    def _show_picture(self, stamp_ns: int, depth_m: Any) -> None:
+        image = None if self._image is None else msg_adapters.decode_rgb(self._image)
+        self._desk.show_picture(Picture(stamp_ns, image, depth_m))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in msg_adapters.decode_diagnostics(message):
+            if status.name == f"{self._node_name}: frames":
+                self._desk.tell_state(profile=status.values.get("profile", ""))

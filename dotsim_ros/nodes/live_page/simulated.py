@@ -1,0 +1,312 @@
+"""A sensor of this process under the page's indenter: one thread solves, another one sees.
+
+The gel's thread takes the newest pose, as soon as the time of a frame has passed since the last
+one, and shows the skin at once; the camera's thread renders what it finds to be newest then. So a
+page never waits for either, and nothing piles up. Needs no ROS.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.live.desk import LiveDesk
+from dotsim_ros.live.moments import Picture, Scene, SkinMoment
+from dotsim_ros.live.payloads import pressed_depth_range_of
+from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
+from dotsim_ros.nodes.tactile_sim.profile_in_force import Rung, ladder_of
+from dotsim_ros.nodes.tactile_sim.profiles import PROFILES, REALTIME
+from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
+from dotsim_ros.sensor import FRAME_S, TactileSensor
+from dotsim_ros.specification import SensorSpecification
+
+START_HEIGHT_M = 2e-3
+"""Of the indenter above the apex."""
+RATE_WINDOW_S = 2.0
+STOP_S = 5.0
+
+
+@dataclass(frozen=True)
+class _Ordered:
+    pose: Pose | None
+    number: int
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What the camera's thread is to show."""
+
+    moment: SensorMoment
+    shown: SkinMoment
+
+
+class SimulatedSubject:
+    """A sensor that the pages press; see `desk.Subject`.
+
+    Args:
+        desk: shows what comes of it.
+        specification: what the sensor is.
+        own: indenters that are none of the shipped, or that press first, by name; the first one
+            presses first.
+        indenters: names to choose from: own and shipped ones.
+        profile: the first one.
+        frame_s: time of a frame at the sensor's rate.
+    """
+
+    def __init__(
+        self,
+        desk: LiveDesk,
+        specification: SensorSpecification,
+        own: Mapping[str, Indenter],
+        *,
+        indenters: Sequence[str],
+        profile: str = REALTIME.name,
+        frame_s: float = FRAME_S,
+    ) -> None:
+        self.title = specification.name
+        self.indenters = indenters
+        # What a gel remembers no other solver could go on with.
+        self.profiles = [profile] if specification.remembers else list(PROFILES)
+        self._desk, self._specification, self._frame_s = desk, specification, frame_s
+        self._own, self._profile = own, profile
+        self._indenter = next(iter(own.values()))
+        self._rungs: dict[str, Rung] = {
+            name: ladder_of(name, specification)[0] for name in self.profiles
+        }
+        self._wake = threading.Condition()
+        self._is_stopping = False
+        self._ordered: _Ordered | None = None
+        self._jobs: deque[Callable[[], None]] = deque()
+        self._seen: _Seen | None = None
+        self._number = 0
+        self._spent_s: float | None = None
+        self._frame_times_s: deque[float] = deque()
+        self._is_new_start, self._is_behind = True, False
+        self._threads = [
+            threading.Thread(target=self._run, args=(work,), name=name, daemon=True)
+            for name, work in (("gel", self._solve), ("camera", self._see))
+        ]
+
+    def start(self) -> None:
+        """Make the sensor, on its own thread, and press from then on."""
+        self._desk.tell_state(
+            busy="making the gel; a first start compiles kernels and may take minutes"
+        )
+        for thread in self._threads:
+            thread.start()
+
+    def stop(self) -> None:
+        """End when the present frame is done; a gel that is being made is not awaited."""
+        with self._wake:
+            self._is_stopping = True
+            self._wake.notify_all()
+        for thread in self._threads:
+            thread.join(STOP_S)
+
+    def move(self, pose: Pose | None, number: int) -> None:
+        """See `desk.Subject`."""
+        with self._wake:
+            self._ordered = _Ordered(pose, number)
+            self._wake.notify_all()
+
+    def choose_indenter(self, name: str) -> None:
+        """See `desk.Subject`."""
+        self._do(lambda: self._change_indenter(name))
+
+    def choose_profile(self, name: str) -> None:
+        """See `desk.Subject`."""
+        self._do(lambda: self._change_profile(name))
+
+    def reset(self) -> None:
+        """See `desk.Subject`."""
+        self._do(self._begin_anew)
+
+    def _do(self, job: Callable[[], None]) -> None:
+        with self._wake:
+            self._jobs.append(job)
+            self._wake.notify_all()
+
+    def _run(self, work: Callable[[], None]) -> None:
+        """Say so where a thread fails, for a page that stands still explains nothing."""
+        try:
+            work()
+        except Exception as error:
+            self._desk.tell_state(can_press=False, busy="the sensor failed: start anew")
+            self._desk.tell(f"the sensor failed ({type(error).__name__}): {error}")
+            with self._wake:
+                self._is_stopping = True
+                self._wake.notify_all()
+            raise
+
+    # The gel's thread.
+
+    def _solve(self) -> None:
+        self._make()
+        due_s = time.monotonic()
+        while True:
+            job, ordered = self._awaited(due_s)
+            if job is not None:
+                job()
+                self._desk.tell_state(busy="")
+            elif self._is_stopping:
+                return
+            else:
+                due_s = time.monotonic() + self._frame_s
+                self._frame(ordered)
+
+    def _make(self) -> None:
+        rung = self._rungs[self._profile]
+        specification = replace(self._specification, solver=rung.solver)
+        self._sensor = TactileSensor(specification, indenter=self._indenter)
+        self._session = SensorSession(
+            self._sensor, first_dt_s=self._frame_s, limit_m=rung.profile.move_m
+        )
+        self._session.warm_up()
+        self._rest_depth_m = pressed_depth_range_of(self._session.moment.render().depth_m)
+        self._show_scene()
+        self._desk.tell_state(
+            busy="",
+            can_press=True,
+            indenter=self._indenter.name,
+            profile=self._profile,
+        )
+        start_m = self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])
+        self.move(Pose(start_m), 0)
+
+    def _show_scene(self) -> None:
+        skin = self._sensor.skin
+        self._desk.show_scene(
+            Scene(skin.rest_position_m, skin.triangles, self._indenter, self._rest_depth_m)
+        )
+
+    def _awaited(self, due_s: float) -> tuple[Callable[[], None] | None, _Ordered | None]:
+        """Wait for a job, or until a frame is due and there is something to show."""
+        with self._wake:
+            while not self._is_stopping:
+                if self._jobs:
+                    return self._jobs.popleft(), None
+                left_s = due_s - time.monotonic()
+                if left_s > 0.0:
+                    self._wake.wait(left_s)
+                    continue
+                ordered, self._ordered = self._ordered, None
+                if ordered is not None or self._goes_on():
+                    return None, ordered
+                self._wake.wait()
+        return None, None
+
+    def _goes_on(self) -> bool:
+        """Return whether the next frame differs from this one though nothing was ordered."""
+        return self._is_behind or self._sensor.remembers
+
+    def _frame(self, ordered: _Ordered | None) -> None:
+        begun_s = time.monotonic()
+        try:
+            moment = self._moment(ordered)
+        except RefusedInputError as error:
+            self._is_behind = False
+            self._desk.tell(error)
+            return
+        self._frame_times_s.append(begun_s)
+        while begun_s - self._frame_times_s[0] > RATE_WINDOW_S:
+            self._frame_times_s.popleft()
+        gel = moment.gel
+        shown = SkinMoment(
+            time.time_ns(),
+            gel.skin_position_m,
+            gel.wrench.force_n,
+            gel.wrench.torque_nm,
+            moment.pose,
+            number=self._number,
+            spent_s=self._spent_s,
+            rate_hz=len(self._frame_times_s) / RATE_WINDOW_S,
+            is_converged=gel.converged,
+            is_behind=self._is_behind,
+        )
+        self._desk.show_skin(shown)
+        with self._wake:
+            self._seen = _Seen(moment, shown)
+            self._wake.notify_all()
+
+    def _moment(self, ordered: _Ordered | None) -> SensorMoment:
+        """Return the moment of the next frame.
+
+        Raises:
+            RefusedInputError: the gel refuses the pose, or could not be solved.
+        """
+        before = self._session.behind
+        if ordered is not None and ordered.pose is None:
+            self._session.reset()
+            self._is_new_start, self._is_behind, self._number = True, False, ordered.number
+            return self._session.moment
+        if ordered is None:
+            moment = self._session.catch_up()
+        else:
+            assert ordered.pose is not None
+            self._number = ordered.number
+            try:
+                # Refused here, the gel keeps what presses it now.
+                self._sensor.check_depth(ordered.pose)
+            except ValueError as error:
+                raise RefusedInputError(Fault.GEL, str(error)) from error
+            start = Fault.RESTART if self._is_new_start else None
+            moment = self._session.follow(MotionOrder(ordered.pose, time.monotonic_ns(), start))
+            self._is_new_start = False
+        self._is_behind = self._session.behind > before
+        return moment
+
+    def _begin_anew(self) -> None:
+        self.move(None, self._number)
+
+    def _change_indenter(self, name: str) -> None:
+        self._desk.tell_state(busy=f"preparing {name}")
+        try:
+            indenter = self._own.get(name) or replace(load_indenter(name), name=name)
+            self._session.change_indenter(indenter)
+        except (ValueError, OSError) as error:
+            self._desk.tell(error)
+            return
+        self._indenter = indenter
+        self._show_scene()
+        self._desk.tell_state(indenter=name)
+        start_m = self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])
+        self._is_new_start = True
+        self.move(Pose(start_m), self._number)
+
+    def _change_profile(self, name: str) -> None:
+        if name == self._profile:
+            return
+        rung = self._rungs[name]
+        self._desk.tell_state(busy=f"preparing the gel of {name}")
+        try:
+            self._session.change_solver(
+                rung.solver, limit_m=rung.profile.move_m, largest_jump_m=np.inf
+            )
+        except ValueError as error:
+            self._desk.tell(error)
+            return
+        self._profile = name
+        self._desk.tell_state(profile=name)
+
+    # The camera's thread.
+
+    def _see(self) -> None:
+        while True:
+            with self._wake:
+                while self._seen is None and not self._is_stopping:
+                    self._wake.wait()
+                if self._is_stopping:
+                    return
+                seen, self._seen = self._seen, None
+            assert seen is not None
+            frame = seen.moment.render()
+            self._spent_s = sum(frame.timings_s.values())
+            self._desk.show_picture(Picture(seen.shown.stamp_ns, frame.image, frame.depth_m))

@@ -1,0 +1,63 @@
+"""`dotsim_ros live --attach`: the page shows a running node, and presses it."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("websockets", reason="needs pip install '.[live]'")
+
+from harness import APEX_M, PATIENCE_S, running
+from websockets.sync.client import ClientConnection, connect
+
+CODE = """
+from dotsim_ros.cli.main import main
+raise SystemExit(main(["live", "--attach", "--port", "0", "--out", {out!r}]))
+"""
+
+
+def heard(
+    socket: ClientConnection, kind: str, is_wanted: Callable[[dict[str, Any]], bool]
+) -> dict[str, Any]:
+    """Return the header of the first payload of a kind that is wanted."""
+    end_s = time.monotonic() + PATIENCE_S
+    while True:
+        payload = socket.recv(timeout=end_s - time.monotonic())
+        assert isinstance(payload, bytes)
+        socket.send("")
+        header = json.loads(payload[4 : 4 + int.from_bytes(payload[:4], "little")])
+        if header["kind"] == kind and is_wanted(header):
+            return dict(header)
+
+
+def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Path) -> None:
+    node = {"grid_spacing_m": 0.0048, "diagnostics_period_s": 0.1}
+    with (
+        running(parameters=node),
+        running(code=CODE.format(out=str(tmp_path)), ready="open http") as page,
+    ):
+        found = re.search(r"http://127.0.0.1:(\d+)/", page.log)
+        assert found is not None
+        with connect(f"ws://127.0.0.1:{found[1]}/socket") as socket:
+            # The shape and the profile are asked of the node.
+            state = heard(socket, "state", lambda state: bool(state["profile"]))
+            assert state["title"] == "/tactile_sim"
+            heard(socket, "state", lambda state: state["can_press"] and not state["busy"])
+            position_m = [0.0, 0.0, APEX_M - 0.001]
+            pose = {"do": "pose", "position_m": position_m, "quaternion_xyzw": [0, 0, 0, 1]}
+            socket.send(json.dumps(pose))
+            heard(socket, "skin", lambda skin: bool(skin["force_n"]) and skin["force_n"][2] > 0.05)
+            picture = heard(socket, "picture", lambda picture: len(picture["parts"]) == 2)
+            assert {part[0] for part in picture["parts"]} == {"image", "depth"}
+            socket.send(json.dumps({"do": "indenter", "name": "cone"}))
+            heard(socket, "state", lambda state: state["indenter"] == "cone")
+            socket.send(json.dumps({"do": "away"}))
+            told = heard(socket, "state", lambda state: "cannot be taken away" in state["notice"])
+            assert told["can_press"]
+        assert page.interrupt() == 0
