@@ -31,7 +31,14 @@ from dotsim_ros.evaluation.gap.hidden.solved_draw import (
 )
 from dotsim_ros.evaluation.gap.hidden.solved_sets import SeriesPlan, make_sets, read_series
 from dotsim_ros.evaluation.gap.solved_page import solved_page
-from dotsim_ros.evaluation.gap.solved_score import ScoreRequest, outcome_of, rates_of, score_sets
+from dotsim_ros.evaluation.gap.solved_score import (
+    LEARNT_SINCE,
+    ScoreRequest,
+    kind_of,
+    outcome_of,
+    rates_of,
+    score_sets,
+)
 from dotsim_ros.files import write_json
 from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
 from dotsim_ros.gel.material import Yeoh
@@ -156,6 +163,14 @@ def test_an_answer_is_worth(
     verdict: str, named: list[str], alternatives: list[str], hidden: set[str], outcome: str
 ) -> None:
     assert outcome_of(verdict, named, alternatives, hidden) == outcome
+
+
+def test_what_the_library_learnt_since_is_no_longer_outside_of_it() -> None:
+    slides = {"kind": "outside", "effects": [{"name": "slipping_core", "library": ""}]}
+    uneven = {"kind": "outside", "effects": [{"name": "uneven_cure", "library": ""}]}
+    assert (kind_of(slides), kind_of(uneven)) == ("single", "outside")
+    assert kind_of({"kind": "null", "effects": []}) == "null"
+    assert set(LEARNT_SINCE.values()) <= set(load_effects())
 
 
 def _deck(depth_m: float = 1.2e-3, hold_s: float = 0.0, **changed: object) -> UnitDeck:

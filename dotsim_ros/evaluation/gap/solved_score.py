@@ -23,6 +23,9 @@ from dotsim_ros.worker_pool.pool import Crew
 
 FINDINGS = "findings.json"
 KINDS = (NULL, SINGLE, PAIR, OUTSIDE)
+LEARNT_SINCE = {"slipping_core": "lost_bond"}
+"""Laws that truths were sealed with as unknown, and that the library has an effect for by now: a gel
+that slides on its core about the apex has come off it there."""
 UNFINISHED = 6
 """A set with fewer trajectories than this is not searched."""
 
@@ -97,7 +100,7 @@ def _row(request: ScoreRequest, record: SetRecord) -> dict[str, Any]:
     if len(record.made) >= UNFINISHED:
         findings, row["searched_at"] = _findings(request, record)
     truth = opened_truth(request.sets, record)
-    row |= {"kind": truth["kind"], "hidden": truth["effects"], "decoys": truth["decoys"]}
+    row |= {"kind": kind_of(truth), "hidden": truth["effects"], "decoys": truth["decoys"]}
     if findings is None:
         return row | {"outcome": "too few trajectories", "verdict": "unusable", "named": []}
     return row | judged(findings, truth)
@@ -139,6 +142,19 @@ def _findings(request: ScoreRequest, record: SetRecord) -> tuple[Findings, str]:
     return found, commit
 
 
+def _library_names(truth: Mapping[str, Any]) -> set[str]:
+    """Return the names that the library has for what is hidden; "" for what it does not know."""
+    return {
+        effect["library"] or LEARNT_SINCE.get(effect["name"], "") for effect in truth["effects"]
+    }
+
+
+def kind_of(truth: Mapping[str, Any]) -> str:
+    """Return the kind of a set as the library is now."""
+    kind = str(truth["kind"])
+    return SINGLE if kind == OUTSIDE and "" not in _library_names(truth) else kind
+
+
 def judged(findings: Findings, truth: Mapping[str, Any]) -> dict[str, Any]:
     """Return what the finder answered beside what was hidden, and what the answer is worth.
 
@@ -146,7 +162,7 @@ def judged(findings: Findings, truth: Mapping[str, Any]) -> dict[str, Any]:
         findings: of a set.
         truth: of it, as `truth_of` reads it.
     """
-    hidden = {effect["library"] for effect in truth["effects"]}
+    hidden = _library_names(truth)
     named, verdict = list(findings.named), findings.verdict.value
     sizes = {
         effect["library"]: effect["against_twin"]
