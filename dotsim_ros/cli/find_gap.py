@@ -11,7 +11,7 @@ exit status: 0 no gap, 10 an effect named, 11 a set of effects that the data do 
 example:
   dotsim_ros find-gap --measured measured/after --sensor sensor_a --out report
   dotsim_ros find-gap --measured measured/after --reference measured/commissioning --out report
-  dotsim_ros find-gap --demo --seed 3 --out demo
+  dotsim_ros find-gap --demo --seed 2 --out demo
 """
 
 from __future__ import annotations
@@ -62,7 +62,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only estimate the images' noise from data without an effect, and write it here",
     )
     add("--json", type=Path, help="write the findings here as well")
-    add("--demo", action="store_true", help="hide an effect drawn by the seed, and find it")
+    add(
+        "--demo",
+        action="store_true",
+        help="search a shipped set that finite elements solved; --seed says which",
+    )
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -21,6 +21,7 @@ from dotsim_ros.gap import find as find_module
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.indenter import flat_punch, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.measured.data_set import find_indenter
 from dotsim_ros.measured.data_set_writer import write_data_set
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 
@@ -232,6 +233,36 @@ def test_the_demonstration_takes_no_argument_that_it_would_ignore(
     assert main(line.split()) == 1
     assert "leave out --candidates, --alpha" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("seed", "hidden", "answer", "status"),
+    [
+        (0, "hidden was nothing; decoys: friction, poisson_ratio", "right", 0),
+        (1, "hidden was two_branches 0.288 share", "wrong: missed", 1),
+        (2, "hidden was slippery 0.437 of friction", "wrong: missed", 1),
+    ],
+)
+def test_the_demonstration_opens_the_truth_after_the_search_of_a_shipped_set(
+    tmp_path: Path,
+    searched: Callable[[Exception | None], list[GapRequest]],
+    capsys: pytest.CaptureFixture[str],
+    seed: int,
+    hidden: str,
+    answer: str,
+    status: int,
+) -> None:
+    requests = searched(None)
+    line = f"find-gap --demo --seed {seed} --out {tmp_path / 'demo'} --workers 1"
+    assert main(line.split()) == status
+    printed = capsys.readouterr().out
+    assert "one of 3 sets, its truth sealed, sha256" in printed.splitlines()[0]
+    assert hidden in printed
+    assert f"the finder was {answer}" in printed
+    (request,) = requests
+    data = read_data_set(request.measured)
+    assert len(data.entries) == 8
+    assert {find_indenter(data, entry.indenter, None).name for entry in data.entries}
 
 
 @pytest.fixture

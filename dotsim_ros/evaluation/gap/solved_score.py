@@ -24,8 +24,8 @@ from dotsim_ros.worker_pool.pool import Crew
 FINDINGS = "findings.json"
 KINDS = (NULL, SINGLE, PAIR, OUTSIDE)
 LEARNT_SINCE = {"slipping_core": "lost_bond"}
-"""Laws that truths were sealed with as unknown, and that the library has an effect for by now: a gel
-that slides on its core about the apex has come off it there."""
+"""Laws that truths were sealed with as unknown, and that the library has an effect for by now: a
+gel that slides on its core about the apex has come off it there."""
 UNFINISHED = 6
 """A set with fewer trajectories than this is not searched."""
 
