@@ -10,11 +10,17 @@ interrupted run resumes with the same command; one that CalculiX cannot finish i
 smaller steps, then with larger elements, and then listed as failed (--retry). Uses one core.
 Needs CalculiX: apt-get install calculix-ccx
 
+OUT/commissioning is the unit as declared, to calibrate the twin with: what a model calls friction or
+stiffness is an effective constant, and that of another solver's units is not that of another
+sensor's.
+
 exit status: 0 all trajectories made, 1 some failed
 
 example:
   dotsim_ros hide --count 32 --seed 7 --out out/hidden
-  dotsim_ros evaluate gap --sets out/hidden --half development --out docs/results
+  dotsim_ros calibrate --data out/hidden/commissioning --sensor sensor_a --hold-out 0 \\
+      --out sensor_a.yaml
+  dotsim_ros evaluate gap --sets out/hidden --sensor sensor_a.yaml --out docs/results
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ def solved_page(figures: Mapping[str, Any]) -> str:
         "# The gap finder on effects that finite elements have solved\n",
         "The sets are CalculiX's (`dotsim_ros hide`): what is wrong is part of what it solves, and "
         "nothing of our gel takes part. Each set is one unit with eight trajectories, searched "
-        "once by `find-gap` against the sensor as declared. Its truth was sealed before. "
+        "once by `find-gap` with the twin that the command names. Its truth was sealed before. "
         "Intervals of shares are Wilson's, of 95 %.\n",
     ]
     for half, of_half in figures["halves"].items():
