@@ -33,7 +33,7 @@ examples:
   dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
   dotsim_ros evaluate real_pair --data ../shared/real/densetact --out docs/results
   dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
-  dotsim_ros evaluate gap --sets DIR --sensor DIR/sensor_a.yaml --half development --out docs/results
+  dotsim_ros evaluate gap --sets DIR --sensor DIR/sensor_a.yaml --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
   dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results

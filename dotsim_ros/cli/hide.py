@@ -10,8 +10,8 @@ interrupted run resumes with the same command; one that CalculiX cannot finish i
 smaller steps, then with larger elements, and then listed as failed (--retry). Uses one core.
 Needs CalculiX: apt-get install calculix-ccx
 
-OUT/commissioning is the unit as declared, to calibrate the twin with: what a model calls friction or
-stiffness is an effective constant, and that of another solver's units is not that of another
+OUT/commissioning is the unit as declared, to calibrate the twin with: what a model calls friction
+or stiffness is an effective constant, and that of another solver's units is not that of another
 sensor's.
 
 exit status: 0 all trajectories made, 1 some failed
