@@ -23,6 +23,7 @@ import numpy as np
 
 from dotsim_ros.documents import read_json
 from dotsim_ros.evaluation.gap.hidden.solved_draw import (
+    COMMISSIONING,
     HALVES,
     SolvedUnit,
     commissioning_unit,
@@ -128,7 +129,7 @@ def make_sets(
     units = draw_series(plan.sensor, plan.count, plan.seed)
     records = _begin(directory, plan, units, version)
     with _alone(directory):
-        _make_commissioning(directory, plan, tell)
+        _make_commissioning(directory, plan, tell, failed_again=failed_again)
         if failed_again:
             for record in records:
                 record["ready"] = record["ready"] and not record["failures"]
@@ -136,11 +137,20 @@ def make_sets(
         _make(directory, plan, units, records, tell)
 
 
-def _make_commissioning(directory: Path, plan: SeriesPlan, tell: Callable[[str], None]) -> None:
-    """Make the set of the unit as declared; its failures are tried again each time."""
+def _make_commissioning(
+    directory: Path, plan: SeriesPlan, tell: Callable[[str], None], *, failed_again: bool
+) -> None:
+    """Make the set of the unit as declared, or what a run before has left of it."""
     unit = commissioning_unit(plan.sensor, plan.seed)
-    record: dict[str, Any] = {"made": [], "failures": {}}
-    _make_set(directory, plan, unit, record, tell, partial_index=lambda: None)
+    index = read_json(directory / INDEX)
+    record: dict[str, Any] = index.get(COMMISSIONING, {"made": [], "failures": {}})
+    if failed_again:
+        record["failures"] = {}
+
+    def kept() -> None:
+        write_json(directory / INDEX, read_json(directory / INDEX) | {COMMISSIONING: record})
+
+    _make_set(directory, plan, unit, record, tell, partial_index=kept)
     tell(f"{unit.name}: ready")
 
 
