@@ -243,7 +243,7 @@ class Session:
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in msg_adapters.decode_diagnostics(message):
-            if status.name == "time_stepper: time":
+            if status.name == f"{self.namespace[1:]}/time_stepper: time":
                 self.diagnostics = status
 
     def _close(self) -> None:
