@@ -242,6 +242,8 @@ class LiveAttachment(WorkingNode):
         self._desk.show_picture(Picture(stamp_ns, image, depth_m))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        # As `GuardedNode.label` of a node that shares this one's namespace.
+        label = f"{self.get_namespace()}/{self._node_name}".strip("/")
         for status in msg_adapters.decode_diagnostics(message):
-            if status.name == f"{self._node_name}: frames":
+            if status.name == f"{label}: frames":
                 self._desk.tell_state(profile=status.values.get("profile", ""))
