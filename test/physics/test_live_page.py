@@ -32,7 +32,8 @@ from dotsim_ros.nodes.live_page.simulated import SimulatedSubject
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 WINDOW = {"width": 1000, "height": 640}
-PATIENCE_S = 60.0
+PATIENCE_S = 300.0
+"""The first frame waits for the kernels to be compiled."""
 PRESSED_MM = 0.5
 APEX_M = 0.01575
 
