@@ -10,7 +10,8 @@ interrupted run resumes with the same command; one that CalculiX cannot finish i
 smaller steps, then with larger elements, and then listed as failed (--retry). Uses one core.
 Needs CalculiX: apt-get install calculix-ccx
 
-OUT/commissioning is the unit as declared, to calibrate the twin with: what a model calls friction
+OUT/commissioning is the unit as declared, on three meshes, to calibrate the twin with and to learn
+what it is off by: what a model calls friction
 or stiffness is an effective constant, and that of another solver's units is not that of another
 sensor's.
 

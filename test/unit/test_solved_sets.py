@@ -19,6 +19,7 @@ from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.evaluation.gap import solved_score
 from dotsim_ros.evaluation.gap.hidden import solved_unit
 from dotsim_ros.evaluation.gap.hidden.solved_draw import (
+    COMMISSIONED,
     COMPOSITION,
     DECLARED,
     HALVES,
@@ -107,7 +108,7 @@ def test_units_are_within_what_is_declared_and_decoys_nearly_out_of_it() -> None
 
 
 def test_the_commissioning_is_the_unit_as_declared() -> None:
-    unit = commissioning_unit(SENSOR, 3)
+    unit = commissioning_unit(SENSOR, 3, 0)
     own = unit.constants
     assert (own.thickness_share, own.clock_s, own.force_gain) == (0.0, 0.0, 1.0)
     assert own.friction == pytest.approx(SENSOR.contact.friction_coefficient)
@@ -115,6 +116,10 @@ def test_the_commissioning_is_the_unit_as_declared() -> None:
     assert not unit.effects
     assert not unit.decoys
     assert unit.seed not in {drawn.seed for drawn in draw_series(SENSOR, 64, 3)}
+    other = commissioning_unit(SENSOR, 3, 1).constants
+    assert other.spacing_m != own.spacing_m
+    mesh = {"spacing_m": own.spacing_m, "contact_stiffness": own.contact_stiffness}
+    assert replace(other, **mesh) == own
 
 
 def test_a_seed_draws_the_same_again_and_another_one_something_else() -> None:
@@ -298,7 +303,9 @@ def test_a_set_is_made_resumed_and_its_truth_sealed(
     assert index["seed"] == 6
     truth = (out / "set_00" / "truth.json").read_bytes()
     assert hashlib.sha256(truth).hexdigest() == record.truth_sha256
-    assert [entry.name for entry in read_data_set(out / "commissioning").entries] == [PRESS]
+    stem, number = PRESS.rsplit("_", 1)
+    commissioned = {f"{stem}_{int(number) + mesh}" for mesh in range(COMMISSIONED)}
+    assert {entry.name for entry in read_data_set(out / "commissioning").entries} == commissioned
     data_set = read_data_set(out / "set_00")
     (entry,) = data_set.entries
     trajectory = entry.read()

@@ -243,11 +243,14 @@ def draw_series(sensor: SensorSpecification, count: int, seed: int) -> list[Solv
 
 
 COMMISSIONING = "commissioning"
+COMMISSIONED = 3
+"""Meshes on which the unit as declared is solved, each along trajectories of its own: one alone does
+not show what the model is off by."""
 _COMMISSIONING_NUMBER = 1_000_000
-"""In its seed; no set has it."""
+"""In its seed, that of the first mesh; no set has it."""
 
 
-def commissioning_unit(sensor: SensorSpecification, seed: int) -> SolvedUnit:
+def commissioning_unit(sensor: SensorSpecification, seed: int, mesh: int) -> SolvedUnit:
     """Return the unit as declared, with which a twin is calibrated before it is put to the sets.
 
     What a model calls friction or stiffness is an effective constant; that of another solver's
@@ -256,8 +259,10 @@ def commissioning_unit(sensor: SensorSpecification, seed: int) -> SolvedUnit:
     Args:
         sensor: as declared.
         seed: of the series.
+        mesh: number of its mesh and contact stiffness, which are drawn; the rest is the same.
     """
-    own = np.random.default_rng([seed, 1, _COMMISSIONING_NUMBER])
+    number = _COMMISSIONING_NUMBER + mesh
+    own = np.random.default_rng([seed, 1, number])
     declared = values_of(sensor)
     constants = UnitConstants(
         youngs_modulus_pa=declared.youngs_modulus_pa,
@@ -271,9 +276,7 @@ def commissioning_unit(sensor: SensorSpecification, seed: int) -> SolvedUnit:
         spacing_m=float(own.uniform(*SPACINGS_M)),
         contact_stiffness=float(own.uniform(*CONTACT_STIFFNESS)),
     )
-    return SolvedUnit(
-        COMMISSIONING, NULL, HALVES[0], (seed, _COMMISSIONING_NUMBER), (), (), constants
-    )
+    return SolvedUnit(COMMISSIONING, NULL, HALVES[0], (seed, number), (), (), constants)
 
 
 def _kinds(count: int, random: Generator) -> list[str]:

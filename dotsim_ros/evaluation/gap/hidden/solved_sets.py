@@ -23,6 +23,7 @@ import numpy as np
 
 from dotsim_ros.documents import read_json
 from dotsim_ros.evaluation.gap.hidden.solved_draw import (
+    COMMISSIONED,
     COMMISSIONING,
     HALVES,
     SolvedUnit,
@@ -141,7 +142,7 @@ def _make_commissioning(
     directory: Path, plan: SeriesPlan, tell: Callable[[str], None], *, failed_again: bool
 ) -> None:
     """Make the set of the unit as declared, or what a run before has left of it."""
-    unit = commissioning_unit(plan.sensor, plan.seed)
+    units = [commissioning_unit(plan.sensor, plan.seed, mesh) for mesh in range(COMMISSIONED)]
     index = read_json(directory / INDEX)
     record: dict[str, Any] = index.get(COMMISSIONING, {"made": [], "failures": {}})
     if failed_again:
@@ -150,8 +151,22 @@ def _make_commissioning(
     def kept() -> None:
         write_json(directory / INDEX, read_json(directory / INDEX) | {COMMISSIONING: record})
 
-    _make_set(directory, plan, unit, record, tell, partial_index=kept)
-    tell(f"{unit.name}: ready")
+    # The meshes differ in nothing else that the truth says.
+    write_text(directory / COMMISSIONING / TRUTH, units[0].sealed())
+    for mesh, unit in enumerate(units):
+        _make_set(directory, plan, unit, _repeated(plan, unit, mesh), record, tell, kept)
+    tell(f"{COMMISSIONING}: ready")
+
+
+def _repeated(plan: SeriesPlan, unit: SolvedUnit, repeat: int) -> list[Protocol]:
+    """Return a unit's protocols, numbered behind those of the repeats before."""
+    planned = _protocols(plan, unit)
+    result = []
+    for protocol in planned:
+        stem, number = protocol.name.rsplit("_", 1)
+        name = f"{stem}_{int(number) + repeat * len(planned)}"
+        result.append(replace(protocol, name=name))
+    return result
 
 
 def _make(
@@ -166,8 +181,15 @@ def _make(
         if record["ready"]:
             tell(f"{unit.name}: there already")
             continue
+        write_text(directory / unit.name / TRUTH, unit.sealed())
         _make_set(
-            directory, plan, unit, record, tell, partial_index=lambda: _write(directory, records)
+            directory,
+            plan,
+            unit,
+            _protocols(plan, unit),
+            record,
+            tell,
+            lambda: _write(directory, records),
         )
         record["ready"] = True
         _write(directory, records)
@@ -268,7 +290,8 @@ def _begin(
             f"{directory} holds files, and no {INDEX} that says they are hidden sets; give an "
             "empty folder or a new one with --out"
         )
-    known = {protocol.name for unit in units for protocol in _protocols(plan, unit)}
+    every = replace(plan, trajectories=())
+    known = {protocol.name for unit in units for protocol in _protocols(every, unit)}
     unknown = sorted(set(plan.trajectories) - known)
     if unknown:
         raise ValueError(
@@ -297,26 +320,26 @@ def _write(directory: Path, entries: list[dict[str, Any]]) -> None:
 
 
 def _protocols(plan: SeriesPlan, unit: SolvedUnit) -> list[Protocol]:
-    return protocols(plan.sensor, np.random.default_rng([*unit.seed, 2]))
+    """Return the trajectories of a unit that are asked for, all where none is named."""
+    every = protocols(plan.sensor, np.random.default_rng([*unit.seed, 2]))
+    return [p for p in every if not plan.trajectories or p.name in plan.trajectories]
 
 
 def _make_set(
     directory: Path,
     plan: SeriesPlan,
     unit: SolvedUnit,
+    planned: Sequence[Protocol],
     record: dict[str, Any],
     tell: Callable[[str], None],
     partial_index: Callable[[], None],
 ) -> None:
-    """Make the trajectories of a set that are missing; its entry is kept up to date."""
+    """Make the planned trajectories of a set that are missing; its entry is kept up to date."""
     folder = directory / unit.name
     skin = dome_skin(plan.sensor.gel.outer_radius_m, SKIN_SPACING_M)
     data_set = DataSetWriter(folder, skin, indenter_step_m=INDENTER_STEP_M)
-    write_text(folder / TRUTH, unit.sealed())
-    for number, protocol in enumerate(_protocols(plan, unit)):
+    for number, protocol in enumerate(planned):
         name = protocol.name
-        if plan.trajectories and name not in plan.trajectories:
-            continue
         if name in record["failures"]:
             continue
         notes = {"truth_sha256": unit.digest()}
