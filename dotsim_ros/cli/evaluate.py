@@ -161,6 +161,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="only estimate the model's own error and the effects' limits, and write them here",
     )
+    gap.add_argument(
+        "--discrepancy",
+        type=Path,
+        metavar="FILE",
+        help="with --sets: the twin's own error, as --fit-discrepancy writes it (the shipped one)",
+    )
     later.add_argument(
         "--fit-data",
         type=Path,
@@ -550,6 +556,10 @@ def _gap(arguments: argparse.Namespace) -> int:
         )
     if arguments.sets is not None:
         return _gap_sets(arguments)
+    if arguments.discrepancy is not None:
+        raise ValueError(
+            "--discrepancy is of hidden sets; with --data it is estimated from half of the presses"
+        )
     from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
     from dotsim_ros.evaluation.gap.hidden.laws import LAWS, OTHER_LAWS
     from dotsim_ros.evaluation.gap.page import gap_page
@@ -598,6 +608,7 @@ def _gap_sets(arguments: argparse.Namespace) -> int:
         load_sensor(arguments.sensor),
         arguments.run or cache_directory() / "gap_physics" / arguments.sets.resolve().name,
         crew_of(arguments),
+        arguments.discrepancy,
     )
     figures = score_sets(request, _say) | {"provenance": provenance()}
     file = arguments.out / "gap_physics.json"

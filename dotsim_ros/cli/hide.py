@@ -11,9 +11,8 @@ smaller steps, then with larger elements, and then listed as failed (--retry). U
 Needs CalculiX: apt-get install calculix-ccx
 
 OUT/commissioning is the unit as declared, on three meshes, to calibrate the twin with and to learn
-what it is off by: what a model calls friction
-or stiffness is an effective constant, and that of another solver's units is not that of another
-sensor's.
+what it is off by: what a model calls friction or stiffness is an effective constant, and that of
+another solver's units is not that of another sensor's.
 
 exit status: 0 all trajectories made, 1 some failed
 
@@ -21,7 +20,10 @@ example:
   dotsim_ros hide --count 32 --seed 7 --out out/hidden
   dotsim_ros calibrate --data out/hidden/commissioning --sensor sensor_a --hold-out 0 \\
       --out sensor_a.yaml
-  dotsim_ros evaluate gap --sets out/hidden --sensor sensor_a.yaml --out docs/results
+  dotsim_ros evaluate gap --data out/hidden/commissioning --sensor sensor_a.yaml \\
+      --fit-discrepancy discrepancy.npz
+  dotsim_ros evaluate gap --sets out/hidden --sensor sensor_a.yaml \\
+      --discrepancy discrepancy.npz --out docs/results
 """
 
 from __future__ import annotations

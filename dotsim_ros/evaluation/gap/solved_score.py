@@ -13,9 +13,10 @@ from dotsim_ros.documents import read_json
 from dotsim_ros.evaluation.gap.hidden.solved_draw import NULL, OUTSIDE, PAIR, SINGLE, truth_of
 from dotsim_ros.evaluation.gap.hidden.solved_sets import TRUTH, SetRecord, read_series
 from dotsim_ros.evaluation.gap.rates import median, rate
-from dotsim_ros.files import write_json
+from dotsim_ros.files import parameter_path, write_json
 from dotsim_ros.gap.find import find_gap
 from dotsim_ros.gap.findings import Findings, as_record, findings_of
+from dotsim_ros.gap.presses.covariance import FILE as SHIPPED
 from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
@@ -40,6 +41,7 @@ class ScoreRequest:
         sensor: the twin, as declared.
         run: folder of the searches; those of before are not made again.
         workers: of a search.
+        discrepancy: file of the twin's own error; None for the shipped one.
     """
 
     sets: Path
@@ -47,6 +49,13 @@ class ScoreRequest:
     sensor: SensorSpecification
     run: Path
     workers: Crew = 2
+    discrepancy: Path | None = None
+
+    def asked(self) -> str:
+        """Return a digest of what a search is given beside its set."""
+        error = self.discrepancy or parameter_path(SHIPPED)
+        asked = repr(self.sensor).encode() + error.read_bytes()
+        return hashlib.sha256(asked).hexdigest()
 
 
 def score_sets(request: ScoreRequest, tell: Callable[[str], None]) -> dict[str, Any]:
@@ -125,7 +134,11 @@ def _findings(request: ScoreRequest, record: SetRecord) -> tuple[Findings, str]:
     """Return what a search finds, and the commit at which it was made."""
     folder = request.run / record.name
     kept = folder / FINDINGS
-    key = {"truth_sha256": record.truth_sha256, "made": list(record.made)}
+    key = {
+        "truth_sha256": record.truth_sha256,
+        "made": list(record.made),
+        "asked": request.asked(),
+    }
     if kept.is_file():
         before = read_json(kept)
         if isinstance(before, dict) and all(before.get(k) == value for k, value in key.items()):
@@ -135,6 +148,7 @@ def _findings(request: ScoreRequest, record: SetRecord) -> tuple[Findings, str]:
         sensor=request.sensor,
         out=folder / "report",
         workers=request.workers,
+        discrepancy=request.discrepancy,
         progress=PrintedProgress(),
     )
     commit = provenance()["commit"]

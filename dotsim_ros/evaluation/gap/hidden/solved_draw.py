@@ -244,8 +244,8 @@ def draw_series(sensor: SensorSpecification, count: int, seed: int) -> list[Solv
 
 COMMISSIONING = "commissioning"
 COMMISSIONED = 3
-"""Meshes on which the unit as declared is solved, each along trajectories of its own: one alone does
-not show what the model is off by."""
+"""Meshes on which the unit as declared is solved, each along trajectories of its own: one alone
+does not show what the model is off by."""
 _COMMISSIONING_NUMBER = 1_000_000
 """In its seed, that of the first mesh; no set has it."""
 
