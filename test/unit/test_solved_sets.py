@@ -42,6 +42,7 @@ from dotsim_ros.evaluation.gap.solved_score import (
 )
 from dotsim_ros.files import write_json
 from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
+from dotsim_ros.gap.presses.covariance import load_discrepancy, save_discrepancy
 from dotsim_ros.gel.material import Yeoh
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -362,10 +363,13 @@ def test_answers_of_before_are_scored_without_another_search(
         candidates=(Candidate(name, name, True, 50.0, 0.0, estimates=(estimate,)),),
         share_closed=0.9,
     )
-    kept = {"truth_sha256": record.truth_sha256, "made": [PRESS], "commit": "0123456789ab"}
-    write_json(tmp_path / "run" / "set_00" / "findings.json", kept | {"findings": as_record(found)})
+    run = tmp_path / "run"
+    asked = ScoreRequest(made, record.half, SENSOR, run).asked()
+    kept = {"truth_sha256": record.truth_sha256, "made": [PRESS], "asked": asked}
+    kept["commit"] = "0123456789ab"
+    write_json(run / "set_00" / "findings.json", kept | {"findings": as_record(found)})
     line = f"evaluate gap --sets {made} --sensor sensor_a --half {record.half}"
-    line += f" --run {tmp_path / 'run'} --out {tmp_path / 'results'}"
+    line += f" --run {run} --out {tmp_path / 'results'}"
     assert main(line.split()) == 0
     figures = json.loads((tmp_path / "results" / "gap_physics.json").read_text())
     (row,) = figures["halves"][record.half]["sets"]
@@ -377,6 +381,13 @@ def test_answers_of_before_are_scored_without_another_search(
     assert f"| set_00 | {effect['name']}" in page
     assert "100% [21%, 100%] of 1" in page
     capsys.readouterr()
+
+    # Another twin, or another error of its own, is another question.
+    error = tmp_path / "discrepancy.npz"
+    save_discrepancy(replace(load_discrepancy(), source="another"), error)
+    assert ScoreRequest(made, record.half, SENSOR, run, discrepancy=error).asked() != asked
+    other = replace(SENSOR, contact=replace(SENSOR.contact, friction_coefficient=0.3))
+    assert ScoreRequest(made, record.half, other, run).asked() != asked
 
     assert main([*line.split()[:4], "--sensor", "densetact2"]) == 1
     assert "give --sensor sensor_a" in capsys.readouterr().err
