@@ -162,6 +162,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="only estimate the model's own error and the effects' limits, and write them here",
     )
     gap.add_argument(
+        "--representative",
+        action="store_true",
+        help="with --fit-discrepancy: the presses differ as the units do that will be searched (they "
+        "are of several, or of several meshes of a solver): limits need no margin for that",
+    )
+    gap.add_argument(
         "--discrepancy",
         type=Path,
         metavar="FILE",
@@ -576,7 +582,9 @@ def _gap(arguments: argparse.Namespace) -> int:
     source = Source(arguments.data, sensor, run, crew_of(arguments), PrintedProgress())
     if arguments.fit_discrepancy is not None:
         names = [entry.name for entry in read_data_set(arguments.data).entries]
-        found = calibrated_discrepancy(source, names, arguments.seed)
+        found = calibrated_discrepancy(
+            source, names, arguments.seed, is_representative=arguments.representative
+        )
         save_discrepancy(found, arguments.fit_discrepancy)
         print(f"{arguments.fit_discrepancy}: {found.source}")
         return 0

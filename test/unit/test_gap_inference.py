@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter
-from dotsim_ros.gap.decision import HEAVIER, limit_factor, threshold_of
+from dotsim_ros.gap.decision import (
+    HEAVIER,
+    MARGIN,
+    PATTERNS_HEAVIER,
+    limit_factor,
+    pattern_factor,
+    threshold_of,
+)
 from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance, centred
 from dotsim_ros.gap.presses.certainty import CHI_SQUARE, profile_ends
 from dotsim_ros.gap.presses.covariance import Whitening
@@ -116,9 +125,23 @@ def test_the_threshold_is_the_nulls_quantile_and_grows_beyond_their_number() -> 
     assert threshold_of(gains, 0.02) == pytest.approx(5.41, rel=0.1)
     few = gains[:20]
     assert threshold_of(few, 0.001) > threshold_of(few, 0.02)
-    assert limit_factor("latency", {"latency": 9.7}) == 9.7
-    assert limit_factor("adhesion", {"latency": 9.7, "adhesion": 0.1}) == HEAVIER
-    assert limit_factor("one's own", {"latency": 9.7, "adhesion": 0.1}) == 9.7
+
+
+@pytest.mark.parametrize(("is_representative", "least"), [(False, HEAVIER), (True, MARGIN)])
+def test_a_limit_is_what_true_nulls_show_and_a_margin_at_least(
+    is_representative: bool, least: float
+) -> None:
+    factor = partial(limit_factor, is_representative=is_representative)
+    measured = {"latency": 9.7, "adhesion": 0.1}
+    assert factor("latency", measured) == 9.7
+    assert factor("adhesion", measured) == least
+    assert factor("one's own", measured) == 9.7
+    assert factor("one's own", {"adhesion": 0.1}) == HEAVIER
+    assert factor("one's own", {}) == HEAVIER
+    patterns = partial(pattern_factor, is_representative=is_representative)
+    assert patterns(5.0) == 5.0
+    assert patterns(0.0) == PATTERNS_HEAVIER
+    assert patterns(0.1) == (MARGIN if is_representative else PATTERNS_HEAVIER)
 
 
 def segment_of(random: np.random.Generator, count: int) -> Segment:

@@ -97,7 +97,15 @@ def lasso_name(search: Search, ranked: Sequence[Ranked]) -> str | None:
     nulls = [
         np.max(freed.T @ draw_null(evidence, search.random) / length) for _ in range(LASSO_NULLS)
     ]
-    factor = max([decision.HEAVIER, *search.discrepancy.limit_factors.values()])
+    names = {entry.effect.name for entry in ranked} | set(search.discrepancy.limit_factors)
+    factor = max(
+        decision.limit_factor(
+            name,
+            search.discrepancy.limit_factors,
+            is_representative=search.discrepancy.is_representative,
+        )
+        for name in names
+    )
     penalty = np.sqrt(factor) * float(np.quantile(nulls, 1.0 - search.request.alpha))
     size = _positive_lasso(
         gram / np.outer(length, length), freed.T @ evidence.residual / length, penalty

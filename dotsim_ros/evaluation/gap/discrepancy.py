@@ -24,6 +24,7 @@ from dotsim_ros.evaluation.gap.presses import (
     open_presses,
     search_of,
 )
+from dotsim_ros.gap.decision import MARGIN
 from dotsim_ros.gap.presses.answer import null_gains, pattern_gain, screen
 from dotsim_ros.gap.presses.assumptions import BIASED, DIFFERENTIAL
 from dotsim_ros.gap.presses.covariance import Discrepancy, fit_discrepancy
@@ -36,18 +37,18 @@ LIMIT_DRAWS = 15
 """Cases drawn from each half."""
 NULLS_OF_DRAW = 10
 QUANTILE = 0.98
-MARGIN = 1.5
-"""By how much a factor is larger than what the presses of one unit show: draws from one half differ
-by less than halves do."""
 
 
-def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> Discrepancy:
+def calibrated_discrepancy(
+    source: Source, names: Sequence[str], seed: int, *, is_representative: bool = False
+) -> Discrepancy:
     """Return the discrepancy that some presses show.
 
     Args:
         source: of the presses.
         names: of those to use.
         seed: of the draws.
+        is_representative: whether they show how the units differ that will be searched.
     """
     recordings = [r for r in source.measurement.recordings if r.name in names]
     residuals = _residuals(source, recordings)
@@ -88,6 +89,7 @@ def calibrated_discrepancy(source: Source, names: Sequence[str], seed: int) -> D
         limit_factors=factors,
         pattern_factor=round(MARGIN * float(by_patterns_alone[0] / by_patterns_alone[1]), 2),
         misfit_limit=round(float(np.quantile(misfits, QUANTILE)), 4),
+        is_representative=is_representative,
     )
 
 

@@ -61,7 +61,11 @@ def set_limits(search: Search, ranked: Sequence[Ranked], gains: FloatArray) -> f
     """
     threshold = decision.threshold_of(gains.tolist(), search.request.alpha)
     for entry in ranked:
-        factor = decision.limit_factor(entry.effect.name, search.discrepancy.limit_factors)
+        factor = decision.limit_factor(
+            entry.effect.name,
+            search.discrepancy.limit_factors,
+            is_representative=search.discrepancy.is_representative,
+        )
         entry.limit = factor * threshold
     return threshold
 
@@ -78,7 +82,10 @@ def answer_of(
     """
     alpha = search.request.alpha
     threshold = set_limits(search, ranked, gains)
-    heavier = max(decision.PATTERNS_HEAVIER, search.discrepancy.pattern_factor)
+    heavier = decision.pattern_factor(
+        search.discrepancy.pattern_factor,
+        is_representative=search.discrepancy.is_representative,
+    )
     pattern_threshold = heavier * decision.threshold_of(pattern_gains.tolist(), alpha)
     search.pattern_chance = heavier * float(np.median(pattern_gains))
     is_effect = any(entry.is_past_limit for entry in ranked)

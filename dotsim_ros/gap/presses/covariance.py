@@ -76,6 +76,8 @@ class Discrepancy:
         pattern_factor: the same of what all patterns gain together.
         misfit_limit: largest objective of an observable (see `inference.Fit`) that the twin,
             recalibrated, leaves of true data without any effect; 0 is that of the covariance.
+        is_representative: whether the presses show how the units differ that are searched: those
+            of one unit, or on one mesh of a solver, do not.
     """
 
     between: FloatArray
@@ -85,6 +87,7 @@ class Discrepancy:
     limit_factors: Mapping[str, float] = field(default_factory=dict)
     pattern_factor: float = 0.0
     misfit_limit: float = 0.0
+    is_representative: bool = False
 
 
 def amplitude(recording: Recording, force_n: FloatArray | None) -> FloatArray:
@@ -188,6 +191,7 @@ def save_discrepancy(discrepancy: Discrepancy, path: Path) -> None:
             limit_factor=np.array(list(discrepancy.limit_factors.values())),
             pattern_factor=np.array(discrepancy.pattern_factor),
             misfit_limit=np.array(discrepancy.misfit_limit),
+            representative=np.array(discrepancy.is_representative),
         )
 
 
@@ -208,6 +212,7 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
         _paired(path, arrays, "limited", "limit_factor"),
         float(arrays["pattern_factor"]),
         float(arrays["misfit_limit"]),
+        bool(arrays["representative"]),
     )
     if not found.between.shape == found.within.shape == (SIZE, SIZE):
         raise ValueError(
@@ -228,6 +233,7 @@ _FORMS = {
     "limit_factor": ArrayForm((None,)),
     "pattern_factor": ArrayForm(()),
     "misfit_limit": ArrayForm(()),
+    "representative": ArrayForm((), "truth value"),
 }
 
 
