@@ -164,8 +164,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     gap.add_argument(
         "--representative",
         action="store_true",
-        help="with --fit-discrepancy: the presses differ as the units do that will be searched (they "
-        "are of several, or of several meshes of a solver): limits need no margin for that",
+        help="with --fit-discrepancy: the presses differ as the units do that will be searched "
+        "(they are of several, or of several meshes of a solver): limits need no margin for that",
     )
     gap.add_argument(
         "--discrepancy",
