@@ -13,6 +13,13 @@ VERSION = re.search(r'__version__ = "(.+)"', (HERE / NAME / "__init__.py").read_
 PARAMETER_FILES = sorted(
     path.relative_to(HERE).as_posix() for path in HERE.glob("params/**/*") if path.is_file()
 )
+# What launch files and ROS's own tools read, which look below share/; the library reads everything
+# from the package, where networks, policies and images stand once.
+ROS_FILES = [
+    name
+    for name in PARAMETER_FILES
+    if Path(name).parts[1] in ("drivers", "foxglove", "rviz") or len(Path(name).parts) == 2
+]
 LAUNCH_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("launch/*.launch.py"))
 ROBOT_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("urdf/*.xacro"))
 
@@ -101,7 +108,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
         # Named in colcon.pkg: the commands are found after a workspace is sourced.
         f"share/{NAME}/hook": ["resource/path.dsv"],
     }
-    for path in [*PARAMETER_FILES, *LAUNCH_FILES, *ROBOT_FILES]:
+    for path in [*ROS_FILES, *LAUNCH_FILES, *ROBOT_FILES]:
         entries.setdefault(f"share/{NAME}/{Path(path).parent.as_posix()}", []).append(path)
     return list(entries.items())
 
