@@ -121,6 +121,11 @@ setup(
     long_description_content_type="text/markdown",
     maintainer="dotsim_ros maintainers",
     maintainer_email="dotsim-ros@example.org",
+    url="https://dotsim-ros.example.org",
+    project_urls={
+        "Repository": "https://dotsim-ros.example.org/repository",
+        "Bug Tracker": "https://dotsim-ros.example.org/issues",
+    },
     license="Apache-2.0",
     python_requires=">=3.11,<3.13",
     packages=[*find_packages(include=[NAME, f"{NAME}.*", "msg_adapters*"]), f"{NAME}.params"],
