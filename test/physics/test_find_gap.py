@@ -73,6 +73,7 @@ def searched(
             indenters=data / "indenters",
             candidates=candidates,
             seed=1,
+            workers=1,
         ),
         lambda *one: told.append(one),
     )
