@@ -10,7 +10,6 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 import msg_adapters
 
 IMAGES = {
-    "image_raw": Image,
     "image_raw/compressed": CompressedImage,
     "depth/image": Image,
 }
