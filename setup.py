@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Builds dotsim_ros: by pip as a library and a command, by colcon as a ROS 2 package."""
 
 import re

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One press with the installed library, in a venv that knows no ROS."""
 
 import sys

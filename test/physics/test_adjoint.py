@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The adjoint of the implicit gel against central finite differences, parameter by parameter."""
 
 from __future__ import annotations

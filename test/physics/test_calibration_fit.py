@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Calibration of a coarse gel: its derivatives, its intervals, and the whole command."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The fit of camera and lights recovers those that made the images."""
 
 from dataclasses import replace

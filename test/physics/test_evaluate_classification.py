@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Indenter classification in small: a unit is filmed, and the command told to classify it."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The evaluation of reinforcement learning, in small: its rows, its pictures, and going on."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tumour detection in small: the command presses, learns, judges, and goes on where it stopped."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole search on small hidden cases: a null, an effect of the library, and one of none.
 
 Two trajectories of a unit of `sensor_a` with a coarse skin, three candidates, and hidden effects

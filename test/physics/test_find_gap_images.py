@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The search with images from bags to overlay, on small cases with another law of vignetting.
 
 Two trajectories of a unit of `sensor_a` with a coarse gel. Its images are those that the twin's

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The same answers whatever the number of workers, and wherever they are."""
 
 from __future__ import annotations
@@ -95,8 +98,10 @@ def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> 
         )
     assert done == [(1, 2), (2, 2)] * 2
     for number in range(2):
-        with np.load(episode_file(tmp_path / "alone", number)) as alone:
-            with np.load(episode_file(tmp_path / "ray", number)) as other:
-                assert alone.files == other.files
-                for key in alone.files:
-                    np.testing.assert_array_equal(alone[key], other[key])
+        with (
+            np.load(episode_file(tmp_path / "alone", number)) as alone,
+            np.load(episode_file(tmp_path / "ray", number)) as other,
+        ):
+            assert alone.files == other.files
+            for key in alone.files:
+                np.testing.assert_array_equal(alone[key], other[key])

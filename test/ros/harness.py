@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Starts real executables and talks to them over DDS, as a user's program would."""
 
 from __future__ import annotations

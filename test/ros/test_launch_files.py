@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The launch files under the service of `ros2 launch`: all nodes get ready, and end as they should.
 
 For launch_testing, which comes with a ROS installation, and the package in a sourced workspace, as

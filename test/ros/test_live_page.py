@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`dotsim_ros live --attach`: the page shows a running node of a namespace, and presses it."""
 
 from __future__ import annotations

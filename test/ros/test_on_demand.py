@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Images are rendered for whoever reads one, and for nobody else."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a node answers to a command line or an environment that it cannot start from: one line."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Profiles of the running node: what it tells of them, and how it changes them."""
 
 from __future__ import annotations

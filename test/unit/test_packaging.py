@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the package says of itself, and what its launch files ask for.
 
 The launch library comes with a ROS installation only, and importing a node needs rclpy: the files

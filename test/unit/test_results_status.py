@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where figures come from and whether they are stale, on made-up checkouts and on this one."""
 
 from __future__ import annotations
