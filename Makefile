@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 # Needs python3 (3.11 or 3.12) and make; everything else goes into $(VENV).
 PYTHON ?= python3
 VENV ?= .venv

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Builds dotsim_ros: by pip as a library and a command, by colcon as a ROS 2 package."""
 
 import re
@@ -13,6 +16,13 @@ VERSION = re.search(r'__version__ = "(.+)"', (HERE / NAME / "__init__.py").read_
 PARAMETER_FILES = sorted(
     path.relative_to(HERE).as_posix() for path in HERE.glob("params/**/*") if path.is_file()
 )
+# What launch files and ROS's own tools read, which look below share/; the library reads everything
+# from the package, where networks, policies and images stand once.
+ROS_FILES = [
+    name
+    for name in PARAMETER_FILES
+    if Path(name).parts[1] in ("drivers", "foxglove", "rviz") or len(Path(name).parts) == 2
+]
 LAUNCH_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("launch/*.launch.py"))
 ROBOT_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("urdf/*.xacro"))
 
@@ -101,7 +111,7 @@ def shared_files() -> list[tuple[str, list[str]]]:
         # Named in colcon.pkg: the commands are found after a workspace is sourced.
         f"share/{NAME}/hook": ["resource/path.dsv"],
     }
-    for path in [*PARAMETER_FILES, *LAUNCH_FILES, *ROBOT_FILES]:
+    for path in [*ROS_FILES, *LAUNCH_FILES, *ROBOT_FILES]:
         entries.setdefault(f"share/{NAME}/{Path(path).parent.as_posix()}", []).append(path)
     return list(entries.items())
 
@@ -114,6 +124,11 @@ setup(
     long_description_content_type="text/markdown",
     maintainer="dotsim_ros maintainers",
     maintainer_email="dotsim-ros@example.org",
+    url="https://dotsim-ros.example.org",
+    project_urls={
+        "Repository": "https://dotsim-ros.example.org/repository",
+        "Bug Tracker": "https://dotsim-ros.example.org/issues",
+    },
     license="Apache-2.0",
     python_requires=">=3.11,<3.13",
     packages=[*find_packages(include=[NAME, f"{NAME}.*", "msg_adapters*"]), f"{NAME}.params"],

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Check the README and the built site: every link and anchor leads somewhere, nothing is fetched.
 
     check_links.py SITE [MARKDOWN...]

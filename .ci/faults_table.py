@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Write docs/faults.md, the answers to bad input and faults, from what the tests saw; or check it.
 
     pytest --faults FILE ...

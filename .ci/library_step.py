@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One press with the installed library, in a venv that knows no ROS."""
 
 import sys
@@ -30,4 +33,7 @@ with tempfile.TemporaryDirectory() as folder:
 for name in dotsim_ros.__all__:
     assert getattr(dotsim_ros, name) is not None, name
 assert "rclpy" not in sys.modules
+SHARED = Path(sys.prefix) / "share" / "dotsim_ros"
+shared_bytes = sum(path.stat().st_size for path in SHARED.rglob("*") if path.is_file())
+assert 0 < shared_bytes < 1_000_000, f"{shared_bytes} bytes below {SHARED}: data stands twice"
 print(f"dotsim_ros {dotsim_ros.__version__}: {frame.wrench.force_n[2]:.3f} N at 1 mm")

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The code that a recorded command measures, in this tree and at earlier commits."""
 
 from __future__ import annotations

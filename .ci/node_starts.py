@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Start a node's executable, wait until it is ready, stop it by SIGINT, expect exit status 0."""
 
 import signal

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Open pages in headless Chromium, as wide as a screen and as a phone, and look at each.
 
     pages_open.py BROWSER IMAGES [--site FOLDER] PAGE...

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Write the table of the profiles' errors into docs/run.md, or check that it is up to date.
 
 profiles_table.py [--check]

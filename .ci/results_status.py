@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tell where the figures in docs/results come from, and which are older than what they measure.
 
     python .ci/results_status.py --markdown docs/results/status.md --mark

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """For mkdocstrings: read `a, b: text` in a docstring's section as an entry each for `a` and `b`."""
 
 from __future__ import annotations

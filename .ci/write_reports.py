@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Write small reports below a folder: of gaps, one for each verdict, and of a calibration."""
 
 import sys

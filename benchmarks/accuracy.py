@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Error of the fast gel against its cost, for grids of 2.4, 1.8 and 1.2 mm.
 
 python benchmarks/accuracy.py --json docs/results/accuracy.json \

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Scores the warped idle frame on measured images, with the measured skin at full depth.
 
     python benchmarks/carry.py ../shared/measured/sensor_a --json carry.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rates and delays of the closed loop: sensor, policy and arm as processes on this machine.
 
     python benchmarks/closed_loop.py --minutes 10 --json closed_loop.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which way of coupling gel and bodies is stable, keeps energy, and what it costs.
 
 python benchmarks/coupling.py --json docs/results/coupling.json

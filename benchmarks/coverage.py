@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How often the calibration's 95 % intervals cover the truth, on simulated presses of a coarse gel.
 
 python benchmarks/coverage.py --json docs/results/coverage.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Does a device compute what the CPU computes? Every kernel that can run there, in one command.
 
     python benchmarks/device_check.py --device cuda:0 --json device_check.json

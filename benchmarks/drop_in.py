@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whether programs written for drivers of real DenseTact sensors run on the simulated one.
 
     python benchmarks/drop_in.py --seconds 60 --json drop_in.json

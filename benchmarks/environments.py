@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Steps a second of the environment for learning, in one process and in one for each core.
 
 python benchmarks/environments.py --json docs/results/environments.json

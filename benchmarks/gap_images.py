@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How often the gap finder is right about effects of the camera: nulls, and hidden laws by size.
 
 The images are those of a measured data set. What images show where nothing is missing is learnt

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How often the whole search gives a name to presses in which nothing is missing.
 
     python benchmarks/gap_nulls.py --data DIR --sensor NAME --json docs/results/gap_nulls.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How often the gap finder is right about images of an independent renderer.
 
 A path tracer (Mitsuba 3, `evaluation.gap.hidden.path_traced`) renders the skins of a measured data

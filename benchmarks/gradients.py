@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Derivatives of the implicit gel: error against finite differences, and the time they take.
 
     python benchmarks/gradients.py --json gradients.json

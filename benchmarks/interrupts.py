@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whether every node ends at its first SIGINT, whenever that comes, and how long it takes.
 
 python benchmarks/interrupts.py --count 100 --heavy 20 --json interrupts.json

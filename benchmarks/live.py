@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From the mouse to the skin: how long the live page takes to show what a drag has moved.
 
 python benchmarks/live.py --json FILE

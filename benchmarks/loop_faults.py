@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Faults injected into the running closed loop, and how long the arm continues to move.
 
     python benchmarks/loop_faults.py --faults 100 --json loop_faults.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Times the camera on one core: depth and image apart, and Embree beside it in the same run.
 
 What other processes take of the core is in the wall-clock times but not in `camera_cpu`.

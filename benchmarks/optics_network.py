@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Times the learned image: each part on a sensor with a network, and the network by two runtimes.
 
     python benchmarks/optics_network.py --sensor sensor_a --json optics_network.json

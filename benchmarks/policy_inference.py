@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Times a policy: the whole answer to an image, and its network by ONNX Runtime and by torch.
 
     python benchmarks/policy_inference.py --json policy_inference.json

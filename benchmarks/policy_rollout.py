@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Lets a policy drive simulated sensors along its paths, in lockstep, without ROS.
 
     python benchmarks/policy_rollout.py --sensor densetact2 --json rollout.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Error and time of a frame under each profile of `tactile_sim`, against `exact`, in one run.
 
     python benchmarks/profiles.py --json docs/results/profiles.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frame rate and latency of the running node over DDS, and where a frame's time goes.
 
 python benchmarks/realtime.py --seconds 60 --json realtime.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel against CalculiX: every kind of indenter at 0 to 40 degrees, two laws, and a drag.
 
 python benchmarks/reference.py --out out/reference --json docs/results/reference.json

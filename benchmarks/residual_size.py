@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The most that a network of small images could reach: the ideal completion at its size.
 
     python benchmarks/residual_size.py --data DIR --indenters 1_sphere 3_lying_cylinder

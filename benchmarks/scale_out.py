@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Presses a second against workers, as processes and on Ray, and what a task costs beside its work.
 
     python benchmarks/scale_out.py --json docs/results/scale_out.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The closed loop in simulated time: is it the same on a quiet machine and on a busy one?
 
     python benchmarks/simulated_loop.py --faults 100 --json docs/results/simulated_loop.json

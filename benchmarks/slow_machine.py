@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The node in real time, and the closed loop, on a quiet machine and on one that others use.
 
     python benchmarks/slow_machine.py --seconds 10 --json slow_machine.json

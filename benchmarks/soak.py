@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Memory and lost frames of the node over a long run in lockstep, at 25 poses a second.
 
 python benchmarks/soak.py --minutes 30 --json soak.json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Simulation of soft optical tactile sensors: gel, camera, and the ROS 2 nodes around them.
 
     from dotsim_ros import Pose, TactileSensor

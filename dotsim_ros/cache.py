@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Answers that take long to compute, kept on disk under the content of all that decides them.
 
 A key is a hash of the inputs and of the code that turns them into the answer, so that an answer of

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which code decides an answer: the source files behind a module, and one digest of them.
 
 A figure is older than the code that it measures, and a kept answer is one of older code, where

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Files that people and programs hand us: YAML, JSON and arrays (.npz), read within bounds.
 
 Whatever stands in a file, reading it ends soon, takes little memory, executes nothing, and gives

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A report: sections of text, tables and images, as one HTML file or as Markdown.
 
 The HTML needs nothing beside it: no script, no network, images inside. It is laid out for a

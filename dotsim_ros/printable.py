@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Names and texts from outside, made fit for a terminal, a page and a figure.
 
 A bag may be called whatever a file system takes: its name must not end a report with an error, run

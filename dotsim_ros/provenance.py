@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where a figure comes from: the commit, the machine, the date and the command."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fields of frozen data classes that say what they take: unit, range, default and meaning.
 
 A class lists its fields by `quantity` and calls `check_fields` when it is made, so that a value is

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Files of a folder that are replaced all together, and folders that are removed only by who made
 them.
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The virtual sensor: a pose of the indenter goes in, a frame comes out."""
 
 from __future__ import annotations

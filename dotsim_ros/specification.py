@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a sensor is, as data: every field with its unit, range, default and meaning.
 
 A sensor is read from a YAML file, checked, frozen, and written here.

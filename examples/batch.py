@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Solve several worlds of one gel together: a ball presses each in another place.
 
 python examples/batch.py [WORLDS]

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """An arm in MuJoCo presses the sensor on a peg: python examples/mujoco_peg.py FOLDER."""
 
 import sys

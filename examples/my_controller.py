@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Follow a path by touch, as long as the arm's pose is fresh: python examples/my_controller.py"""
 
 import rclpy

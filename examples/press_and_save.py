@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Press the sensor with a ball, print what it feels, and save what its camera sees.
 
 Writes press.png, the image, and press.npz, all arrays of the frame.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Record presses on a unit whose constants nobody knows, and calibrate a twin on them.
 
 Writes the data set measured/, the sensor calibrated.yaml and the report calibrated_report/.

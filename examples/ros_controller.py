@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Move the indenter of a running `tactile_sim` until it presses with a force, and keep that force.
 
 python examples/ros_controller.py --ros-args -p force_n:=1.5

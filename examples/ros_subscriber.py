@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Print the force and the size of the image of each frame of a running `tactile_sim`.
 
 python examples/ros_subscriber.py

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Put the sensor on a body of a MuJoCo world: python examples/sensor_in_mujoco.py FOLDER."""
 
 import sys

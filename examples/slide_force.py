@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Press, slide sideways and let go; plot the force over time to slide.png.
 
 python examples/slide_force.py [FOLDER]

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Test a controller, alike on any machine: pytest examples/test_my_controller.py"""
 
 import sys

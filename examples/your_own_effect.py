@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hide an effect of your own, examples/effects/crosstalk.py, in recorded presses, and find it.
 
 python examples/your_own_effect.py [FOLDER]   writes FOLDER/measured and FOLDER/report

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Press with a shape of your own: a closed mesh in an STL, OBJ or PLY file, in metres.
 
 The tip of the mesh is its origin, and +z points away from the gel. For a file in millimetres, or

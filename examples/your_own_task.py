@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A task of your own as a Gymnasium environment: find the dome's middle by tapping, with a rule.
 
 python examples/your_own_task.py

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hostile input for every reader: mutated files, values out of range, full disks.
 
     make fuzz SECONDS=600

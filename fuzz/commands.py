@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The commands with arguments that make no sense: one line and a status that is not 0."""
 
 from __future__ import annotations

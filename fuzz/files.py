@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Indenters and their meshes, overlays of effects, idle images, and arrays."""
 
 from __future__ import annotations

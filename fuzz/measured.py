@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Data sets and bags: refused, or read as they were written."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages as they come over the wire: decoded to finite arrays, or refused."""
 
 from __future__ import annotations

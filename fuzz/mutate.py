@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Ways to spoil bytes, texts and trees of values."""
 
 from __future__ import annotations

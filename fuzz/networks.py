@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Networks and policies: files of another's making, which must not be believed."""
 
 from __future__ import annotations

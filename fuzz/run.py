@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Runs targets in processes that may hang, grow or die, and keeps what was found."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The files of sensors: refused, or taken as they stand and within the ranges of their fields."""
 
 from __future__ import annotations

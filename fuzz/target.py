@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a target of the fuzzer is, and how an answer is judged."""
 
 from __future__ import annotations

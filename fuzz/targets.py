@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """All targets of the fuzzer, by name."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Files on a disk that is full: the one before stays, or the new one is whole."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Brings up the closed loop: tactile_sim, tactile_policy, xarm_sim, and on request the recorder.
 
 ros2 launch dotsim_ros closed_loop.launch.py path:=figure_eight record:=true

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Brings up two simulated sensors, the fingers of a gripper, in the namespaces left and right.
 
 ros2 launch dotsim_ros gripper.launch.py

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages of ROS 2 as NumPy arrays and back: pure functions, no node, no copy where possible.
 
 Encoders make messages of the installed ROS by default, and of a bag's type store with

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """sensor_msgs/CameraInfo of a fisheye camera (REP 104, distortion model "equidistant")."""
 
 from __future__ import annotations

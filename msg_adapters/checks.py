@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What every adapter checks of the numbers that it is given."""
 
 from __future__ import annotations

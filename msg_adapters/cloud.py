@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """sensor_msgs/PointCloud2 as arrays: points with optional normals and displacements."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """geometry_msgs of rigid bodies: poses, twists and wrenches as vectors."""
 
 from __future__ import annotations

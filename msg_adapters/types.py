@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which classes messages are made of: those of an installed ROS, or those of a bag's type store.
 
 The encoders of this package build messages of either kind. They ask a `MessageTypes` for the class

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """xarm_msgs of UFACTORY's driver (xArm-Developer/xarm_ros2), whose units are mm, mm/s and rad.
 
 The package is not on PyPI: it is looked for only when a message of it is made.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Answers to bad input and faults, gathered into a table while the tests run.
 
 A test marked `@pytest.mark.fault(area, what)` shows what becomes of one fault; it hands the words

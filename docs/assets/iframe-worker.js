@@ -1,3 +1,6 @@
+// Copyright 2026 The dotsim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+
 // A browser starts no worker for a page that was opened as a file, and the search runs in one.
 // There the worker's script runs in a hidden frame of the page instead.
 if (location.protocol === "file:") {

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A skin clipped by a rigid indenter: where the indenter's surface is, along the skin's normals."""
 
 from __future__ import annotations

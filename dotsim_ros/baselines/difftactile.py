@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """DiffTactile's gel: dynamic finite elements of linear tetrahedra under a penalty contact.
 
 Si, Zhang, Ben, Romero, Xian, Liu, Gan: "DIFFTACTILE: A Physics-based Differentiable Tactile

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Warp kernels of a dynamic gel of linear tetrahedra with penalty contact, in double precision.
 
 Lengths are metres. Young's modulus and density are one, so that forces are in units of the modulus

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The force of a rigid contact with a penalty: proportional to the penetration, along the normal.
 
 Tacto's gel has no force: PyBullet finds it between rigid bodies, and Tacto sinks the

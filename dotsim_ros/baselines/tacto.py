@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tacto's geometry: the gel's surface is the rigid indenter's where that is deeper.
 
 Wang, Lambeta, Chou, Calandra: "TACTO: A Fast, Flexible, and Open-Source Simulator for

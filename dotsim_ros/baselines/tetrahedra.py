@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A dome's gel as tetrahedra: geodesic layers from the core to the skin, prisms cut in three."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a baseline is fitted on: frames with skin and force, drawn from presses by a seed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Why data do not identify a parameter, and what to record or state instead."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole calibration in one call: what `dotsim_ros calibrate` does."""
 
 from __future__ import annotations

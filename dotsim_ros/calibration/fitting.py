@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Gauss-Newton fit of a press, by the whole Jacobian of the model.
 
 The Jacobian's columns are differences of the solver at a tight tolerance, not gradients by its

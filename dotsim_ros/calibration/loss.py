@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a simulated press misses of a measured one, in units of the measurement's noise.
 
 The losses: the skin point to point where the clouds list the skin's vertices, or the paper's

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What can be fitted: each parameter's coordinate, prior, bounds and place in a sensor's file.
 
 Fits work in coordinates in which the response is close to linear: the logarithm of a stiffness, of

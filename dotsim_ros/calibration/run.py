@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A whole calibration: read, see what the data identify, fit each press, combine, judge."""
 
 from __future__ import annotations

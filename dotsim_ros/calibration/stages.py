@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The work on single presses, in a pool of processes, each result kept in a file of its own.
 
 An interrupted run resumes from its files: a file belongs to a task by a key of all that the task

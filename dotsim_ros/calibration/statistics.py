@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What presses identify together: information, the joint step, and intervals by bootstrap."""
 
 from __future__ import annotations

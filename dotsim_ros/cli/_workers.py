@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The options of all verbs that spread their work: how many workers, and where."""
 
 from __future__ import annotations

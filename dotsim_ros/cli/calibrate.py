@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fit the gel's constants to measured presses, and report which of them the data identify.
 
 Reads a data set (dataset.yaml and one bag a trajectory), fits each trajectory by itself and all

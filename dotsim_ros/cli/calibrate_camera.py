@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fit the camera and its lights to the images of measured presses.
 
 Reads a data set with images (dataset.yaml, bags, idle_*.png) and a sensor whose gel is calibrated;

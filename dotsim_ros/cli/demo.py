@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Replay real presses through the running node, record it, and show what it published.
 
 Starts tactile_sim, tactile_record and indenter_player as processes of their own, which talk over

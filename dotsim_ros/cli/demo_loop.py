@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Let a policy follow a path by touch, record it, and show what it did.
 
 Starts tactile_sim, tactile_policy, xarm_sim and tactile_record as processes of their own, which

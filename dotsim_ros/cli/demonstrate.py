@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Make demonstrations of path following by touch, for train-policy.
 
 An expert that knows where the indenter is moves the simulated sensor against a ball along the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Compare simulators with measured presses: geometry and force, images, or cost and error.
 
 `geometry` fits every model on 19 presses drawn by the seed and judges it on the other 9, then

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Verbs of `dotsim_ros` as ROS executables: `ros2 run dotsim_ros find_gap` and its like.
 
 They need no graph: arguments that ROS adds are dropped, the rest is the verb's.

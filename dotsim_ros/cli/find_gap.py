@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Find where simulation and measurement disagree, and name the missing effect.
 
 Calibrates the twin within its priors, tries every effect of the library, refits the best, judges

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Make data sets with hidden effects that finite elements (CalculiX) have solved.
 
 Each set is a unit of the sensor, measured along eight trajectories (two holds, four presses, two

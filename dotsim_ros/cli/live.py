@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Open the live page: drag an indenter over the sensor in the browser, and watch what it feels.
 
 The page is served to this machine alone, and loads nothing from outside. It shows the camera's

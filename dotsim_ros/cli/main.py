@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`dotsim_ros VERB`: finds the verb's file and hands it the rest of the command line.
 
 A verb NAME is the module `dotsim_ros.cli.NAME` (dashes as underscores) with a function

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Show which effects a set of protocols can distinguish, before anyone measures.
 
 Takes the poses of a data set (no force or skin needed), simulates the twin with each effect along

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Make a bag of a recording that was cut short or damaged.
 
 Recording itself needs ROS: ros2 run dotsim_ros tactile_record. While it runs, its bag lies in

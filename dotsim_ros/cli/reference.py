@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Solve presses with finite elements (CalculiX) and write them as a data set.
 
 Writes dataset.yaml, skin_mesh.npz, bags/ and indenters/ in the layout of measured data, one

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Train a network that completes the images of a sensor, from measured presses.
 
 The data set is one as tactile_record writes it: dataset.yaml, bags with poses and images, idle

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Train a policy that follows paths by touch, on demonstrations, by behaviour cloning.
 
 ResNet-18 from random weights learns the expert's velocity for each path. OUT gets the weights in

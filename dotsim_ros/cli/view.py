@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Turn a bag into a video and a contact sheet of image, depth, skin and force.
 
 Writes NAME.mp4 (or NAME.gif) and NAME.png, where NAME is the bag's. Topics are found by how their

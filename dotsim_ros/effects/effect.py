@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What an effect is: a named term of the model with a few parameters, and what excites it.
 
 A term acts in one or several places, each with a hook of its own: on the gel's material before

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a recording does to the gel: the conditions under which it excites an effect."""
 
 from __future__ import annotations

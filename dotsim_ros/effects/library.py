@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Finds the effects: those shipped, and files that a user drops into a folder.
 
 A file of a folder is a program, run with the rights of who starts the command. Only what is asked

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Effects at work in a live sensor: its gel, and what goes in and comes out frame by frame."""
 
 from __future__ import annotations

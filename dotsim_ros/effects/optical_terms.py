@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the optical effects share: gains, resampling, and what excites them.
 
 An optical effect acts on the camera's numbers after everything else, and keeps them between 0 and

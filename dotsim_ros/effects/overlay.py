@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The overlay: effects that were found in a sensor's data, as a file that the live sensor reads.
 
 It names effects and parameters; what they do stands in the library of the version that reads it.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Simulates recordings with effects: what each does to pose, gel, skin and force around a solve."""
 
 from __future__ import annotations

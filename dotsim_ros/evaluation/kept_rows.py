@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rows of a table that were made before, beside new ones.
 
 Models take from minutes to hours to fit, and their rows do not depend on each other: one model can

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Figures of models side by side, as Markdown and as JSON."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rule that turns evidence into an answer. Frozen: a change of it is a change of its version.
 
 Version 8. Data in which no effect gains more than its limit have no gap, unless the patterns that

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Deprecated: the effects' interface has moved to `dotsim_ros.effects.effect`.
 
 Files of effects that import from here still work.

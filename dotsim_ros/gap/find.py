@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole search in one call: skin and force first, then the camera's effects in the images."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a search for a gap found: the currency between the search and its report, all plain numbers.
 
 `as_record` and `findings_of` carry it to JSON and back.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a set of protocols can identify, before anyone measures: detectable sizes, and effects
 that look alike (step 7 of the method)."""
 

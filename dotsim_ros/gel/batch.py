@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Many environments of one gel on all cores: each process solves its share of them.
 
 Python's lock keeps threads from it: they gained 10 % on two cores. The processes share nothing, so

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The shapes a gel can have: where its material is, where it is bonded, where its skin lies."""
 
 from __future__ import annotations

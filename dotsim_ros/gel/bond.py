@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The bond between gel and core where it holds less than a sound one: the gel slides on the core.
 
 A sound bond is a stiff spring per area (`elasticity.BOND_STIFFNESS`). Here it gives way along the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Particles, grid and the weights between them, computed once in the rest configuration.
 
 Total-Lagrangian Material Point Method: the grid never moves relative to the rest shape, so weights

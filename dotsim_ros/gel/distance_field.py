@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Signed distance of an indenter inside Warp kernels: value, gradient and Hessian at a point.
 
 Primitives are exact, meshes a quadratic B-spline on a grid. All functions can be differentiated by

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Warp kernels of the elastic body: stress, nodal forces, tangent stiffness.
 
 Arrays carry a leading environment axis. The kernels are made for one scalar type at a time: double

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The elastic body on its grid: energy, nodal forces and tangent stiffness for given displacements.
 
 Energy of the paper's continuum (section III-A) in total-Lagrangian form,

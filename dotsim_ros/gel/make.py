@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel that a specification asks for: its shape, its skin, its law, and what solves it."""
 
 from __future__ import annotations

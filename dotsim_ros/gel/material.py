@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Constitutive laws of the gel, behind one set of coefficients.
 
 Every law here is a special case of the strain energy per rest volume

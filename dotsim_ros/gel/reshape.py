@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Shapes that follow smoothly from a reference shape, and how fast a shape's points move with them.
 
 A gel of a slightly different radius, discretised anew, has other particles: its response is no

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One gel with several solvers, of which one is at work: by turns, without losing the contact."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A gel as the few values that a fit or an effect changes, and the specification that has them."""
 
 from __future__ import annotations

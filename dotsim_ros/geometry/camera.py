@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The camera inside the gel: an equidistant fisheye that also sees beyond 90 degrees.
 
 The model is that of OpenCV's fisheye module and of CameraInfo's `equidistant` (Kannala and Brandt,

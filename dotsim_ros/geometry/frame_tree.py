@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Named frames that move in one another, as TF carries them: where one is in another, and when.
 
 The semantics are those of tf2's buffer: each frame has one parent, two frames are compared at the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rigid indenters: exact primitives and closed meshes, each with a signed distance.
 
 The indenter's frame has its origin at the tip and +z pointing away from the gel: a sphere of

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Signed distance from points to a closed triangle mesh, by Warp's bounding volume hierarchy."""
 
 # Warp reads kernels' annotations by its own rules, which are none of a type checker's.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rigid poses and wrenches as plain arrays."""
 
 from __future__ import annotations

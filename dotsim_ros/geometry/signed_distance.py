@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Signed distances of closed triangle meshes, and signed distance on a grid."""
 
 from __future__ import annotations

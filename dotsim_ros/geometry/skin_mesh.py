@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The outer skin of the gel: triangle meshes of fixed topology that move with the gel.
 
 Both meshes are made of nearly equilateral triangles: rows of vertices with a varying count would

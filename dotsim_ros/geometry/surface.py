@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Triangles of an indenter's surface, with edges of a given length."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Motion of a rigid frame at a constant velocity."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The state of a training on disk: read without running code, and set aside where it is broken."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Measured frames as tensors: what a network is given, and what it should give."""
 
 from __future__ import annotations

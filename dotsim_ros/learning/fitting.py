@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A network fitted to measured presses, and its images for others."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Networks from what the camera sees of the gel to an image: one interface, four kinds.
 
 Every network maps `frame` (N, 7, h, w), `rest` (N or 1, 10, h, w) and `image` (N, 3, f h, f w),

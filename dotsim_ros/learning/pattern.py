@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The idle image with samples between its own, learned from presses.
 
 An idle image shows each point of the skin at one place between the pixels. Warped by half a pixel,

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A sheet that shows what a network has learned: measured, warped, predicted, and the error."""
 
 from __future__ import annotations

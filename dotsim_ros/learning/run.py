@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From a data set to a sensor with a trained network: what `dotsim_ros train-optics` does."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The training loop: one for every network, resumable after a kill, deterministic by its seed."""
 
 from __future__ import annotations

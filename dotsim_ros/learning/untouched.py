@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A better idle image: the mean of all that was seen of the gel untouched.
 
 A press begins off the gel, so its first frames show what the idle images show, each with noise of

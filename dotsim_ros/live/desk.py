@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the pages show and order: one sensor or bag for all of them, and the newest order wins.
 
 Threads: the subject shows moments from its own threads, the server hears orders on another one.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the page shows: the scene, the skin at one time, and what the camera sees of it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What goes over the wire to a page: a header of JSON, then arrays and files as bytes.
 
 A payload is the length of the header (uint32, little-endian), the header, and the parts that its

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A bag as the page scrubs through it: every moment ready to be sent."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Moments of the page as a ROS 2 bag, with the topics of `tactile_sim`."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Serves the page, and its socket, to browsers on this machine.
 
 Only this machine: the socket writes bags and reads them by path. A page of another site in the same

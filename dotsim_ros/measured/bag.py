@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS 2 bags (mcap) read and written without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One number for what a bag holds, to see whether two recordings are the same."""
 
 from __future__ import annotations

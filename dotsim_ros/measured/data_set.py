@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A data set: `dataset.yaml` and one bag a trajectory, with the sensor's skin and indenters."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writes data sets: `dataset.yaml`, a bag a trajectory, the skin, the indenters, idle images."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a force gauge reads of known weights: its scale, without any gel.
 
 The bag of a weight holds the wrench alone: some frames without the weight and some with it, resting

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Motions of an indenter: poses at times, sampled at any rate."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whether a measured press can be what it says: coarse gates on force, skin and depth.
 
 They refuse what no gel, gauge or arm gives: a force of the wrong sign or unit, a channel that never

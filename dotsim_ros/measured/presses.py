@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Measured presses, and what a model predicts for them: the currency of models and tables."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reads measured presses: the one way from a data set's bags to arrays.
 
 Poses, wrenches and skins are checked message by message before a press is used; images come with

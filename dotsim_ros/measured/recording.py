@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A measured trajectory as the gap finder sees it: its motion split into phases."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Makes a bag of what can be read of one that is damaged or was not finished."""
 
 from __future__ import annotations

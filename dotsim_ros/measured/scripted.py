@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Scripted presses on a dome: press-hold-release, slide, twist, and the way from one to the next.
 
 The dome is a hemisphere about the origin of the base frame, apex on +z. A place on it is given by

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Real presses on a DenseTact, recorded on a CNC stage, as motions on the dome of this package.
 
 The recording (`presses.npz`: `position_mm` (M, 3), `offset` (K + 1,), `sensor` (K,)) holds the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which presses a model is fitted on, and which it is judged on."""
 
 from __future__ import annotations

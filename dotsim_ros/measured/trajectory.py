@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A trajectory: what was measured while an indenter pressed the sensor, channel by channel."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How far a predicted image is from the measured one: errors a pixel, PSNR and SSIM of one frame.
 
 Colours are taken as shares of the full scale, 0 to 1. The error of a pixel is the length of the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Scores of predicted surfaces and forces against measured presses, and their summaries."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How far a predicted surface and force are from measured ones.
 
 Four metrics compare samples, as is usual for point clouds: two samples of one surface differ as

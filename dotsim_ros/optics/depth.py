@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a range along the rays of a camera is along its axis, or from the centre of the gel."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How the image moves from one shape of the skin to another."""
 
 from __future__ import annotations

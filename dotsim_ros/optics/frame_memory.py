@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Memory of a frame's arrays, used again once nobody holds them.
 
 A frame of 640x480 pixels takes 13 MB. From the operating system they come a page at a time, each

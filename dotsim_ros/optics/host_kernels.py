@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The camera's kernels that run over pixels, for a CPU: those of `kernels`, some twice as fast.
 
 Warp makes a CPU's code one pixel and one number at a time. These hand the inner loops to the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Idle frames: the image without contact, from any camera, brought to the sensor's own camera."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Checks that idle images show the gel without contact: against each other, and against the first
 frames of presses whose indenter is still off the gel.
 

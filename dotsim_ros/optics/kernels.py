@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Warp kernels of the camera. All positions are in the optical frame, so rays start at the origin.
 
 A pixel that sees no skin has the triangle NO_TRIANGLE.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The lights of the sensor, and how much of their light reaches the skin."""
 
 from __future__ import annotations

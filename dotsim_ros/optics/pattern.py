@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Idle frames for sensors without a photograph: a random pattern on the gel, lit by the LEDs.
 
     python -m dotsim_ros.optics.pattern params/images/densetact2_idle.png

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the camera sees of the deformed skin: depth, normals, and the material point of each pixel.
 
 The skin is a triangle mesh of fixed topology; its corners are warped by the gel. Within a

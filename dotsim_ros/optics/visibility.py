@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which triangle of the skin every pixel sees: three ways to the same answer.
 
 All three send the same ray through each pixel's centre, in single precision.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Presses of a body of revolution on the dome's apex as a problem of two dimensions.
 
 Elements of 0.25 mm, which resolve a narrow contact, cost seconds here and hours in three

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Our gel at the poses of a reference trajectory: how far its skin and force are off."""
 
 from __future__ import annotations

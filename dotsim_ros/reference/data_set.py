@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The presses of a data set that `dotsim_ros reference` wrote, with what each was solved for."""
 
 from __future__ import annotations

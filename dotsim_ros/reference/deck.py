@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The input file of CalculiX for a rigid indenter that presses a dome, in mm, N and MPa."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The input file of CalculiX for a soft layer that is pressed onto a dome: two deformable bodies.
 
 Layer, tilt and offset are symmetric about the plane y = 0, so that half of both bodies is solved.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A soft layer pressed onto the dome, solved by CalculiX with both bodies deformable."""
 
 from __future__ import annotations

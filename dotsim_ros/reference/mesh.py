@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hexahedral mesh of a dome shell, graded towards where it is pressed.
 
 The hemisphere is mapped onto the unit disc by the stereographic projection, on which a Moebius map

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A press on the dome, as the input of CalculiX."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Presses that CalculiX has solved as trajectories of a data set."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """CalculiX as a separate process: found, run, and its printed results read."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The input file of CalculiX for a dome in which something is wrong: relaxation, stiffening by
 another law, parts that are stiffer, a core that the gel slides on, a base that gives way.
 

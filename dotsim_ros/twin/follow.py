@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A gel follows recorded poses: the one loop that turns poses into skin and force."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the camera saw of measured presses, beside what the calibrated sensor renders for them.
 
 Poses, images and idle images of a data set go in; the calibrated gel follows the poses, and its

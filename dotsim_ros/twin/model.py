@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """This package's implicit gel as a model of measured presses."""
 
 from __future__ import annotations

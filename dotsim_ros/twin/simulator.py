@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel of given parameters at the poses of a press: the model that is fitted.
 
 Young's modulus is no argument of a solve: in a quasi-static press by a rigid indenter, with a

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Solves presses in a pool of processes; every solve is kept on disk, so that an interrupted run
 can be resumed, and nothing is solved twice."""
 

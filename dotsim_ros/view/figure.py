@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What video and contact sheet have in common: their look, their colour scales, the force plot."""
 
 from __future__ import annotations

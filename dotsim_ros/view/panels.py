@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a moment of a bag looks like, panel by panel, as RGB images."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A contact sheet: the strongest moment of each part of a bag, and the force over time."""
 
 from __future__ import annotations

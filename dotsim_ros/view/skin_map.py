@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The skin seen from outside, flattened to a disc and coloured by how far it moved."""
 
 from __future__ import annotations

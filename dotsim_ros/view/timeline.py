@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a bag shows at each moment, one moment in memory at a time."""
 
 from __future__ import annotations

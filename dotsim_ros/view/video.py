@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A video of a bag: its panels side by side above a running force plot."""
 
 from __future__ import annotations

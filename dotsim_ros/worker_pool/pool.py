@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One way to open a pool, whether its workers are processes of this machine or of a Ray cluster.
 
 Work is the same on both: a function of the pool's users, with arguments that can be pickled, whose

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Pools of processes that never outlive who started them.
 
 Each worker holds hundreds of megabytes. It reads a pipe whose other end its starter alone holds:

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The way to a Ray cluster, or to Ray on this machine alone; says why where there is none."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A pool whose workers are actors of a Ray cluster, and lose nothing when one of them dies.
 
 Each worker has one task at a time, and the rest wait here, not in the cluster: a worker that dies

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a worker on Ray is; it travels to the worker's machine as it stands here.
 
 That machine may have another version of this package, or none. So nothing of the package is

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Crosstalk: the gauge's x axis reads a share of the force along z.
 
 An effect is a file that holds an EFFECT of its own name; docs/gap_finder.md explains each field.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Closed forms of homogeneous deformations, to compare a gel with.
 
 The strain energy per rest volume is, with I1b = J^(-2/3) I1 and I2b = J^(-4/3) I2 of the right

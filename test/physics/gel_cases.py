@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bodies, gels and presses that several tests of the implicit gel share."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Calibration of a coarse gel: its derivatives, its intervals, and the whole command."""
 
 from __future__ import annotations
@@ -285,7 +288,8 @@ def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path: Path
     write_sensor(sensor, SENSOR, "coarse")
     command = ["calibrate", "--data", str(data), "--sensor", str(sensor), "--out", str(out)]
     command += ["--hold-out", "0", "--noise-skin-discretisation-m", "0"]
-    command += ["--noise-force-discretisation", "0.01"]
+    command += ["--noise-force-discretisation", "0.01", "--joint-steps", "1"]
+    command += ["--workers", "1"]
     assert main(command) == 0
 
     fitted = values_of(load_sensor(out))

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The closed forms agree with their energy and with each other."""
 
 from __future__ import annotations

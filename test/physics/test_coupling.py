@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel in a MuJoCo world: weight, momentum, stability and refinement of the coupling."""
 
 from dataclasses import replace

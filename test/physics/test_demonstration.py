@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Demonstrations on the real gel, and a roll-out that closes the loop over its images."""
 
 from __future__ import annotations

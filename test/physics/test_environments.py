@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The environments for learning: Gymnasium's rules, repeatable episodes, and bad actions."""
 
 import gymnasium

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Indenter classification in small: a unit is filmed, and the command told to classify it."""
 
 import json
@@ -70,17 +73,28 @@ def unit(sensor: SensorSpecification, tmp_path_factory: pytest.TempPathFactory) 
     return folder
 
 
-def classify(unit: Path, out: Path, *given: str) -> int:
-    places = ["--out", f"{out}/out", "--cache", f"{out}/kept", "--images", f"{out}/images"]
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of what was made before: the models of a domain share its presses."""
+    return tmp_path_factory.mktemp("kept")
+
+
+def rows_in(kept: Path) -> dict[Path, int]:
+    """Return when each row that is kept was written."""
+    return {path: path.stat().st_mtime_ns for path in kept.rglob("*.json")}
+
+
+def classify(unit: Path, out: Path, kept: Path, *given: str) -> int:
+    places = ["--out", f"{out}/out", "--cache", str(kept), "--images", f"{out}/images"]
     source = ["--data", str(unit / "data"), "--sensor", str(unit / "small.yaml")]
-    few = ["--classifiers", "2", "--presses", "5", "--epochs", "2", "--workers", "1"]
+    few = ["--classifiers", "2", "--presses", "2", "--epochs", "1", "--workers", "1"]
     return main(["evaluate", "classification", *source, *few, *places, *given])
 
 
 def test_a_table_is_printed_kept_and_not_made_again(
-    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    unit: Path, tmp_path: Path, kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert classify(unit, tmp_path, "--models", "bound", "idle") == 0
+    assert classify(unit, tmp_path, kept, "--models", "bound", "idle") == 0
     page = capsys.readouterr().out
     assert (tmp_path / "out" / "classification.md").read_text("utf-8") in page
     found: dict[str, Any] = json.loads((tmp_path / "out" / "classification.json").read_text())
@@ -104,28 +118,32 @@ def test_a_table_is_printed_kept_and_not_made_again(
     # Out of the domain nothing measured of the classes is there to learn from: the same bound.
     bounds = [found[name]["bound"] for name in ("in_domain", "out_of_domain")]
     assert bounds[0]["seeds"] == bounds[1]["seeds"]
-    kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "kept").rglob("*.json")}
-    assert len(kept) == 2 * len(DOMAINS)
-    assert classify(unit, tmp_path, "--models", "bound", "idle") == 0
-    assert {path: path.stat().st_mtime_ns for path in kept} == kept
+    before = rows_in(kept)
+    assert len(before) == 2 * len(DOMAINS)
+    assert classify(unit, tmp_path, kept, "--models", "bound", "idle") == 0
+    assert rows_in(kept) == before
 
 
-def test_a_model_that_refines_the_idle_image_is_judged_too(unit: Path, tmp_path: Path) -> None:
-    assert classify(unit, tmp_path, "--models", "carried", "--domains", "out_of_domain") == 0
-    (row,) = [json.loads(path.read_text("utf-8")) for path in (tmp_path / "kept").rglob("*.json")]
+def test_a_model_that_refines_the_idle_image_is_judged_too(
+    unit: Path, tmp_path: Path, kept: Path
+) -> None:
+    before = rows_in(kept)
+    assert classify(unit, tmp_path, kept, "--models", "carried", "--domains", "out_of_domain") == 0
+    (path,) = rows_in(kept).keys() - before.keys()
+    row = json.loads(path.read_text("utf-8"))
     assert row["frames"] == 8
     assert row["simulated"] is not None
 
 
 def test_what_cannot_be_asked_is_refused(
-    unit: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    unit: Path, tmp_path: Path, kept: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert classify(unit, tmp_path, "--seed", "-1") == 1
+    assert classify(unit, tmp_path, kept, "--seed", "-1") == 1
     assert "seed is -1, expected 0 or more" in capsys.readouterr().err
-    assert classify(unit, tmp_path, "--presses", "0") == 1
+    assert classify(unit, tmp_path, kept, "--presses", "0") == 1
     assert "0 presses of 6 frames, expected one at least" in capsys.readouterr().err
     (tmp_path / "empty").mkdir()
-    assert classify(unit, tmp_path, "--sensor", str(tmp_path / "empty")) == 1
+    assert classify(unit, tmp_path, kept, "--sensor", str(tmp_path / "empty")) == 1
     assert "holds no in_domain.yaml" in capsys.readouterr().err
 
 

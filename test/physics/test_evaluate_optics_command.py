@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole way from bags with images to the optics table, on a small data set."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tumour detection in small: the command presses, learns, judges, and goes on where it stopped."""
 
 import json
@@ -44,9 +47,10 @@ def detect(folder: Path, *given: str) -> int:
 def test_a_table_is_printed_kept_and_not_made_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    quick = LayerPressSettings(gel_spacing_m=3.5e-3, layer_spacing_m=3.0e-3)
+    quick = LayerPressSettings(gel_spacing_m=4.5e-3, layer_spacing_m=3.5e-3)
     monkeypatch.setattr(reality, "CALCULIX", (quick,))
     monkeypatch.setattr(presses, "MARKERS_M", 2.0e-3)
+    monkeypatch.setattr(presses, "GRID_M", 4.8e-3)
     assert detect(tmp_path, "--skins", "skin_2") == 0
     page = capsys.readouterr().out
     assert (tmp_path / "out" / "tumour.md").read_text("utf-8") in page

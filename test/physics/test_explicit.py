@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The explicit method: balances, waves, contact, gradients, and what it refuses."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A gel and a soft layer in contact, against closed forms, balances, and another solver."""
 
 import shutil

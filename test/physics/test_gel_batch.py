@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Environments of a gel in processes of their own: the same as single ones, and what goes wrong."""
 
 import os

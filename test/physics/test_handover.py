@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A profile is changed during a slide: the skin goes on from where it is."""
 
 from __future__ import annotations

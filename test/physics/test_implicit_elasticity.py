@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel's elastic body: patch test, rigid motion, curves of each law, consistent stiffness."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Friction of the implicit gel: sticking, Coulomb's limit, and slip."""
 
 from __future__ import annotations

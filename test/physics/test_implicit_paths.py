@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the indenter comes from: jumps, first poses in the gel, releases, repeats, deep presses."""
 
 from __future__ import annotations

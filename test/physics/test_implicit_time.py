@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Inertia and relaxation of the implicit gel: balances, and closed forms in time."""
 
 from __future__ import annotations

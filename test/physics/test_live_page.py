@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The live page: a sensor that is really solved, a server that really listens, a real browser."""
 
 from __future__ import annotations

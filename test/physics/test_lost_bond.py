@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A gel that has come off its core: its bond slips as the closed form says, and it gets softer."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The lines of Python in the README, as a newcomer runs them."""
 
 from __future__ import annotations

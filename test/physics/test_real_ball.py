@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Real presses of a ball told by classifiers, in small: a pad's touches, and what is reported."""
 
 from dataclasses import replace

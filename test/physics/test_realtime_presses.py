@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Deep presses with the effort of the node's profile `realtime`, at frames as a machine gives them.
 
 At one or two iterations a frame an error that a frame leaves must not grow in the next ones.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Learning by touch, in small: it runs, goes on where it was, and refuses what it cannot take."""
 
 import json

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The same answers whatever the number of workers, and wherever they are."""
 
 from __future__ import annotations
@@ -62,7 +65,7 @@ def presses(sensor: SensorSpecification, count: int) -> list[SolveRequest]:
 
 
 def solved(folder: Path, crew: Crew) -> list[SimulatedPress]:
-    requests = presses(COARSE, 4)
+    requests = presses(COARSE, 3)
     with open_press_solver(COARSE, skin_of(COARSE.gel), folder, workers=crew) as solver:
         found = solver.run_each(requests)
         assert solver.solve_count == len(requests)
@@ -72,7 +75,7 @@ def solved(folder: Path, crew: Crew) -> list[SimulatedPress]:
 
 def test_presses_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> None:
     alone = solved(tmp_path / "alone", 1)
-    assert len(alone) == 4
+    assert len(alone) == 3
     assert np.ptp([press.force_n for press in alone]) > 0.0
     for number, crew in enumerate((2, on_ray)):
         for press, other in zip(alone, solved(tmp_path / str(number), crew), strict=True):
@@ -81,10 +84,10 @@ def test_presses_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> N
 
 
 def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> None:
-    plan = Plan("coarse", ("line",), episode_count=3, frame_count=10, look_count=1)
+    plan = Plan("coarse", ("line",), episode_count=2, frame_count=10, look_count=1)
     ball = load_indenter("sphere_4mm")
     done: list[tuple[int, int]] = []
-    for name, crew in (("alone", 1), ("two", 2), ("ray", on_ray)):
+    for name, crew in (("alone", 1), ("ray", on_ray)):
         demonstrate(
             COARSE,
             ball,
@@ -93,11 +96,12 @@ def test_episodes_are_the_same_to_the_last_bit(tmp_path: Path, on_ray: Crew) -> 
             progress=lambda *now: done.append(now),
             workers=crew,
         )
-    assert done == [(1, 3), (2, 3), (3, 3)] * 3
-    for number in range(3):
-        with np.load(episode_file(tmp_path / "alone", number)) as alone:
-            for name in ("two", "ray"):
-                with np.load(episode_file(tmp_path / name, number)) as other:
-                    assert alone.files == other.files
-                    for key in alone.files:
-                        np.testing.assert_array_equal(alone[key], other[key])
+    assert done == [(1, 2), (2, 2)] * 2
+    for number in range(2):
+        with (
+            np.load(episode_file(tmp_path / "alone", number)) as alone,
+            np.load(episode_file(tmp_path / "ray", number)) as other,
+        ):
+            assert alone.files == other.files
+            for key in alone.files:
+                np.testing.assert_array_equal(alone[key], other[key])

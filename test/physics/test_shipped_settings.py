@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel as users have it: the sensor `densetact2` on its own grid, refined, to its own tolerance.
 
 What the other tests ask of coarse grids and fine tolerances is asked here of the sensor's own

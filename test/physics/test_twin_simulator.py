@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A gel that is kept from one press to the next answers as one that is made for it."""
 
 from __future__ import annotations

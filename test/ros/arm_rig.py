@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A user's program that leads an arm: velocities out, poses in, all kept with their arrival."""
 
 from __future__ import annotations

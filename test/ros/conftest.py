@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Real nodes over real DDS, in a domain of this run's own and on this machine only."""
 
 import os

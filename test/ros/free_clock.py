@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A /clock that runs at any pace, whoever listens, and stands still on request."""
 
 from __future__ import annotations

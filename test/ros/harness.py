@@ -1,7 +1,11 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Starts real executables and talks to them over DDS, as a user's program would."""
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -68,9 +72,7 @@ class Executable:
         program = ["-c", code] if code else ["-m", module]
         if script is not None:
             program = [str(script)]
-        command = [sys.executable, "-u", *program, "--ros-args", *arguments]
-        for name, value in (parameters or {}).items():
-            command += ["-p", f"{name}:={value}"]
+        command = [sys.executable, "-u", *program, *with_parameters(parameters or {}), *arguments]
         self.process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
         )
@@ -126,6 +128,46 @@ class Executable:
             except subprocess.TimeoutExpired:
                 self.process.kill()
                 self.process.wait()
+
+
+STARTS = """
+import json, sys
+from importlib import import_module
+from dotsim_ros.nodes.common.spin import run_node
+
+module, name = sys.argv[1:]
+for arguments in json.load(sys.stdin):
+    status = run_node(getattr(import_module(module), name), arguments=arguments)
+    print(f"status {status}", file=sys.stderr, flush=True)
+"""
+"""One process starts them all: what takes time is to import ROS."""
+
+
+def refused_starts(node: type[Node], starts: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return the logs of starts of a node, all of which must be refused.
+
+    Args:
+        node: class of the node.
+        starts: the command line of each, by a name of it.
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", STARTS, node.__module__, node.__name__],
+        input=json.dumps(list(starts.values())),
+        capture_output=True,
+        text=True,
+        timeout=START_PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    logs = done.stderr.split("status ")
+    assert [log.split()[0] for log in logs[1:]] == ["2"] * len(starts), done.stderr
+    return dict(zip(starts, logs, strict=False))
+
+
+def with_parameters(parameters: Mapping[str, Any]) -> list[str]:
+    """Return the ROS arguments that set parameters."""
+    given = (["-p", f"{name}:={value}"] for name, value in parameters.items())
+    return ["--ros-args", *(argument for pair in given for argument in pair)]
 
 
 def spin_in_background(node: Node, executor: Executor | None = None) -> threading.Thread:

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a node is sent that it must refuse: values of parameters of every type, and messages."""
 
 from __future__ import annotations

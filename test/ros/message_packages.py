@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Builds packages of messages that are not on PyPI, as far as the nodes speak them, from their
 public definitions.
 

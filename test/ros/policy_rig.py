@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What `tactile_policy` talks to in the tests: a stream of images, an arm that obeys, a small real
 network. The streams can be cut and spoilt."""
 

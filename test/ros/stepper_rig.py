@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A stepper with light nodes that take part, and a user who watches them and calls services."""
 
 from __future__ import annotations

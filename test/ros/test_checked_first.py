@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Of a message that is refused nothing is kept and nothing is done: the inputs of the nodes, with
 messages handed to their callbacks."""
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The closed loop as it is evaluated: shipped policy, simulated sensor and arm, real contact.
 
 How closely a path is followed depends on how busy the machine is, so that is not judged here. Only

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The demonstration: the real node, real presses, a bag, a video and a contact sheet."""
 
 import subprocess

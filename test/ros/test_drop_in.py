@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Programs that were written for public drivers of DenseTact sensors read the simulated one.
 
 benchmarks/drop_in.py holds the programs, and says what they find wrong.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Found effects at work in the live node: its frames change as the overlay says."""
 
 from __future__ import annotations

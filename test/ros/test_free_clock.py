@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Nodes that follow /clock by themselves, without steps: slower than real time, and standing."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A node whose callbacks fail goes on, says so, and answers."""
 
 from __future__ import annotations

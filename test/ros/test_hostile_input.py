@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """No parameter and no message ends a node, blocks it, or makes it grow: all the real ones at once.
 
 `test_xarm_adapter.py` does the same to the adapter, whose messages have to be built first.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What comes in the middle of a motion: resets, changes, signals, and bugs of ours."""
 
 from __future__ import annotations

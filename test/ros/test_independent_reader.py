@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frames are read on the wire by another implementation of DDS, which knows nothing of ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every node ends at its first SIGINT, at a random moment after it is ready.
 
 `benchmarks/interrupts.py` does the same a hundred times; `test_xarm_adapter.py` does it with the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A sensor whose file names a network publishes the image that the network completes."""
 
 from __future__ import annotations

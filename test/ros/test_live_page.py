@@ -1,4 +1,7 @@
-"""`dotsim_ros live --attach`: the page shows a running node, and presses it."""
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`dotsim_ros live --attach`: the page shows a running node of a namespace, and presses it."""
 
 from __future__ import annotations
 
@@ -16,9 +19,11 @@ pytest.importorskip("websockets", reason="needs pip install '.[live]'")
 from harness import APEX_M, PATIENCE_S, running
 from websockets.sync.client import ClientConnection, connect
 
+NAMESPACE = "/left_finger"
 CODE = """
 from dotsim_ros.cli.main import main
-raise SystemExit(main(["live", "--attach", "--port", "0", "--out", {out!r}]))
+given = ["live", "--attach", "--port", "0", "--out", {out!r}]
+raise SystemExit(main([*given, "--ros-args", "-r", "__ns:={namespace}"]))
 """
 
 
@@ -39,15 +44,17 @@ def heard(
 def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Path) -> None:
     node = {"grid_spacing_m": 0.0048, "diagnostics_period_s": 0.1}
     with (
-        running(parameters=node),
-        running(code=CODE.format(out=str(tmp_path)), ready="open http") as page,
+        running(parameters=node, arguments=["-r", f"__ns:={NAMESPACE}"]),
+        running(
+            code=CODE.format(out=str(tmp_path), namespace=NAMESPACE), ready="open http"
+        ) as page,
     ):
         found = re.search(r"http://127.0.0.1:(\d+)/", page.log)
         assert found is not None
         with connect(f"ws://127.0.0.1:{found[1]}/socket") as socket:
             # The shape and the profile are asked of the node.
             state = heard(socket, "state", lambda state: bool(state["profile"]))
-            assert state["title"] == "/tactile_sim"
+            assert state["title"] == f"{NAMESPACE}/tactile_sim"
             heard(socket, "state", lambda state: state["can_press"] and not state["busy"])
             position_m = [0.0, 0.0, APEX_M - 0.001]
             pose = {"do": "pose", "position_m": position_m, "quaternion_xyzw": [0, 0, 0, 1]}

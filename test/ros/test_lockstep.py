@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The lockstep clock: one frame for each pose, repeatable to the bit, whatever else is sent."""
 
 from __future__ import annotations

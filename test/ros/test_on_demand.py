@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Images are rendered for whoever reads one, and for nobody else."""
 
 from __future__ import annotations
@@ -10,7 +13,6 @@ from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 import msg_adapters
 
 IMAGES = {
-    "image_raw": Image,
     "image_raw/compressed": CompressedImage,
     "depth/image": Image,
 }

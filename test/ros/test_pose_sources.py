@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The indenter's pose from other simulators, TF and odometry, and the force that goes back."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The real-time clock: a user's program publishes poses and reads every topic."""
 
 from __future__ import annotations

@@ -1,18 +1,22 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a node answers to a command line or an environment that it cannot start from: one line."""
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from harness import refused_starts
 from hostile import BOMB
 
 from dotsim_ros.nodes.common.arguments import check_start
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
+from dotsim_ros.nodes.xarm_sim.node import XarmSim
 from msg_adapters import message_class
 
 PARAMETER_FILES = {
@@ -47,33 +51,10 @@ ARGUMENTS: dict[str, list[str]] = {
 }
 
 
-STARTS = """
-import json, sys
-from dotsim_ros.nodes.common.spin import run_node
-from dotsim_ros.nodes.xarm_sim.node import XarmSim
-
-for arguments in json.load(sys.stdin):
-    status = run_node(XarmSim, arguments=arguments)
-    print(f"status {status}", file=sys.stderr, flush=True)
-"""
-"""One process starts them all: what takes time is to import ROS."""
-
-
 @pytest.fixture(scope="module")
 def refusals() -> dict[str, str]:
     """Return the log of each start that must be refused."""
-    done = subprocess.run(
-        [sys.executable, "-c", STARTS],
-        input=json.dumps(list(ARGUMENTS.values())),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    logs = done.stderr.split("status ")
-    assert [log.split()[0] for log in logs[1:]] == ["2"] * len(ARGUMENTS), done.stderr
-    return dict(zip(ARGUMENTS, logs, strict=False))
+    return refused_starts(XarmSim, ARGUMENTS)
 
 
 @pytest.mark.fault("node parameters", "a command line that makes no sense")

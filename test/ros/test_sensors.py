@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The node with other sensors: a flat pad by its name, and one whose camera has noise."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The closed loop in simulated time: the same messages whatever the machine does meanwhile."""
 
 from __future__ import annotations

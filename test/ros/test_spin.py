@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`run_node`, the way every node starts and stops, on nodes that make it hard."""
 
 import signal

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the stepper and its participants tell each other, over the wire and back."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`tactile_policy` over DDS: its rates, its services, and every fault that must stop the arm."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The launch file of the closed loop: what it starts, and that its parameters are the nodes'."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole loop over DDS: tactile_sim, xarm_sim and tactile_policy, with faults of the other two.
 
 The network is a small one that goes sideways, whatever it sees: this is about the loop.

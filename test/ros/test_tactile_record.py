@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`tactile_record` as a process, fed over DDS, its bag read back."""
 
 import re

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """time_stepper with light nodes: that all go together, what its services do, and how it ends."""
 
 from __future__ import annotations

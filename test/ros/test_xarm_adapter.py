@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The adapter to a real arm, against a driver that speaks UFACTORY's own messages over DDS.
 
 The driver is a stand-in, its messages are real: built by ROS's generators from their public

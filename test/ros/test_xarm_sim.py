@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The arm that stands in for an xArm 7: a user's program leads it over DDS and measures it."""
 
 from __future__ import annotations

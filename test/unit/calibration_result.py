@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A calibration of a gel that answers in a straight line, for tests of its report: no solve."""
 
 from __future__ import annotations

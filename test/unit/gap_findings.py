@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Findings of a small dome for tests of reports: made up, one for each verdict."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Synthetic films of contacts and residuals of a known covariance, for tests of optical effects."""
 
 from functools import cache

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Presses as a camera might have filmed them: dents under lights that the model does not know."""
 
 from __future__ import annotations

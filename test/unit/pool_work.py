@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What workers do in the tests of pools; a module of its own, so that they can import it."""
 
 from __future__ import annotations

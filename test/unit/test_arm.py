@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The simulated arm: late, lagging and limited, whoever looks at it and whenever."""
 
 import numpy as np

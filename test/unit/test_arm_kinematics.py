@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The kinematic model of the xArm 7 against what is published, itself, and its limits."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a real arm is told and when it is left alone; the units of its driver. Without ROS."""
 
 import dataclasses

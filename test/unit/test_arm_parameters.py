@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters of the simulated arm and the file that ships with them; the messages of its joints."""
 
 import dataclasses

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bands that threads share: no number of them, and no other thread, changes a bit."""
 
 import os

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """DiffTactile's gel: its elements, its rest, its symmetry, and constants told from a simulation."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tacto: clipped by the indenter and nowhere inside it, at rest without contact, stiffness told."""
 
 from __future__ import annotations

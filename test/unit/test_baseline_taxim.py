@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Taxim: Gaussians that keep the integral, a contact that keeps the object's shape, widths told."""
 
 from __future__ import annotations

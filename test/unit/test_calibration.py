@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters, losses, statistics and reading of a calibration, without a gel."""
 
 from __future__ import annotations

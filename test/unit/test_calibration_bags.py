@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags that cannot be fitted to: each error names bag, message and mend; the others are read."""
 
 from __future__ import annotations

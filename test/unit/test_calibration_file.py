@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Files of a camera's calibration, as ROS keeps them."""
 
 import numpy as np

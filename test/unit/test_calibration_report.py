@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The report of a calibration: its page by itself, and what it says."""
 
 from __future__ import annotations

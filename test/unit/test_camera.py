@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The fisheye: there and back, against OpenCV, beyond 90 degrees, and from a sensor's file."""
 
 import cv2

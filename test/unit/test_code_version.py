@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Import closures and digests of code, on small made-up packages and on this one."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A trained network at run time: what torch computes, without torch, for its own sensor alone."""
 
 import json

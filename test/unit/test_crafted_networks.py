@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Policies and networks that somebody made to break their reader: one line that says what is wrong.
 
 The shipped ones are spoilt; hashes are made anew, as whoever wants to be believed would do.

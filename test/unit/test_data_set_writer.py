@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writing data sets: what is written is read back, and what cannot be read is refused."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The documentation: its examples run, its tables are those of the code, its figures are
 those of the results, and the checks of its links find what is broken."""
 

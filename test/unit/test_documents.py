@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """YAML, JSON and arrays: whatever a file holds, an answer in one line, soon, in little memory."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Files of effects are programs: only what is named is run, and a broken one is one line."""
 
 from __future__ import annotations

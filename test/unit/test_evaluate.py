@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Presses, splits, scores and the tables, on a small data set with a known answer."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The optics table: frames, rows that are kept, figures, page, sheets and the command."""
 
 from __future__ import annotations

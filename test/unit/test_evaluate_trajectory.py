@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Trials of a policy: what a recording is worth, what is kept, and the sensors they are run on."""
 
 from __future__ import annotations

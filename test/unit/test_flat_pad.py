@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A flat pad from its YAML file alone: pressed, drawn and lit; and idle images that are drawn."""
 
 from __future__ import annotations

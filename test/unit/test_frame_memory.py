@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Memory of frames: used again, but never while somebody holds it."""
 
 import gc

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frames in one another, as TF tells them: where they are, when, and what is wrong with them."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Crop, size and colour order, and the camera that has that image."""
 
 import cv2

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The public names of the package, and the first lines that a user writes."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The fuzzer finds what is planted: it would be of no use if every answer passed."""
 
 from __future__ import annotations

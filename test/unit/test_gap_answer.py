@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rule on drawn data of known truth: one effect that shows in skin and force."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Fits of effects and nuisances to whitened evidence, on drawn data of known truth."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Phases of a motion and observables of a press, against what was drawn."""
 
 from __future__ import annotations

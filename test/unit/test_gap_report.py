@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The report of a gap: every verdict, missing parts, its page by itself, its files."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gap study's halves, sizes, figures and page; what it scores comes from made-up cases."""
 
 from __future__ import annotations

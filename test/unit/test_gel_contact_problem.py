@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The contact of a few markers on a linear gel, and the indenter's answers that it is made of."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Particles, grid and weights of the gel at rest, and the step from a coarse grid to a fine one."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Real presses of a ball on a flat gel: reading, shapes, and the camera."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The coat's gloss: what it mirrors, where it is read from, and what is refused."""
 
 import numpy as np

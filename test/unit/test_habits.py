@@ -1,7 +1,11 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the files around the code say of it: citation, changelog, lint, hooks, workflow, forms."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import subprocess
@@ -193,6 +197,39 @@ def test_files_that_a_page_names_are_there(name: str) -> None:
     path = r"`((?:docs|params|\.ci|\.github)/[\w./]*\w|[A-Z_]+\.(?:md|cff))"
     named = set(re.findall(path, text_of(name)))
     assert not {path for path in named if not (ROOT / path).exists()}
+
+
+@pytest.fixture
+def license_headers(monkeypatch: pytest.MonkeyPatch) -> Any:
+    monkeypatch.syspath_prepend(str(ROOT / ".ci"))
+    return importlib.import_module("license_headers")
+
+
+def test_every_source_file_says_its_licence(license_headers: Any) -> None:
+    assert license_headers.main(["--check", "--root", str(ROOT)]) == 0
+
+
+def test_a_licence_is_written_once_below_what_must_stay_first(
+    license_headers: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.py").write_text("#!/usr/bin/env python3\nprint()\n")
+    (tmp_path / "sensor.xacro").write_text('<?xml version="1.0"?>\n<robot/>\n')
+    (tmp_path / "empty.py").write_text("")
+    subprocess.run(["git", "init", "--quiet", str(tmp_path)], check=True)
+    asked = ["--root", str(tmp_path)]
+    assert license_headers.main([*asked, "--check"]) == 1
+    assert "run.py: no licence at its top" in capsys.readouterr().out
+    assert license_headers.main(asked) == license_headers.main([*asked, "--check"]) == 0
+    assert (tmp_path / "run.py").read_text() == (
+        "#!/usr/bin/env python3\n# Copyright 2026 The dotsim_ros authors\n"
+        "# SPDX-License-Identifier: Apache-2.0\n\nprint()\n"
+    )
+    assert (
+        (tmp_path / "sensor.xacro")
+        .read_text()
+        .startswith('<?xml version="1.0"?>\n<!-- Copyright 2026 The dotsim_ros authors -->\n')
+    )
+    assert not (tmp_path / "empty.py").read_text().endswith("\n\n")
 
 
 def test_readme_links_to_the_quality_declaration() -> None:

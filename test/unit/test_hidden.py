@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hidden effects know nothing of the library that is to find them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A sensor with another idle image, and what its frames say of the skin."""
 
 from dataclasses import replace

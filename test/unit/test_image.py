@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The image: the idle frame at rest, the pattern where the skin went, light where it turned."""
 
 from pathlib import Path

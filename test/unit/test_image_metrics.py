@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Scores of images: figures that can be worked out by hand."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Indenters: exact distances, grids, kernels, meshes that must be refused, definitions."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Answers kept on disk: another input gives another one, and a broken file is computed anew."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A known weight in a data set: its entry in the index, its reading, and the scale of the gauge."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The layouts for RViz and Foxglove: whole, and of topics that the sensor and the player have."""
 
 import json

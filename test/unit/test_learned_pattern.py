@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The samples between an idle image's pixels: learned from presses, kept in a file, warped."""
 
 from dataclasses import replace

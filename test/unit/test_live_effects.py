@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Effects between what a live sensor is told and what it measures: real gel, no ROS."""
 
 from __future__ import annotations

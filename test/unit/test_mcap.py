@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Bags on the disk: what is written, read by others; what is damaged, told."""
 
 import random

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The mechanical effects: nothing at `none`, a closed form elsewhere, and no memory across runs."""
 
 from __future__ import annotations

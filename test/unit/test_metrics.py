@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The metrics against closed forms: shifted planes and spheres, and what samples alone give."""
 
 from __future__ import annotations

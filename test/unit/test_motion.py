@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Motions of the indenter: scripted presses, real presses, and how they are sampled."""
 
 from pathlib import Path

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What decides over the inputs of a node, without ROS: gate, arbiter, slot, faults."""
 
 import numpy as np

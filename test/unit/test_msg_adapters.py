@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Messages to arrays and back: exact both ways, and malformed messages refused."""
 
 import importlib.util

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters of the node, checked in one place, and the files that set them."""
 
 import dataclasses

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Names that a file system takes and a report, figure or terminal would trip over."""
 
 from __future__ import annotations

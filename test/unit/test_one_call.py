@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`calibrate` and `find_gap`: what cannot be done is refused before anything is touched, and what
 the command line asks for is what the calls are given."""
 

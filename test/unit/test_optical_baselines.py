@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The other simulators' images: each learns what it can express, and nothing moves at rest."""
 
 from __future__ import annotations

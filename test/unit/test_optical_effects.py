@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The optical effects: each against its closed form, and none of them at its none-values."""
 
 import cv2

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The images' part of a search: its rule, its noise file, whose camera it is, what is said."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The twin's images: made from its own idle frame, with what effects need to know of them."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The search for optical effects on synthetic films: nulls, power, what cannot be told apart."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Splits of measured images: what is judged is never fitted on."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Networks of images: they learn what they can, go on after a kill, and refuse bad data."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where a command's files cannot be written, it says so before it begins."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The overlay of found effects: written, read, and refused in words."""
 
 from __future__ import annotations

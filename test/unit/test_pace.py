@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frames by absolute deadlines, on times that are handed in."""
 
 import pytest

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the package says of itself, and what its launch files ask for.
 
 The launch library comes with a ROS installation only, and importing a node needs rclpy: the files
@@ -227,6 +230,20 @@ def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
 def test_version_is_the_same_everywhere() -> None:
     manifest = ElementTree.parse(ROOT / "package.xml").getroot()
     assert manifest.findtext("version") == dotsim_ros.__version__
+
+
+def test_maintainer_and_home_are_the_same_for_pip_and_ros() -> None:
+    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+    maintainer = manifest.find("maintainer")
+    assert maintainer is not None
+    assert maintainer.text == setup_keyword("maintainer")
+    assert maintainer.get("email") == setup_keyword("maintainer_email")
+    homes = {url.get("type"): url.text for url in manifest.iter("url")}
+    assert homes == {
+        "website": setup_keyword("url"),
+        "repository": setup_keyword("project_urls")["Repository"],
+        "bugtracker": setup_keyword("project_urls")["Bug Tracker"],
+    }
 
 
 def test_every_executable_has_its_function() -> None:

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Files of ROS parameters: what nodes and launch files refuse, and what checking one needs."""
 
 from __future__ import annotations

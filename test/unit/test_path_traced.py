@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Path-traced images: light and lens against what is known of them, and what is hidden there."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reference paths, and the expert that follows them."""
 
 from __future__ import annotations

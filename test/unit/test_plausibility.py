@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Measured presses that cannot be what they say are refused; those with faults that sensors have
 pass, for the fit and the gap finder to see."""
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Policies as files: written by torch, run without it, refused where they are broken."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Cloning an expert: examples, a training that can be broken off, and its files."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Poses in poses: chains of frames and the way back."""
 
 import numpy as np

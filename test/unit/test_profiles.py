@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Profiles: what they make of a solver, which are refused, and when the keeper changes them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Pools on Ray give what processes give, lose nothing with a worker, and say what is wrong."""
 
 from __future__ import annotations

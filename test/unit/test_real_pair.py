@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A press told from one image: on an image that was made of a known press, it is found again."""
 
 from __future__ import annotations

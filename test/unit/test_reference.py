@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The finite-element reference: its mesh, its input file, and a press that CalculiX solves."""
 
 import shutil

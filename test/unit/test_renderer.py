@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The camera's view: against the sphere's closed form, and three ways to render against another."""
 
 import numpy as np

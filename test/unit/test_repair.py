@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`dotsim_ros record --repair`: a bag of what can be read of another."""
 
 import json

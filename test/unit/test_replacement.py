@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A report takes the place of another whole, whatever ends the writer, and nobody's files go."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The sensor's description for robots, against the sensor that it describes.
 
 xacro comes with a ROS installation only: the macro is expanded here, by its one parameter.

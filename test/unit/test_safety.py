@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The control loop's safety, on simulated time: thousands of ticks with faults thrown in."""
 
 from __future__ import annotations

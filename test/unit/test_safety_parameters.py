@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters of the policy's node, its deadlines and its counters."""
 
 from __future__ import annotations

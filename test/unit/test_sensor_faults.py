@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Sensors that would silently give nonsense, or take all memory: refused by field, value, range."""
 
 from __future__ import annotations

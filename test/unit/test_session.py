@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A sensor under a stream of motions, without ROS: real gel, real frames."""
 
 from dataclasses import replace

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What happens in simulated time, and when, on any machine: without ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The skins: on their surface, closed, well shaped, within the spacing, and facing outwards."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hidden effects that finite elements solve: what is drawn, what is solved, what is written."""
 
 import fcntl

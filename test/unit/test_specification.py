@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A sensor's file: what it takes, what it refuses and how it says so, and how large it will be."""
 
 from __future__ import annotations

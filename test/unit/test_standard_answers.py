@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is answered to requests of the standard for simulators."""
 
 from __future__ import annotations

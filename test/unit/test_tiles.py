@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The tiles of images: what they compare, with sign and place, and their noise."""
 
 import cv2

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a classifier of touches sees: the touch wherever it lies, and not the light."""
 
 import cv2

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`dotsim_ros train-optics`: from a data set to a sensor that shows learned images."""
 
 import argparse

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Trajectories in bags: exact there and back, whole or not at all, malformed ones refused."""
 
 from dataclasses import fields, replace

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Motion at a constant velocity, against many small steps and known screws."""
 
 import numpy as np

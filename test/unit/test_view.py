@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The command line and its `view`: real files of a real bag, read back."""
 
 import importlib.util

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A part of the camera's image, or another number of its pixels, rendered rather than resized."""
 
 import cv2

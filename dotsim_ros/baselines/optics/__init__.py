@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Models of the image to compare with: Tacto's, Taxim's, DiffTactile's and FOTS's, written anew.
 
 Each is fitted on the same frames as ours and predicts the images of a press. All of them add what

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a camera sees of a skin that a rigid indenter clips: the geometry that Tacto shades."""
 
 from __future__ import annotations

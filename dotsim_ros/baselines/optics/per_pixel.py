@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """DiffTactile's and FOTS's image: a small network maps normal and position of a pixel to a colour.
 
 Si, Zhang, Ben, Romero, Xian, Liu, Gan: "DIFFTACTILE: A Physics-based Differentiable Tactile

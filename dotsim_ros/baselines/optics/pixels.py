@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the pixels of measured frames show: where they lie, how the skin is tilted, what changed."""
 
 from __future__ import annotations

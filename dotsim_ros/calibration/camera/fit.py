@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The fit of camera and lights: the idle image, warped by the skin, against what was measured.
 
 Least squares over pixels of training presses, by turns for the lens (pixels that the skin moves

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The camera and its lights as numbers that a fit can change.
 
 A parameter is a change of a given model, in a unit of its own and with a prior deviation: how far

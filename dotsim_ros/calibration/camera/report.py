@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the fit of a camera leaves behind: figures as JSON, and a sheet of images."""
 
 from __future__ import annotations

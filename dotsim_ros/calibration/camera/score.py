@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How well warped images meet measured ones: in grey levels, and in pixels.
 
 The reprojection error is measured, not modelled: the optical flow (dense inverse search, Kroeger et

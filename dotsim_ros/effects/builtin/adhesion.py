@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Adhesion: the skin sticks to the indenter as it is withdrawn, and pulls on it.
 
 Johnson, Kendall and Roberts, "Surface energy and the contact of elastic solids", 1971, on release

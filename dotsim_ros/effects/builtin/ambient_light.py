@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Ambient light: a veil over the whole image that no contact changes."""
 
 from __future__ import annotations

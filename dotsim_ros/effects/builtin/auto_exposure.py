@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Auto-exposure: the camera's gain follows the mean of what it sees, relative to the idle frame."""
 
 from __future__ import annotations

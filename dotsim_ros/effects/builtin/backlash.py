@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Backlash: the indenter follows the commanded position with play, and lags at each reversal.
 
 The play operator of hysteresis (Krasnosel'skii and Pokrovskii, "Systems with hysteresis", 1989) on

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Base compliance: what holds the sensor or the indenter gives way, and depth is lost."""
 
 from __future__ import annotations

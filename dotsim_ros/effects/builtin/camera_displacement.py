@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Camera displacement: the camera, or its entrance pupil, stands beside its place.
 
 Near skin moves farther in the image than far skin: a parallax, which a turned camera

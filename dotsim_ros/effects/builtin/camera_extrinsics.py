@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Camera extrinsics: the camera is turned about its own place.
 
 A camera that turns without moving sees the same rays elsewhere, whatever their depth, so the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Camera intrinsics: another focal length, or another place of the optical axis in the image.
 
 With an equidistant lens and any radial distortion, focal length and centre act on the image

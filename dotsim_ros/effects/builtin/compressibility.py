@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Compressibility: Poisson's ratio nu is another than the twin's.
 
 The size is the change of log(1/2 - nu), in which the compliance is straight up to

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Coulomb slip: the skin slides on the indenter at another coefficient than the twin's."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Daylight: light from one side falls through the coat, most on the skin that faces it.
 
 A share of the light is that of a uniform half of the sky about a direction: skin whose outward

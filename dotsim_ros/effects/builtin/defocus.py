@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Defocus: the lens is focused at one distance, and skin that is nearer or farther is blurred.
 
 A thin lens spreads a point at the distance s over a disc, the circle of confusion (Potmesil and

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Force drift: the force gauge's gain changes at a constant rate over the session."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Force scale: the force gauge's gain is another than its calibration says."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Gamma: the camera responds to light by another power than when the twin was made."""
 
 from __future__ import annotations

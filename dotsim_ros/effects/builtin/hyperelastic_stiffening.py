@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hyperelastic stiffening: the gel stiffens more, or less, at large strain than the twin's.
 
 Yeoh, "Some forms of the strain energy function for rubber", 1993: the energy's second coefficient.

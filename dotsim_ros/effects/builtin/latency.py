@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Latency: the recorded pose is ahead of the true one; the gel is where the pose was earlier."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """LED dimming: all LEDs lose brightness as they warm up over a session.
 
 The loss approaches its final share exponentially, as that of a junction that warms up under a

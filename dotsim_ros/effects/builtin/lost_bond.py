@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Lost bond: the gel has come off its core, and slides on it.
 
 The size is the share of a shear's sliding that the bond lets through (`dotsim_ros.gel.bond`); at 1,

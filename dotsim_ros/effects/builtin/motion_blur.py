@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Motion blur: the image moves while the camera exposes.
 
 The image is the mean of what was seen at even times over the exposure, which is centred on the

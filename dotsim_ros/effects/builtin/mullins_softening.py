@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Mullins softening: a gel that was loaded once is softer below that load.
 
 The pseudo-elastic form of Ogden and Roxburgh, "A pseudo-elastic model for the Mullins effect in

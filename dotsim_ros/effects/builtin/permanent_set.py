@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Permanent set: the skin does not come back all the way.
 
 Every marker remembers its largest displacement, and keeps a share of it. As it goes back, what it

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Poroelastic relaxation: fluid leaves the pressed gel, in a time that grows with the contact.
 
 The time is the contact's radius squared over the diffusivity (Hu, Zhao, Vlassak, Suo, "Using

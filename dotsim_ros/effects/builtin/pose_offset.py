@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Pose offset along z: every true pose lies above or below the recorded one, base frame.
 
 Errors of rotation are left to the offsets along x and y: about the base they move the contact by

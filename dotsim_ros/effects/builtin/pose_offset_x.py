@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Pose offset along x: every true pose lies beside the recorded one, base frame."""
 
 from __future__ import annotations

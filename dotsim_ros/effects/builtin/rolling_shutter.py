@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rolling shutter: rows are read one after the other, so what moves is skewed.
 
 The frame's stamp is that of the middle row. A row that is read later shows the image moved on

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Saturation: the camera clips what is brighter than a level below its full scale."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Thermal drift: the gel grows stiffer or softer while its light warms it.
 
 The stiffness approaches a new value exponentially, like the temperature of a body that is heated

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Thickness error: the gel is thicker, or thinner, than the sensor's file says."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Vignetting: brightness falls with the square of the distance from the optical axis."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Viscoelastic relaxation: a share of the shape-changing stress fades under a held indenter.
 
 One term of a Prony series, as `dotsim_ros.gel.implicit.relaxation` solves it; the elastic

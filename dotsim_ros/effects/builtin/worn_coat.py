@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Worn coat: a smooth spot of the image that scatters less light than it did.
 
 The spot is a Gaussian at a fixed place of the image. A spot of the coat moves with the skin under

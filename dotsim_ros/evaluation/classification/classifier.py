@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A small network that tells indenters from what a touch adds to the idle image."""
 
 from __future__ import annotations

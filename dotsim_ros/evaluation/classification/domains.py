@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which measured frames the image models are fitted on, and which classifiers are judged on."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Confusion matrices of the rows that matter, as one picture."""
 
 from __future__ import annotations

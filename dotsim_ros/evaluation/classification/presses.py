@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Simulated presses of indenters at random places, to learn from."""
 
 from __future__ import annotations

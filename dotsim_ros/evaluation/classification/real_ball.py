@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Real presses of a ball, told by classifiers that learnt from simulated touches of five shapes.
 
 Every other figure of this study is of a synthetic sensor. Here the images are of a real GelSight

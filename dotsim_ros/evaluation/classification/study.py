@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Classifiers learnt from each image model's simulated touches, judged on measured ones."""
 
 from __future__ import annotations

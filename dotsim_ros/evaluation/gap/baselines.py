@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What simpler methods make of the cases of the gap finder's study.
 
 Recalibration alone and a black-box correction name nothing: what they leave of trajectories that

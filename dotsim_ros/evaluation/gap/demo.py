@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`find-gap --demo`: searches one of a few small data sets that finite elements have solved, then
 opens its truth.
 

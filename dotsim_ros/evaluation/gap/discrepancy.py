@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the gap finder knows of presses in which nothing is missing: how far model and measurement
 are apart, what the twin is off by, and how much effects gain by it.
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Detection limits: from which size on the gap finder detects an effect.
 
 The library's own law is added to presses in which nothing is missing, at growing sizes, until the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gap finder's null: how far a calibrated twin is from presses in which nothing is missing."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Measured presses in which nothing is missing, ready for the gap finder: what the library's
 effects do to them, simulated once for all draws of cases."""
 

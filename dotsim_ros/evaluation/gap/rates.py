@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Shares and medians of outcomes, as they are published."""
 
 from __future__ import annotations

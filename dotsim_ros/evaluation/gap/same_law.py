@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How well the gap finder measures an effect whose law the library has: its own, added to presses
 in which nothing is missing."""
 

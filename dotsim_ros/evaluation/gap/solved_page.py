@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The page of the gap finder on effects that finite elements have solved."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The whole gap finder on sets that `dotsim_ros hide` made: each searched once, then its truth
 opened and compared."""
 

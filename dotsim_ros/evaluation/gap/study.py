@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The power analysis of the gap finder: measured presses in which nothing is missing, hidden
 effects added by other laws, and the finder's rule on many draws of them.
 

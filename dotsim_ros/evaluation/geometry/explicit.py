@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's explicit gel as a model of measured presses, fitted as the paper does, or to forces.
 
 The paper fits E and nu to the surfaces of each trajectory and takes the median. Where the gel's

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The models that the geometry tables compare, by name, each made for a split when asked."""
 
 from __future__ import annotations

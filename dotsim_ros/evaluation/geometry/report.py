@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The geometry table of a data set: every model on every split, as figures and as a page."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The models of the image on a real flat sensor: presses of a ball on a GelSight.
 
 The recording (Rancho-zhao/FOTS, `mlp_calib/`, MIT) holds images of a ball of known diameter, with

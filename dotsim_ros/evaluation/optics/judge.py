@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Models of the image, judged on measured frames: scores and their summaries."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The models of the image that the optics table compares, by name."""
 
 from __future__ import annotations

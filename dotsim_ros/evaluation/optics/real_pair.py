@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How much of one real image of a press the motion of the gel explains.
 
 Of a real DenseTact there is one pair of images, idle and pressed, without a pose. The press is

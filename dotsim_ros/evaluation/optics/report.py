@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The optics table of a data set: every model of the image on every split, and its page."""
 
 from __future__ import annotations

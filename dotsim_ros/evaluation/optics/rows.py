@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Rows of the optics table, kept on disk as soon as they are there.
 
 Fitting a network takes minutes to hours, so an interrupted run resumes where it ended: a row

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Measured and simulated images side by side, with what is wrong with each."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What some rows get instead of the calibrated gel by the idle image: the geometry that Tacto
 shades, and a refined idle image."""
 

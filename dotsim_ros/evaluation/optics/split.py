@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which frames a model of images is fitted on, and which it is judged on.
 
 Three levels as the paper draws them: easy (the first and the third indenter, 80 % to fit on and

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How policies learn, and how one plays: a curve and a moving picture."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Learns a policy from each of several seeds, and judges all in worlds that they never saw."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tries settings of the training against each other, on episodes that nothing is judged on."""
 
 from __future__ import annotations

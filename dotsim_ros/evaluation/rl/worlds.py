@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The worlds that policies are judged in: the one they learn in, and others that they never saw."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A closed loop's bag as a recording: what `tactile_record` writes by params/closed_loop.yaml."""
 
 from __future__ import annotations

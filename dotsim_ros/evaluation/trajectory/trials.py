@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Trajectories followed by touch alone: the settings, the trials, and the score of a recording.
 
 What runs the loop is handed in, so nothing here needs ROS.

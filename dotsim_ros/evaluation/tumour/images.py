@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the sensor's camera sees of solved presses, and what a classifier is shown of it.
 
 A soft skin moves the gel's pattern by a pixel or less. The difference to the idle image shows the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The table of tumour detection, and what its figures mean."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What presses look like: images of both classes, by our gel and skin and by CalculiX."""
 
 from __future__ import annotations

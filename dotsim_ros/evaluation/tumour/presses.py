@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Presses onto soft skins, simulated: our gel and layer, both deformable."""
 
 from __future__ import annotations

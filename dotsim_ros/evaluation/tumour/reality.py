@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The stand-in for reality: the same kind of presses, solved by CalculiX."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The baseline without mechanics: the insert's shape as a rigid body, cut out of the gel."""
 
 from __future__ import annotations

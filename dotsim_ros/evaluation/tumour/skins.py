@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The skins, and how the sensor is pressed onto them."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Classifiers learnt from simulated presses onto each skin, judged on CalculiX's and on shifts."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Measured images beside the twin's: the residuals and films of a set of trajectories."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The camera's part of a search: its effects in the images of a data set.
 
 Skins come from the twin's gel at the poses of the images, with the mechanical effects that were

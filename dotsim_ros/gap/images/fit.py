@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The rule of the images: which optical effects are named, how large they are, what is unknown.
 
 The best effect's signature is made anew at the size found (a secant instead of the probe's), its

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the twin's camera should see of measured trajectories, and what it did see.
 
 The image of the calibrated gel is made by the frozen network from the twin's own idle frame, or

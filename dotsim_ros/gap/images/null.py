@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What images show where nothing is missing: the file that thresholds of the images come from.
 
 It holds the covariance of the tiles, the sizes that the model's own error gives each effect, and

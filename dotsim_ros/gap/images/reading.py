@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reads the images of a data set for the gap finder, and reports what of them cannot be used."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which optical effect explains how measured images differ from the twin's: a score of each.
 
 Observables, signatures and nuisances are whitened by the covariance of tiles (`TileNoise`) and

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How far tiles of measured images lie from the twin's where no effect is missing.
 
 Two parts: the camera's noise, estimated from repeats, and the model's own error, estimated from

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What of two images is compared: the tiles of a grid inside the lit disc, with sign and place.
 
 Of each tile six numbers: the difference of the mean red, green and blue, that of the sharpness, and

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From screened effects to an answer, by the rule of `decision` (steps 5 to 8 of the method)."""
 
 from __future__ import annotations

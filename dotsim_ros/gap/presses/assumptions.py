@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a twin may be wrong about without any effect being missing: the nuisances, their priors, and
 what each of them does to a trajectory."""
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How certain an answer is: intervals, whether its name is stable, and what it is close to."""
 
 from __future__ import annotations

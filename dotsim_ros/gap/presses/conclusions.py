@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From an answer to findings: what is left, where, and what the effects close (steps 4 and 9)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How far apart simulation and measurement are where no effect is missing: noise, and a discrepancy
 of the model and of the measurement that belongs to a place of the contact.
 

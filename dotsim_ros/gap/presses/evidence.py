@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From recordings to whitened evidence: what was measured, what the twin gives, and what nuisances
 and effects do to it."""
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which columns explain whitened residuals: nuisances with priors, effects within their ranges, and
 trajectories that may be wrong as a whole.
 

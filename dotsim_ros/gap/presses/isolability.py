@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which effects the protocols distinguish, and which one does so best (step 7 of the method)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where simulation and measurement disagree: by channel, trajectory, phase and region, before and
 after effects are added."""
 

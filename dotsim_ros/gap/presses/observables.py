@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What of a trajectory is compared: forces, and the skin's displacement over patches, with sign and
 place, in axes of the contact.
 

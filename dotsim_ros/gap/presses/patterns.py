@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Patterns that a residual may have whatever its cause: by channel, phase and region.
 
 They show how much of a residual any model could remove, and where it lies, when no effect of the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Tries every effect of the library on the evidence, against what chance would give."""
 
 from __future__ import annotations

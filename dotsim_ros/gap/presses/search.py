@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The search for a gap, from a measured data set to findings (steps 1 to 9 of the method)."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is searched, how, and what the steps of a search share."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The scale of the force gauge, where known weights give it: they alone decide whether it is wrong,
 and the presses are searched with forces that are right."""
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Images of a gap's report, each narrow enough for a phone."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Residuals of places put together into the tables that a report shows."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Numbers of a gap's report in words and in units that are easy to read."""
 
 from __future__ import annotations

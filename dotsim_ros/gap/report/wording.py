@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The findings in words, and what the data do not identify."""
 
 from __future__ import annotations

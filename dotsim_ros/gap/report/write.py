@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The report of a search for a gap: a page, the same as Markdown, images, and the figures."""
 
 from __future__ import annotations

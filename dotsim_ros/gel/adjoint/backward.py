@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Derivatives of a loss of skin and wrench by everything that the implicit gel depends on.
 
 Each substep ends at an equilibrium g(u, x; theta) = 0 (see `equilibrium`), and hands on to the next

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The contact law with friction limited by the current pressure, and its derivatives."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The equations that hold at equilibrium, their exact derivative, and a solution to rounding.
 
     K(u) : nodal forces - S^T f(x) = 0,        x = X + S u + B f(x),  B = S_f dG S_f^T

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Derivatives of a loss by what a step of the gel returns, and by what the gel is made from."""
 
 from __future__ import annotations

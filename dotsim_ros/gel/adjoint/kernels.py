@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Warp kernels that the adjoint differentiates: the contact law with the current pressure, and the
 power of the elastic stress along a virtual displacement. Double precision only."""
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The contact at the end of a substep as the adjoint sees it, and the adjoint's linear solve."""
 
 from __future__ import annotations

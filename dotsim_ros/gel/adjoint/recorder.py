@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Records an implicit gel's steps, settled to rounding, for the adjoint to go back through."""
 
 from __future__ import annotations

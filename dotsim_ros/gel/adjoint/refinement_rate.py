@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How the refinement's added compliance varies with Poisson's ratio, for derivatives by it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Nodal fields at particles, markers and bonded points, and how they vary with these points."""
 
 from __future__ import annotations

@@ -1,1 +1,4 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's explicit Material Point Method."""

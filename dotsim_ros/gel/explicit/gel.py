@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The paper's explicit Material Point Method (its section III-A, equations 1 to 4), in Warp.
 
 A frame is a number of substeps; each moves momentum to the grid, applies the contact model, moves

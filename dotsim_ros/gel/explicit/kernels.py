@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Warp kernels of the explicit MLS-MPM: equations 1 to 3 of the paper, and the skin on it.
 
 Particle to grid and back: Hu et al., "A moving least squares material point method with

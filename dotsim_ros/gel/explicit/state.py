@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The arrays of the explicit method: particles, grid nodes, the indenter's motion in a frame."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A direct solver for the grid's stiffness: block-tridiagonal Cholesky over slabs of the grid.
 
 Quadratic splines couple nodes two grid lines apart, the ghost penalty's third differences three; so

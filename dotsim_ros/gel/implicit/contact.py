@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frictional contact of the skin's markers with a rigid indenter.
 
 Pressure grows with the penetration of a marker, C2 near zero; friction is Coulomb's law with a

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Warp kernels of the contact between skin markers and a rigid indenter."""
 
 # Warp reads kernels by its own rules, which are none of a type checker's.

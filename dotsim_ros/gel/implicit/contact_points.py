@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which markers of the skin bear the contact: all of them, or under a flat face fewer.
 
 Markers lie closer together than the gel can bend, so that where an indenter's surface is flat,

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frictional contact of a few markers on a gel that responds linearly to their forces.
 
 Once elasticity is linearised, the markers' positions are x = b + C (f - f0): b is where they would

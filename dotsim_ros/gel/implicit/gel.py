@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel at equilibrium with the indenter, step by step: quasi-static or backward Euler.
 
 Each step minimises elastic energy + contact energy (+ inertia) over the nodal displacements, by

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The state of one gel carried to another that differs in its grid alone.
 
 Friction remembers where each marker of the skin stuck, so a gel that is merely pressed at the same

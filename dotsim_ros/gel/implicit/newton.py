@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Equilibrium of the gel with the indenter in one substep.
 
 Elasticity is linearised, the contact of the linear gel is solved whole (`contact_problem`), and so

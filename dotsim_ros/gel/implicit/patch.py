@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The part of the skin that the indenter can touch in a step, as contact sees it."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a finer grid adds to the skin's compliance at rest: fine contact at a coarse grid's cost.
 
 The coarse grid cannot follow a contact narrower than its spacing. Its error is local and, to first

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Viscoelastic relaxation by a Prony series, as an incremental potential.
 
 The shape-changing second Piola-Kirchhoff stress S relaxes as S - sum g_k (S - q_k) with internal

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Linear solves of Newton's method on the gel: exact and sparse, or fast and local.
 
 The fast one uses what a press looks like. Far from the indenter the gel barely strains, so its

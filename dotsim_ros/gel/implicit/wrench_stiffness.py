@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How the wrench on an indenter changes with its pose: what couples the gel to other dynamics."""
 
 import numpy as np

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The equilibrium of a gel and a soft layer that is pressed onto it: one minimum of one energy.
 
 Both bodies' elastic energies and that of their contact are minimised together, by Newton's method

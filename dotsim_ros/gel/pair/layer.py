@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A soft layer of even top, bonded to a rigid insert whose face is flat, bulged or dented.
 
 The layer's grid is that of a flat pad, fitted to the insert: a reference point (x, y, s) lies at

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Contact of markers with the deformable top of a layer: an energy of the gaps between them.
 
 A marker's gap is its distance to the nearest point of the top, a smooth spline surface (closest

@@ -1,3 +1,6 @@
+// Copyright 2026 The dotsim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+
 // What the server sends onto the page, and what the user does to the server.
 
 import {ForcePlot} from "./plot.js";

@@ -1,3 +1,6 @@
+// Copyright 2026 The dotsim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+
 // Force over time: the last seconds while it is live, all of it and a mark where a bag is shown.
 
 const COLOURS = [["Fx", "#ff6b6b"], ["Fy", "#51cf66"], ["Fz", "#4dabf7"]];

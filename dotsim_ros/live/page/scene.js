@@ -1,3 +1,6 @@
+// Copyright 2026 The dotsim_ros authors
+// SPDX-License-Identifier: Apache-2.0
+
 // Skin and indenter in WebGL 2, and what the mouse does to them. Lengths in metres, z up.
 
 const SKIN_VERTEX = `#version 300 es

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reads MCAP files, finished or broken off, and lets no damage pass unseen.
 
 Nothing that a file says about lengths is believed before it is compared with the file's own length

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Records of an MCAP file, packed and unpacked within bounds."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Writes MCAP files of which everything flushed can be read again, whatever happens next."""
 
 from __future__ import annotations

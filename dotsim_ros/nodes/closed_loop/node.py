@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`closed_loop`: `xarm_sim`, `tactile_sim` and `tactile_policy` in one process.
 
 The nodes are the same as those of their own executables, with the same names, parameters, services

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a node's user gives it before it runs: the command line and what DDS is set to.
 
 ROS and DDS themselves ignore much of what is wrong here. Needs no ROS.

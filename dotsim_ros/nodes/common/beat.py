@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The common beat of inference and control: absolute deadlines that lean towards the images.
 
 Needs no ROS and no clock: times are handed in.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """ROS parameters of a node from a frozen data class of options, refused with a reason."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A node that goes on, whatever is sent to it, and that starts with one line or not at all."""
 
 from __future__ import annotations

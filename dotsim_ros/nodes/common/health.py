@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What every node reports on /diagnostics: the states of its parts. Needs no ROS."""
 
 from __future__ import annotations

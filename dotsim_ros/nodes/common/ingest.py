@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Faults of a node's input: their closed set, which input is in force, and when one is logged.
 
 Needs no ROS.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Topics between nodes of one process: messages are handed over as they are, without DDS.
 
 Whoever is in another process sees the same topics: publishers send over DDS as well where somebody

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Parameters of a node as one frozen data class: default, description, range and choices in a
 field, so that ROS, a test and a reader of the source all see the same thing. Needs no ROS."""
 

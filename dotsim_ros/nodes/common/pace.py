@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Frames at a fixed rate by absolute deadlines. Needs no ROS and no clock: times are handed in."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a file of ROS parameters must be, for nodes and launch files.
 
 Needs neither ROS nor more than NumPy and PyYAML: `ros2 launch` runs in an interpreter of its own,

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The priority of a process that has deadlines. Needs no ROS."""
 
 from __future__ import annotations

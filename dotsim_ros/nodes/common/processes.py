@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Executables of this package as child processes, for programs that use several. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Why something was refused, as one line that a user can read. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Whether another node publishes the same: two sensors that were started under one name."""
 
 from __future__ import annotations

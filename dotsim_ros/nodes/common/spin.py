@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How every node of this package starts, spins and stops."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A fixed transform on /tf_static, where tf2 is installed."""
 
 from __future__ import annotations

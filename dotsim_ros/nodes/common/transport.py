@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How DDS transports images out of a process, and whether it leaves this machine."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`indenter_player`: plays presses as poses of the indenter.
 
 Publishes `indenter/pose` (PoseStamped) from scripted presses, recorded real presses or a bag.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What `indenter_player` plays, as parameters, and the motion that they ask for. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A running `tactile_sim`, or a real sensor's driver, on the live page: topics in, poses out."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A sensor of this process under the page's indenter: one thread solves, another one sees.
 
 The gel's thread takes the newest pose, as soon as the time of a frame has passed since the last

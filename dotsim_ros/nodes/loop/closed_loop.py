@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The nodes of the closed loop as processes, led through one trial after the other.
 
 The sensor, the policy and the arm are the executables that a user starts, with the parameters of

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A controller of the user's under test: the stand-ins of sensor and arm, in simulated time."""
 
 from __future__ import annotations

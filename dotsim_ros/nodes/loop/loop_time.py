@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How the time of a closed loop passes: by itself, or in steps that the program takes."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Receives what a closed loop publishes and calls its services, for programs that judge it.
 
 Messages are kept as they come over the wire, with the times at which the middleware sent and

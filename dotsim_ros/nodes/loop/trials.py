@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Trials of a policy on one sensor after the other; starts only what must be started anew."""
 
 from __future__ import annotations

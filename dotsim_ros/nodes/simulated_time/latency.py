@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Delays of a simulated world, drawn from a measured distribution. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A node's part in the steps: it holds back what it hears, and goes on when it is told to.
 
 Between two steps nothing is done, so what a node does depends on what was sent up to the step

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Who takes part in simulated time, as a parameter file lists it. Needs no ROS.
 
 example:

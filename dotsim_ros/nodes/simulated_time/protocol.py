@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a stepper and its participants tell each other: JSON in a std_msgs/String.
 
 A step names the time to go to and how many messages of each topic have been sent so far: they

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Waits for what a node publishes that knows nothing of steps."""
 
 from __future__ import annotations

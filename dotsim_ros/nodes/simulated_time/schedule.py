@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a node does at which simulated time. Needs no ROS.
 
 Everything runs on the thread that moves the time on, in the order of the times, whatever the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How fast simulated time may go. Needs no ROS and no clock: times are handed in."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Moves simulated time on in steps, each when every participant has gone as far as the one before.
 
 The order of what happens is then that of the simulated times, on any machine and under any load. A

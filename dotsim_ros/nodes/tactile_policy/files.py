@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The files that `tactile_policy` is given: a policy's folder and an idle image. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What `tactile_policy` receives: images, the arm's pose, the force; the newest and its age."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`tactile_policy`: leads an arm by touch.
 
 Tactile images and the arm's pose go in, velocity commands come out. In real time there are three

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`tactile_record`: writes what the sensor publishes to a ROS 2 bag (mcap).
 
 Messages are taken as they come over the wire, without being unpacked, and written by a thread.

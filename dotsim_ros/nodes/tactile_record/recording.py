@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A bag written by a thread of its own, behind a queue of bounded memory. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The calibration that `camera_info` shows in place of the simulated camera's own intrinsics."""
 
 from __future__ import annotations

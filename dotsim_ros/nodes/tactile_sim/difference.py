@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What has changed in an image since a reference, as DenseTact's drivers show it. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The gel's wrench as the external force on a simulator's links: on the one that presses, and its
 opposite on the one that carries the sensor."""
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The part, size and colour order of the sensor's image that a node publishes. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From poses and velocities to motions that the sensor can be asked to follow. Needs no ROS."""
 
 from __future__ import annotations

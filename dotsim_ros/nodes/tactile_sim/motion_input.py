@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Subscriptions that move the indenter: poses from a topic, odometry or TF, or a velocity that is
 integrated."""
 

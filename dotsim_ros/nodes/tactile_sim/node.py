@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`tactile_sim`: stands where an optical tactile sensor's driver would.
 
 An indenter's pose (of a topic, odometry or TF) or velocity goes in; images, depth, the skin and the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The profile that a session runs with: fixed, or changed as the machine affords. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Which profile a node can afford, from the times of its frames. Needs no ROS and no clock: times
 are handed in.
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The profiles of `tactile_sim`: how accurately the gel is solved, and at what error. Needs no ROS.
 
 The images have no profile: depth, normals and image are rendered for each pixel of the sensor's

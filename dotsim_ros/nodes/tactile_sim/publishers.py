@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Every topic of one frame: published where there are subscribers, all with one stamp."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How far an indenter that may not move freely gets on its way to a pose. Needs no ROS."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """One sensor under a stream of motions: new starts, refusals, and the last valid frame.
 
 Needs no ROS.

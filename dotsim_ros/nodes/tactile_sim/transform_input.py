@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Where the indenter is in the sensor's base, from /tf and /tf_static.
 
 tf2_ros is not needed: it tells nobody when a transform comes, while the sensor has to make a frame

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Who may take the next step of time: a thread takes steps, and others let it or stop it."""
 
 from __future__ import annotations

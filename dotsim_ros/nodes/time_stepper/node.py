@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`time_stepper`: moves simulated time on for nodes that the user launches.
 
 docs/simulated_time.md describes the nodes that take part, the services and the faults.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What the stepper answers to requests of the standard for simulators. Needs no ROS.
 
 The numbers are those of the package simulation_interfaces (ros-simulation/simulation_interfaces,

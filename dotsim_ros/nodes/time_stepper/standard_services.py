@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Services of the standard for simulators, where the package simulation_interfaces is installed.
 
 It is not on PyPI: `has_standard_services` looks for it. What is answered is decided in

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is sent to a real arm that takes velocities by service, and when nothing may be sent.
 
 Needs no ROS and no clock: times are handed in.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`xarm_adapter`: between standard messages and the driver of a real xArm (xarm_msgs).
 
 Velocities become calls of `vc_set_cartesian_velocity`; the arm's state becomes a pose.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What `xarm_sim` reports on /diagnostics. Needs no ROS."""
 
 from __future__ import annotations

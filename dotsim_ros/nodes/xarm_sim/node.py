@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """`xarm_sim`: stands where the driver of an xArm 7 would.
 
 A velocity of the tool goes in; its pose, its velocity and the joints come out, and the pose of a

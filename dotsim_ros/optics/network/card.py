@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The card of a network of images: its kind, sensor and camera, and what it was trained on.
 
 A card names the sensor and the camera, so that weights are never used on another.

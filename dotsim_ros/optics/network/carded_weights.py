@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Weights of a network and the card that describes them: a folder of three files.
 
 - `weights.safetensors`: the weights; its header carries the card.

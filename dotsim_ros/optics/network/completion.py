@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A trained network as the image's completion, run by ONNX Runtime: no torch at run time."""
 
 from __future__ import annotations

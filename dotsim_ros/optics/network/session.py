@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A network's graph, run by ONNX Runtime: opened only where it takes and gives what it should."""
 
 from __future__ import annotations

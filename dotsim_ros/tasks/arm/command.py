@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Velocity commands of a tool: their axes, their limits, and how they change from one to the next.
 
 A command is a `Twist`: (6,) float64, the linear velocity of the tool's origin in m/s, then the

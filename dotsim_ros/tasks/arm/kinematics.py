@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Kinematics of the UFACTORY xArm 7: where its tool is, and which joint rates move it as is wanted.
 
 The modified Denavit-Hartenberg parameters are those that UFACTORY publishes ("Kinematic and Dynamic

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A simulated arm under velocity commands: late, lagging, limited, and able to fail on request.
 
 Times are handed in, in seconds of a steady clock. The motion is computed on a grid of absolute

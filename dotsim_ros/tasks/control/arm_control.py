@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """From the policy's commands to those of the arm: one tick of the control loop, safety included.
 
 Needs no ROS and no clock: times are handed in.

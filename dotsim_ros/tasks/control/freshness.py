@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """How old the newest message of a stream is, and whether its stamps run like a clock.
 
 Three clocks take part: the steady one of this machine, which nobody sets, by which arrivals are

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a closed loop did: the motion of the tool, the commands, the frames, with their times."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What an arm that is led by touch may do, and the states and reasons of its loop."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """When an arm that is led by touch may move.
 
 A stop ends when its cause does (an old image, a silent pose), or it is latched: until the loop is

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The sensor in worlds of rigid bodies, and tasks for learning in them.
 
 Importing this registers the environments with Gymnasium.

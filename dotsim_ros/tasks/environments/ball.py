@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A ball that is moved over the sensor: press to a force, or follow a path by touch.
 
 The action is the ball's velocity in the sensor's frame, three numbers from -1 to 1 of the largest

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Turn a box on a table to a yaw angle by touch: the paper's task of reinforcement learning.
 
 Paper, section IV-D: the sensor presses on the box from above, nine planar moves, one second at 24

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The sensor on a body of a MuJoCo world, coupled in both directions.
 
 MuJoCo moves the bodies, the gel answers where they are. The gel costs some 20 ms and is stiff, so

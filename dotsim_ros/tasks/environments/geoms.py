@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Geoms of a MuJoCo model as indenters."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Proximal policy optimisation of the environments' tasks, with a network that sees by touch.
 
 PPO is skrl's (Serrano-Munoz et al., "skrl: Modular and Flexible Library for Reinforcement

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The card of a policy: what it was trained for, on what, and how well it performs."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Demonstrations: an expert moves a sensor against a ball; the sensor's images and its commands.
 
 An episode is one motion on one gel, seen by several looks (`policy_looks`). Half of the episodes

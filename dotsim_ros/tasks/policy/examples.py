@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Demonstrations as examples for a network, turned, mirrored and exposed anew each time."""
 
 from __future__ import annotations

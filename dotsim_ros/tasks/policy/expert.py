@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The expert: it knows where the indenter is, and commands how the sensor should follow a path."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Policies as files that run without torch: a graph in ONNX beside half-precision weights.
 
 The graph widens each weight to single precision, which ONNX Runtime does once, when it opens the

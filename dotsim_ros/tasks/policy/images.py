@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What a policy sees of a camera's image: the middle of the crop and its change against idle.
 
 The change is divided by the local brightness of the idle image, so that neither the strength nor

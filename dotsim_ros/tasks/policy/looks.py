@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Looks: cameras, lights and coats that a sensor might have had, drawn at random.
 
 A policy trained on many of them relies on what they share: how the skin moves.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A policy that follows a path by touch: an image goes in, a velocity of the sensor comes out.
 
 It is run by ONNX Runtime; torch is loaded by `save_policy` alone.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Reference paths of a ball on a dome, as the sensor feels them: closed, and free of crossings.
 
 A path is where the indenter is in the sensor's frame, its axes held parallel to the sensor's. It is

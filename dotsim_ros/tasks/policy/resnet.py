@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The policy's network for torch: ResNet-18 with one row of six outputs for each path.
 
 ResNet-18 is that of He et al., "Deep residual learning for image recognition", CVPR 2016, as

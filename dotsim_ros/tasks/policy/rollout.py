@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A policy that drives a simulated sensor along its path, in lockstep and without ROS."""
 
 from __future__ import annotations

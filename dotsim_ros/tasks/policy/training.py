@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Behaviour cloning: a network learns the expert's commands; resumable, the same for one seed."""
 
 from __future__ import annotations

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hidden effects of the camera and its lights, with other laws than those that are looked for.
 
 They act on measured images: vignetting falls with the fourth power of a cosine (a thin lens), the

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hidden effects, with other laws than those that are looked for.
 
 Stiffening is exponential, not polynomial (Fung 1967; the solver takes its series to third order);

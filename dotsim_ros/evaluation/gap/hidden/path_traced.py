@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """The sensor's inside by an independent renderer: Mitsuba 3, a path tracer.
 
 Mitsuba (Jakob et al., "Mitsuba 3 renderer", 2022, mitsuba-renderer.org) shares nothing with this

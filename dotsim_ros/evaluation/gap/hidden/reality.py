@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Makes data sets with a hidden effect, and seals what it is."""
 
 from __future__ import annotations

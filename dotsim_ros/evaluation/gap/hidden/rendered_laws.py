@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """Hidden effects of a path-traced unit: each is wrong in its scene or in its camera.
 
 LEDs shine weaker, light comes through the coat, the coat scatters less, the camera stands or looks

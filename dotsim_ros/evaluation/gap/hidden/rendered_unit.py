@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A unit of a sensor whose photographs are path-traced, and the data sets that it is measured in.
 
 Skins are those of a measured data set, so neither the gel nor the light is this project's.

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """What is wrong with each of a series of units, and what each unit is like: drawn by a seed.
 
 A series is balanced: each kind of set has its share of any stretch of it, and each effect lies in

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A folder of data sets whose effects finite elements have solved; it grows by a trajectory at a
 time, and an interrupted run goes on where it stopped.
 

@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A unit of a sensor as finite elements (CalculiX) solve it, what is wrong with it included.
 
 Nothing of the gel that the finder knows takes part: the mesh is of hexahedra, the contact is of

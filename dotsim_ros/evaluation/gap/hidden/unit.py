@@ -1,3 +1,6 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
 """A unit of a sensor with a hidden effect, measured along protocols: a data set as an owner records
 it, with the errors that a unit, a model and instruments have."""
 
