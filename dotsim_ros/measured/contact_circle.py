@@ -53,9 +53,9 @@ def colour_difference(image: ImageArray, idle: ImageArray, blur_px: float) -> Fl
     """Return (H, W) how far the colour is from the idle one's, grey levels, less what the whole
     frame has in common."""
     change = image.astype(np.float32) - idle.astype(np.float32)
-    change = cv2.GaussianBlur(change, (0, 0), blur_px)
-    change -= np.median(change.reshape(-1, 3), axis=0)
-    return np.asarray(np.linalg.norm(change, axis=-1), dtype=np.float32)
+    blurred = np.asarray(cv2.GaussianBlur(change, (0, 0), blur_px), dtype=np.float32)
+    blurred -= np.median(blurred.reshape(-1, 3), axis=0)
+    return np.asarray(np.linalg.norm(blurred, axis=-1), dtype=np.float32)
 
 
 def find_contact_circles(image: ImageArray, idle: ImageArray) -> list[ContactCircle]:
@@ -76,7 +76,10 @@ def find_contact_circles(image: ImageArray, idle: ImageArray) -> list[ContactCir
     width = idle.shape[1]
     scale = min(1.0, SEARCH_WIDTH_PX / width)
     difference = colour_difference(image, idle, max(1.0, width / SEARCH_WIDTH_PX))
-    small = cv2.resize(difference, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    small: Float32Array = np.asarray(
+        cv2.resize(difference, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA),
+        dtype=np.float32,
+    )
     # Of the fine texture: the light of a contact fills half of some frames.
     fine = small - cv2.GaussianBlur(small, (0, 0), FINE_PX)
     noise = 1.4826 * float(np.median(np.abs(fine)))
