@@ -27,7 +27,11 @@ from dotsim_ros.baselines.optics import per_pixel
 from dotsim_ros.evaluation.optics.judge import Factory, mean_score
 from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
-from dotsim_ros.measured.importers.ball_photographs import BallPress, BallRecording
+from dotsim_ros.measured.importers.ball_photographs import (
+    BallPress,
+    BallRecording,
+    with_circles_found,
+)
 from dotsim_ros.measured.importers.fots_balls import read_fots_balls
 from dotsim_ros.measured.importers.taxim_balls import SUBSETS, read_taxim_balls
 from dotsim_ros.metrics.images import score_image
@@ -52,9 +56,13 @@ BEYOND_CONTACT = 2.5
 """Radii from a contact beyond which a photograph's gains are read."""
 CAP = "_cap"
 MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "local", "ours")
-CANDIDATE_RADII_M = (1.0e-3, 2.0e-3, 4.0e-3)
-"""Of a ball that was not recorded."""
-RADIUS_STEPS = 1000
+AS_MARKED = "_as_marked"
+MARKED_MODELS = ("idle", "taxim", "fots", "ours")
+MARKED_BALL_RADIUS_M = 2.0e-3
+"""Of a ball that was not recorded: one as wide as the circles that were marked."""
+CANDIDATE_RADII_M = (0.75e-3, 1.0e-3, 1.5e-3)
+"""Of a ball that was not recorded, for the circles found."""
+RADIUS_STEPS = 500
 """Steps of training where only candidates of a radius are compared."""
 
 SENSOR = SensorSpecification(
@@ -110,7 +118,7 @@ class BallStudy:
     """A recording, with the shapes of the gel under its presses.
 
     Attributes:
-        recording: the photographs.
+        recording: the photographs, with circles that say where models are judged.
         scene: camera and pad.
         by_gel: the presses with the pad's shape.
         by_cap: the presses with the ball's cap.
@@ -122,16 +130,27 @@ class BallStudy:
     by_cap: tuple[OpticalPress, ...]
 
     @classmethod
-    def of(cls, recording: BallRecording, sensor: SensorSpecification = SENSOR) -> BallStudy:
+    def of(
+        cls,
+        recording: BallRecording,
+        placed: Sequence[BallPress] | None = None,
+        sensor: SensorSpecification = SENSOR,
+    ) -> BallStudy:
         """Press the ball into a pad, and lay the pad's shape under each photograph.
+
+        Args:
+            recording: the photographs.
+            placed: the same presses with the circles to lay it at; None for the recording's.
+            sensor: whose pad is pressed.
 
         Raises:
             ValueError: the gel could not be solved, or is smaller than the image.
         """
         scene = flat_scene(recording.idle, sensor, recording.pixels_per_metre)
         profiles = press_profiles(sensor, recording.ball_radius_m)
-        by_gel = gel_presses(recording.presses, scene, profiles)
-        by_cap = cap_presses(recording.presses, by_gel, scene, recording.ball_radius_m)
+        placed = recording.presses if placed is None else placed
+        by_gel = gel_presses(placed, scene, profiles)
+        by_cap = cap_presses(placed, by_gel, scene, recording.ball_radius_m)
         return cls(recording, scene, tuple(by_gel), tuple(by_cap))
 
     def judged(self, make: Factory, test: Sequence[int], *, cap: bool = False) -> dict[str, Any]:
@@ -176,6 +195,7 @@ def evaluate_recording(
     recording: BallRecording,
     test: Sequence[int],
     *,
+    placed: Sequence[BallPress] | None = None,
     models: Sequence[str],
     settings: FitSettings,
     state: Path,
@@ -186,6 +206,8 @@ def evaluate_recording(
     Args:
         recording: the photographs.
         test: numbers of the presses held out.
+        placed: the presses with the circles at which the gel's shape is laid, for every model
+            alike; None for the recording's own.
         models: names of `MODELS`.
         settings: how models are fitted.
         state: folder of a network's training.
@@ -196,7 +218,7 @@ def evaluate_recording(
     """
     presses = recording.presses
     progress(f"{recording.name}: pressing the ball into a pad, {len(presses)} images to explain")
-    study = BallStudy.of(recording)
+    study = BallStudy.of(recording, placed)
     rows = {}
     for model in models:
         progress(f"{recording.name}, {model}: fitting on {len(presses) - len(test)} presses")
@@ -272,19 +294,34 @@ def evaluate_gelsight_taxim(
     for subset in SUBSETS:
         recording = read_taxim_balls(directory, subset)
         test = list(range(EVERY - 1, len(recording.presses), EVERY))
-        figures[subset] = evaluate_recording(
-            recording, test, models=models, settings=settings, state=state, progress=progress
+        given: dict[str, Any] = {"settings": settings, "state": state, "progress": progress}
+        if recording.scale_known:
+            figures[subset] = evaluate_recording(recording, test, models=models, **given)
+            continue
+        # Its marks lie beside what is seen, by up to half their radius.
+        found = with_circles_found(recording).presses
+        figures[subset] = evaluate_recording(recording, test, placed=found, models=models, **given)
+        fitted_on = [k for k in range(len(recording.presses)) if k not in test]
+        figures[subset]["by_ball_radius_mm"] = radius_profile(
+            replace(recording, presses=tuple(recording.presses[k] for k in fitted_on)),
+            [found[k] for k in fitted_on],
+            settings,
+            progress,
         )
-        if not recording.scale_known:
-            fitted_on = [press for k, press in enumerate(recording.presses) if k not in test]
-            figures[subset]["by_ball_radius_mm"] = radius_profile(
-                replace(recording, presses=tuple(fitted_on)), settings, progress
-            )
+        figures[subset + AS_MARKED] = evaluate_recording(
+            replace(recording, ball_radius_m=MARKED_BALL_RADIUS_M),
+            test,
+            models=[model for model in models if model in MARKED_MODELS],
+            **given,
+        )
     return {"subsets": figures}
 
 
 def radius_profile(
-    recording: BallRecording, settings: FitSettings, progress: Callable[[str], None]
+    recording: BallRecording,
+    placed: Sequence[BallPress],
+    settings: FitSettings,
+    progress: Callable[[str], None],
 ) -> dict[str, float]:
     """Return the contact's PSNR on every fourth press, of our model fitted on the others, for
     candidates of the radius of a ball that was not recorded, by the radius in mm. A flat profile:
@@ -296,7 +333,7 @@ def radius_profile(
     found = {}
     for radius in CANDIDATE_RADII_M:
         progress(f"{recording.name}: a ball of {1e3 * radius:g} mm radius")
-        study = BallStudy.of(replace(recording, ball_radius_m=radius))
+        study = BallStudy.of(replace(recording, ball_radius_m=radius), placed)
         row = study.judged(
             lambda t, r, c: fit_neighbourhood(t, r, c, seed=settings.seed, recipe=recipe),
             range(0, len(recording.presses), EVERY),
@@ -372,6 +409,11 @@ def gelsight_taxim_page(figures: dict[str, Any]) -> str:
                 "The ball's radius was not recorded. Judged on every fourth of the presses fitted "
                 f"on, with a short training, the contact's PSNR by an assumed radius: {profile}.\n"
             )
+    lines.append(
+        "`gelsight_mini`: the gel's shape lies at the circle found in each photograph by "
+        "`measured.contact_circle`, for every method alike, as the circles marked scatter around "
+        f"what is seen; `{AS_MARKED}` has them. Contact is the marked circle's in both.\n"
+    )
     return "\n".join([*lines, NOTES, entry_list(figures["provenance"])])
 
 

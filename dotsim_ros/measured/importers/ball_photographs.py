@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -130,6 +130,19 @@ def read_marked_photographs(
         check_contact(path, image, untouched, circle, where)
         presses.append(BallPress(name, circle.centre_px, circle.radius_px, image))
     return untouched, tuple(sorted(presses, key=lambda press: press.name))
+
+
+def with_circles_found(recording: BallRecording) -> BallRecording:
+    """Return a recording with the circles found in its photographs instead of those marked.
+
+    Raises:
+        ValueError: a photograph does not show one ball.
+    """
+    presses = []
+    for press in recording.presses:
+        circle = one_contact(Path(press.name), find_contact_circles(press.image, recording.idle))
+        presses.append(replace(press, centre_px=circle.centre_px, radius_px=circle.radius_px))
+    return replace(recording, presses=tuple(presses))
 
 
 def _circles(

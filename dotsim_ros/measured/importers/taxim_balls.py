@@ -35,8 +35,9 @@ class TaximSubset:
 SUBSETS = {
     "gelsight": TaximSubset(2.0e-3, 1.0 / 0.0295e-3, True),
     # Neither was recorded. The scale is the 0.0634 mm a pixel of the maker's demonstrations at
-    # 320x240; images of a ball alone do not tell its radius, see docs/real_data.md.
-    "gelsight_mini": TaximSubset(2.0e-3, 2.0 / 0.0634e-3, False),
+    # 320x240; images of a ball alone do not tell its radius, see docs/real_data.md. It is a round
+    # number above the widest contact found.
+    "gelsight_mini": TaximSubset(1.0e-3, 2.0 / 0.0634e-3, False),
 }
 
 
