@@ -1,0 +1,1 @@
+"""A sensor from photographs of a ball: no force gauge, no stage."""
