@@ -216,6 +216,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             default=list(BALL_MODELS),
             help="which (all)",
         )
+        subject.add_argument(
+            "--images", type=Path, default=Path("docs/images"), help="folder of the sheets"
+        )
     gelsight.add_argument("--count", type=int, default=8, help="presses held out (8)")
     _add_classification_arguments(classification)
     for subject in (optics, *balls, classification):
@@ -541,6 +544,7 @@ def _gelsight(arguments: argparse.Namespace) -> int:
         settings=settings,
         state=state,
         held_out=arguments.count,
+        sheets=arguments.images,
         progress=_say,
     )
     return _write(arguments, figures, origin, gelsight_page)
@@ -551,7 +555,12 @@ def _gelsight_taxim(arguments: argparse.Namespace) -> int:
 
     settings, state, origin = _ball_settings(arguments)
     figures = evaluate_gelsight_taxim(
-        arguments.data, models=arguments.models, settings=settings, state=state, progress=_say
+        arguments.data,
+        models=arguments.models,
+        settings=settings,
+        state=state,
+        sheets=arguments.images,
+        progress=_say,
     )
     return _write(arguments, figures, origin, gelsight_taxim_page)
 

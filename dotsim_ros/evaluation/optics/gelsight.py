@@ -26,6 +26,7 @@ from dotsim_ros.arrays import ImageArray
 from dotsim_ros.baselines.optics import per_pixel
 from dotsim_ros.evaluation.optics.judge import Factory, mean_score
 from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
+from dotsim_ros.evaluation.optics.sheet import write_optics_sheet
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.measured.importers.ball_photographs import (
     BallPress,
@@ -62,6 +63,8 @@ MARKED_BALL_RADIUS_M = 2.0e-3
 """Of a ball that was not recorded: one as wide as the circles that were marked."""
 CANDIDATE_RADII_M = (0.75e-3, 1.0e-3, 1.5e-3)
 """Of a ball that was not recorded, for the circles found."""
+SHOWN_MODELS = ("ours", "taxim", "fots")
+SHOWN_PRESSES = 2
 RADIUS_STEPS = 500
 """Steps of training where only candidates of a radius are compared."""
 
@@ -153,8 +156,11 @@ class BallStudy:
         by_cap = cap_presses(placed, by_gel, scene, recording.ball_radius_m)
         return cls(recording, scene, tuple(by_gel), tuple(by_cap))
 
-    def judged(self, make: Factory, test: Sequence[int], *, cap: bool = False) -> dict[str, Any]:
-        """Return the mean scores of a model on some presses, fitted on the others."""
+    def judged(
+        self, make: Factory, test: Sequence[int], *, cap: bool = False
+    ) -> tuple[dict[str, Any], list[ImageArray]]:
+        """Return the mean scores of a model on some presses, fitted on the others, and its images
+        of them."""
         shapes = self.by_cap if cap else self.by_gel
         presses = self.recording.presses
         fitted = make(
@@ -162,15 +168,15 @@ class BallStudy:
             self.scene.rest,
             self.scene.camera,
         )
+        images = [fitted.predict(shapes[k], self.scene.rest)[0] for k in test]
         plain, balanced = [], []
-        for k in test:
-            predicted = fitted.predict(shapes[k], self.scene.rest)[0]
+        for k, predicted in zip(test, images, strict=True):
             regions = {"frame": None, "contact": presses[k].near_contact()}
             plain.append(score_image(predicted, presses[k].image, regions))
             balanced.append(
                 score_image(with_gains_of(predicted, presses[k]), presses[k].image, regions)
             )
-        return {
+        row = {
             **mean_score([score["frame"] for score in plain]),
             "contact": mean_score([score["contact"] for score in plain]),
             "balanced": {
@@ -178,6 +184,7 @@ class BallStudy:
                 "contact": mean_score([score["contact"] for score in balanced]),
             },
         }
+        return row, images
 
 
 def with_gains_of(predicted: ImageArray, press: BallPress) -> ImageArray:
@@ -199,6 +206,7 @@ def evaluate_recording(
     models: Sequence[str],
     settings: FitSettings,
     state: Path,
+    sheets: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
     """Return the figures of the models on some presses, fitted on the others.
@@ -211,6 +219,7 @@ def evaluate_recording(
         models: names of `MODELS`.
         settings: how models are fitted.
         state: folder of a network's training.
+        sheets: folder of a sheet of images, named by the recording; None for none.
         progress: called with a line that says what is being done.
 
     Raises:
@@ -219,11 +228,22 @@ def evaluate_recording(
     presses = recording.presses
     progress(f"{recording.name}: pressing the ball into a pad, {len(presses)} images to explain")
     study = BallStudy.of(recording, placed)
-    rows = {}
+    rows, shown = {}, {}
     for model in models:
         progress(f"{recording.name}, {model}: fitting on {len(presses) - len(test)} presses")
         make = _factory(model.removesuffix(CAP), settings, state / recording.name, progress)
-        rows[model] = study.judged(make, test, cap=model.endswith(CAP))
+        rows[model], images = study.judged(make, test, cap=model.endswith(CAP))
+        if model in SHOWN_MODELS:
+            keys = [(presses[k].name, 0) for k in test[:SHOWN_PRESSES]]
+            shown[model] = dict(zip(keys, images, strict=False))
+    if sheets is not None:
+        write_optics_sheet(
+            sheets / f"balls_{recording.name}.jpg",
+            {(presses[k].name, 0): presses[k].image for k in test[:SHOWN_PRESSES]},
+            {model: shown[model] for model in SHOWN_MODELS if model in shown},
+            study.scene.rest.lit,
+            title=f"{recording.name}: presses held out, and errors x 3",
+        )
     scale = recording.pixels_per_metre
     return {
         "rows": rows,
@@ -241,6 +261,7 @@ def evaluate_gelsight(
     settings: FitSettings,
     state: Path,
     held_out: int = HELD_OUT,
+    sheets: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
     """Return the figures of the models on the presses of FOTS.
@@ -251,6 +272,7 @@ def evaluate_gelsight(
         settings: how models are fitted; the seed draws the presses held out too.
         state: folder of a network's training.
         held_out: how many.
+        sheets: folder of a sheet of images; None for none.
         progress: called with a line that says what is being done.
 
     Raises:
@@ -265,7 +287,13 @@ def evaluate_gelsight(
     random = np.random.default_rng(settings.seed)
     test = sorted(random.choice(count, size=held_out, replace=False).tolist())
     return evaluate_recording(
-        recording, test, models=models, settings=settings, state=state, progress=progress
+        recording,
+        test,
+        models=models,
+        settings=settings,
+        state=state,
+        sheets=sheets,
+        progress=progress,
     )
 
 
@@ -275,6 +303,7 @@ def evaluate_gelsight_taxim(
     models: Sequence[str],
     settings: FitSettings,
     state: Path,
+    sheets: Path | None = None,
     progress: Callable[[str], None] = lambda _line: None,
 ) -> dict[str, Any]:
     """Return the figures of the models on every fourth press of Taxim's two sensors, and what the
@@ -285,6 +314,7 @@ def evaluate_gelsight_taxim(
         models: names of `MODELS`.
         settings: how models are fitted.
         state: folder of a network's training.
+        sheets: folder of the sheets of images; None for none.
         progress: called with a line that says what is being done.
 
     Raises:
@@ -296,11 +326,15 @@ def evaluate_gelsight_taxim(
         test = list(range(EVERY - 1, len(recording.presses), EVERY))
         given: dict[str, Any] = {"settings": settings, "state": state, "progress": progress}
         if recording.scale_known:
-            figures[subset] = evaluate_recording(recording, test, models=models, **given)
+            figures[subset] = evaluate_recording(
+                recording, test, models=models, sheets=sheets, **given
+            )
             continue
         # Its marks lie beside what is seen, by up to half their radius.
         found = with_circles_found(recording).presses
-        figures[subset] = evaluate_recording(recording, test, placed=found, models=models, **given)
+        figures[subset] = evaluate_recording(
+            recording, test, placed=found, models=models, sheets=sheets, **given
+        )
         fitted_on = [k for k in range(len(recording.presses)) if k not in test]
         figures[subset]["by_ball_radius_mm"] = radius_profile(
             replace(recording, presses=tuple(recording.presses[k] for k in fitted_on)),
@@ -334,7 +368,7 @@ def radius_profile(
     for radius in CANDIDATE_RADII_M:
         progress(f"{recording.name}: a ball of {1e3 * radius:g} mm radius")
         study = BallStudy.of(replace(recording, ball_radius_m=radius), placed)
-        row = study.judged(
+        row, _images = study.judged(
             lambda t, r, c: fit_neighbourhood(t, r, c, seed=settings.seed, recipe=recipe),
             range(0, len(recording.presses), EVERY),
         )
