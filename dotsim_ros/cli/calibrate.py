@@ -150,16 +150,21 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run_guided(arguments: argparse.Namespace) -> None:
-    from dotsim_ros.calibration.calibrate import report_folder
-    from dotsim_ros.calibration.guided.fit import GuidedRequest, calibrate_guided
-    from dotsim_ros.calibration.guided.report import (
-        FIGURES,
-        PAGE,
-        summary_lines,
-        write_guided_report,
-    )
     from dotsim_ros.files import write_text
 
+    try:
+        from dotsim_ros.calibration.calibrate import report_folder
+        from dotsim_ros.calibration.guided.fit import GuidedRequest, calibrate_guided
+        from dotsim_ros.calibration.guided.report import (
+            FIGURES,
+            PAGE,
+            summary_lines,
+            write_guided_report,
+        )
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"--guided needs {error.name}, which is not installed; install dotsim_ros[learning]"
+        ) from error
     if arguments.ball_diameter_mm is None:
         raise ValueError("--guided needs the ball's diameter; give it with --ball-diameter-mm")
     scale, pad = arguments.pixels_per_mm, arguments.pad_size_mm

@@ -33,7 +33,7 @@ CAMERA_DISTANCE_M = 0.03
 """Distance of the camera from the pad's face; such sensors are about as large."""
 PINHOLE = (1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0)
 """Coefficients of the tangent's series: an equidistant lens with them is a pinhole."""
-FIRST_DEPTH, LAST_DEPTH, DEPTH_COUNT = 0.1, 1.0, 21
+FIRST_DEPTH, LAST_DEPTH, DEPTH_COUNT = 0.4 / 2.35, 2.4 / 2.35, 21
 """Depths of the presses that are solved, over the ball's radius."""
 STEP_S = 0.05
 TOUCHING_M = 40.0e-6
