@@ -12,6 +12,12 @@ example:
   dotsim_ros calibrate --data measured/sensor_a --out params.yaml
   dotsim_ros calibrate --data measured/sensor_a --out params.yaml --fit E nu friction c20
   dotsim_ros calibrate --data measured/sensor_a --out 2_cone.yaml --leave-out 2_cone
+  dotsim_ros calibrate --guided photographs --ball-diameter-mm 4.7 --out pad.yaml
+
+With `--guided` it makes the sensor's file from a folder of photographs of a ball instead, without
+force and without a stage: idle image, scale, shading, and a report that says what photographs do
+not tell. With `--data` beside it, the gel's constants are then fitted to presses with force.
+docs/guided.md walks through it.
 """
 
 from __future__ import annotations
@@ -34,8 +40,9 @@ HELD_OUT_COUNT = 9
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
-    parser.add_argument("--data", type=Path, required=True, help="folder of the data set")
+    parser.add_argument("--data", type=Path, help="folder of the data set")
     parser.add_argument("--out", type=Path, required=True, help="sensor's file to write (.yaml)")
+    _add_guided_arguments(parser)
     parser.add_argument(
         "--sensor",
         default="densetact2",
@@ -100,6 +107,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         parser.add_argument(f"--noise-{name}", type=float, metavar="SIGMA", help=what)
 
 
+def _add_guided_arguments(parser: argparse.ArgumentParser) -> None:
+    guided = parser.add_argument_group("from photographs of a ball")
+    guided.add_argument(
+        "--guided", type=Path, metavar="FOLDER", help="of the photographs, one without contact"
+    )
+    guided.add_argument("--ball-diameter-mm", type=float, metavar="MM", help="of the ball")
+    guided.add_argument(
+        "--pixels-per-mm",
+        type=float,
+        metavar="PX",
+        help="of the flat gel, measured with a calliper pressed on it (assumed from the circles)",
+    )
+    guided.add_argument(
+        "--pad-size-mm",
+        type=float,
+        nargs=3,
+        metavar="MM",
+        help="of the pad along the image's x and y, and its thickness (what is seen, 4 thick)",
+    )
+
+
 _NOISES = {
     "skin-m": "white noise of a skin point, an axis, m (0.04e-3)",
     "skin-discretisation-m": "error of the skin that a patch has in common, m (0.1e-3)",
@@ -112,13 +140,63 @@ _NOISES = {
 
 def run(arguments: argparse.Namespace) -> int:
     """Calibrate, write the files, and print the figures."""
+    if arguments.guided is None and arguments.data is None:
+        raise ValueError(
+            "nothing to calibrate from; name a data set with --data, or a folder of photographs of "
+            "a ball with --guided"
+        )
+    if arguments.guided is not None:
+        _run_guided(arguments)
+    if arguments.data is not None:
+        _run_presses(arguments, arguments.out if arguments.guided else arguments.sensor)
+    return 0
+
+
+def _run_guided(arguments: argparse.Namespace) -> None:
+    from dotsim_ros.files import write_text
+
+    try:
+        from dotsim_ros.calibration.calibrate import report_folder
+        from dotsim_ros.calibration.guided.fit import GuidedRequest, calibrate_guided
+        from dotsim_ros.calibration.guided.report import (
+            FIGURES,
+            PAGE,
+            summary_lines,
+            write_guided_report,
+        )
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"--guided needs {error.name}, which is not installed; install dotsim_ros[learning]"
+        ) from error
+    if arguments.ball_diameter_mm is None:
+        raise ValueError("--guided needs the ball's diameter; give it with --ball-diameter-mm")
+    scale, pad = arguments.pixels_per_mm, arguments.pad_size_mm
+    request = GuidedRequest(
+        arguments.guided,
+        arguments.out,
+        1e-3 * arguments.ball_diameter_mm,
+        pixels_per_metre=None if scale is None else 1e3 * scale,
+        pad_size_m=None if pad is None else (1e-3 * pad[0], 1e-3 * pad[1], 1e-3 * pad[2]),
+        name=arguments.name,
+        seed=arguments.seed,
+    )
+    found = calibrate_guided(request, progress=print)
+    report = report_folder(arguments.out)
+    write_guided_report(report, found)
+    if arguments.json is not None:
+        write_text(arguments.json, (report / FIGURES).read_text(encoding="utf-8"))
+    lines = summary_lines(found)
+    print("\n".join([*lines, f"sensor: {arguments.out}", f"report: {report / PAGE}"]))
+
+
+def _run_presses(arguments: argparse.Namespace, sensor: str | Path) -> None:
     from dotsim_ros.calibration.calibrate import calibrate, report_folder
     from dotsim_ros.calibration.report import FIGURES, PAGE, summary_lines
     from dotsim_ros.files import write_text
 
     calibration = calibrate(
         arguments.data,
-        sensor=arguments.sensor,
+        sensor=sensor,
         out=arguments.out,
         fit=arguments.fit,
         losses=arguments.loss,
@@ -140,7 +218,6 @@ def run(arguments: argparse.Namespace) -> int:
         write_text(arguments.json, (report / FIGURES).read_text(encoding="utf-8"))
     lines = summary_lines(calibration)
     print("\n".join([*lines, f"sensor: {arguments.out}", f"report: {report / PAGE}"]))
-    return 0
 
 
 def _noise(arguments: argparse.Namespace) -> LossNoise:

@@ -11,7 +11,8 @@ implicit and the explicit gel follow a few presses at several resolutions; it wr
 runtime.json. `optics` fits every model of the image on the frames of six splits and judges it on
 their others; it writes optics.md, optics.json and sheets of images. A row that was made before is
 not made again, so an interrupted run is resumed. `gelsight` does the same on real presses of a
-ball on a flat sensor. `real_pair` fits a press to one real image of a DenseTact. `gap` hides
+ball on a flat sensor, `gelsight_taxim` on those of two more.
+`real_pair` fits a press to one real image of a DenseTact. `gap` hides
 effects in measured presses and lets the gap finder look for them; it writes gap.md and gap.json.
 With `--sets` it runs the whole finder on sets that `dotsim_ros hide` made, and writes
 gap_physics.md and gap_physics.json; a set that was searched before is not searched again.
@@ -34,6 +35,7 @@ examples:
   dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
   dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
+  dotsim_ros evaluate gelsight_taxim --data ../shared/real/gelsight_taxim --out docs/results
   dotsim_ros evaluate real_pair --data ../shared/real/densetact --out docs/results
   dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
   dotsim_ros evaluate gap --sets DIR --sensor DIR/sensor_a.yaml --out docs/results
@@ -59,6 +61,7 @@ from dotsim_ros.cli._workers import add_worker_arguments, crew_of
 
 if TYPE_CHECKING:
     from dotsim_ros.evaluation.geometry.report import Measured
+    from dotsim_ros.evaluation.optics.models import FitSettings
     from dotsim_ros.measured.split import Split
 
 MODELS = ("ours", "explicit", "explicit_fitted", "tacto", "taxim", "difftactile")
@@ -98,7 +101,7 @@ MOTIONS = ("line", "arc", "figure_eight", "press")
 SENSORS = ("simulated", "transferred", "shifted", "reality")
 CLOCKS = ("simulated", "realtime")
 HALVES = ("development", "opened")
-BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "ours")
+BALL_MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "local", "ours")
 RUNTIME_PRESS_COUNT = 3
 ROLLOUT_EPISODES = 4
 SEEN = ("depth", "image")
@@ -115,12 +118,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     optics = subjects.add_parser("optics", help="images of every model")
     runtime = subjects.add_parser("runtime", help="frames a second against the error")
     gelsight = subjects.add_parser("gelsight", help="images of a real flat sensor")
+    gelsight_taxim = subjects.add_parser("gelsight_taxim", help="images of two more")
     real_pair = subjects.add_parser("real_pair", help="one real image, explained by a press")
     gap = subjects.add_parser("gap", help="the gap finder on hidden effects")
     classification = subjects.add_parser(
         "classification", help="which indenter touches, learnt from simulated images"
     )
-    for subject in (geometry, later, optics, gelsight, real_pair, runtime, gap, classification):
+    balls = (gelsight, gelsight_taxim)
+    for subject in (geometry, later, optics, *balls, real_pair, runtime, gap, classification):
         subject.add_argument(
             "--data", type=Path, required=subject is not gap, help="folder of a data set"
         )
@@ -218,12 +223,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         subjects.add_parser("tumour", help="a bulge or a dent below a soft skin, told by touch")
     )
     _add_optics_arguments(optics)
-    gelsight.add_argument(
-        "--models", nargs="+", choices=BALL_MODELS, default=list(BALL_MODELS), help="which (all)"
-    )
+    for subject in balls:
+        subject.add_argument(
+            "--models",
+            nargs="+",
+            choices=BALL_MODELS,
+            default=list(BALL_MODELS),
+            help="which (all)",
+        )
+        subject.add_argument(
+            "--images", type=Path, default=Path("docs/images"), help="folder of the sheets"
+        )
     gelsight.add_argument("--count", type=int, default=8, help="presses held out (8)")
     _add_classification_arguments(classification)
-    for subject in (optics, gelsight, classification):
+    for subject in (optics, *balls, classification):
         _add_network_arguments(subject)
     runtime.add_argument(
         "--presses",
@@ -538,24 +551,47 @@ def _optics(arguments: argparse.Namespace) -> int:
 
 def _gelsight(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.optics.gelsight import evaluate_gelsight, gelsight_page
-    from dotsim_ros.evaluation.optics.models import FitSettings
-    from dotsim_ros.files import cache_directory
 
-    settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
+    settings, state, origin = _ball_settings(arguments)
     figures = evaluate_gelsight(
         arguments.data,
         models=arguments.models,
         settings=settings,
-        state=(arguments.cache or cache_directory() / "optics") / f"gelsight-{arguments.seed}",
+        state=state,
         held_out=arguments.count,
+        sheets=arguments.images,
         progress=_say,
     )
+    return _write(arguments, figures, origin, gelsight_page)
+
+
+def _gelsight_taxim(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.optics.gelsight import evaluate_gelsight_taxim, gelsight_taxim_page
+
+    settings, state, origin = _ball_settings(arguments)
+    figures = evaluate_gelsight_taxim(
+        arguments.data,
+        models=arguments.models,
+        settings=settings,
+        state=state,
+        sheets=arguments.images,
+        progress=_say,
+    )
+    return _write(arguments, figures, origin, gelsight_taxim_page)
+
+
+def _ball_settings(arguments: argparse.Namespace) -> tuple[FitSettings, Path, dict[str, str]]:
+    from dotsim_ros.evaluation.optics.models import FitSettings
+    from dotsim_ros.files import cache_directory
+
+    settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
+    state = (arguments.cache or cache_directory() / "optics") / f"gelsight-{arguments.seed}"
     origin = {
         "seed": str(arguments.seed),
         "budget_minutes": str(arguments.budget_minutes),
         "network_width": str(arguments.network_width),
     }
-    return _write(arguments, figures, origin, gelsight_page)
+    return settings, state, origin
 
 
 def _gap(arguments: argparse.Namespace) -> int:
@@ -887,6 +923,7 @@ _SUBJECTS = {
     "geometry_later": _geometry_later,
     "optics": _optics,
     "gelsight": _gelsight,
+    "gelsight_taxim": _gelsight_taxim,
     "real_pair": _real_pair,
     "gap": _gap,
     "runtime": _runtime,

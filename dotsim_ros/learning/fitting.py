@@ -31,7 +31,7 @@ from dotsim_ros.twin.footage import OpticalPress, Rest
 PREDICTED_TOGETHER = 4
 """Frames in one pass of a network that is not trained."""
 
-CPU_WIDTH = {"ours": 320, "paper": 160, "paper_direct": 160, "unet": 160}
+CPU_WIDTH = {"ours": 320, "paper": 160, "paper_direct": 160, "unet": 160, "neighbourhood": 320}
 """Largest width of a network's images, in pixels, where there is no CUDA."""
 
 

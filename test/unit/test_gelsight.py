@@ -14,24 +14,24 @@ import pytest
 from numpy.typing import NDArray
 
 from dotsim_ros.cli.evaluate import BALL_MODELS
-from dotsim_ros.evaluation.optics.gelsight import (
+from dotsim_ros.evaluation.optics.gelsight import MODELS, SENSOR, cap_presses, with_gains_of
+from dotsim_ros.measured.importers.ball_photographs import BallPress
+from dotsim_ros.measured.importers.fots_balls import (
     BALL_RADIUS_M,
-    MODELS,
     PIXELS_PER_METRE,
-    SENSOR,
-    BallPress,
+    read_fots_balls,
+)
+from dotsim_ros.measured.importers.taxim_balls import read_taxim_balls
+from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.specification import GelSpecification, SolverSpecification
+from dotsim_ros.twin.ball_presses import (
     FlatScene,
     PressProfiles,
-    cap_presses,
     flat_camera,
     flat_scene,
     gel_presses,
-    near_contact,
     press_profiles,
-    read_ball_presses,
 )
-from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import GelSpecification, SolverSpecification
 
 SIZE = (80, 60)
 COARSE = replace(
@@ -53,7 +53,7 @@ def ball_press(centre: tuple[float, float] = (30.0, 45.0), radius: float = 30.0)
 
 def scene() -> FlatScene:
     """Return a camera over a pad that fills it."""
-    return flat_scene(image(), COARSE)
+    return flat_scene(image(), COARSE, PIXELS_PER_METRE)
 
 
 @pytest.fixture(scope="module")
@@ -62,42 +62,76 @@ def profiles() -> PressProfiles:
     return press_profiles(COARSE, BALL_RADIUS_M)
 
 
-def write_recording(folder: Path, table: str, count: int = 2) -> None:
-    """Write images and the table of circles."""
-    for name in ["idle.png", *(f"{k:04d}.png" for k in range(1, count + 1))]:
-        cv2.imwrite(str(folder / name), image())
-    (folder / "contact_circles.csv").write_text(table)
+def photograph(*discs: tuple[int, int], size: tuple[int, int] = (160, 120)) -> NDArray[np.uint8]:
+    """Return what a ball of 16 pixels does to an even grey: a bright ring with a dim middle."""
+    level = np.full((*size, 3), 120.0)
+    y, x = np.mgrid[: size[0], : size[1]]
+    for centre in discs:
+        distance = np.hypot(x - centre[0], y - centre[1]) / 16.0
+        slope = np.where(distance < 1.0, distance, np.exp(-3.0 * (distance - 1.0)))
+        level += slope[..., None] * np.array([60.0, -30.0, 20.0])
+    return np.asarray(level, dtype=np.uint8)
 
 
-HEADER = "img_names,center_x,center_y,radius\n"
+def write_recording(folder: Path, table: str, pressed: NDArray[np.uint8]) -> None:
+    """Write an idle image, one of a press, and the table of circles."""
+    cv2.imwrite(str(folder / "idle.png"), photograph())
+    cv2.imwrite(str(folder / "0001.png"), cv2.cvtColor(pressed, cv2.COLOR_RGB2BGR))
+    (folder / "contact_circles.csv").write_text("img_names,center_x,center_y,radius\n" + table)
 
 
-def test_recording_is_read_by_name(tmp_path: Path) -> None:
-    write_recording(tmp_path, HEADER + "0002.png,10,20,30\n0001.png,11,21,31\n")
-    idle, presses = read_ball_presses(tmp_path)
-    assert idle.shape == (*SIZE, 3)
-    assert [press.name for press in presses] == ["0001.png", "0002.png"]
-    assert presses[0].centre_px.tolist() == [11.0, 21.0]
-    assert presses[0].radius_px == 31.0
+def test_a_recording_is_read(tmp_path: Path) -> None:
+    write_recording(tmp_path, "0001.png,50,70,16\n", photograph((50, 70)))
+    recording = read_fots_balls(tmp_path)
+    (press,) = recording.presses
+    assert (press.name, press.centre_px.tolist(), press.radius_px) == ("0001.png", [50, 70], 16)
+    assert np.array_equal(press.image, photograph((50, 70)))
+    assert recording.idle.shape == (160, 120, 3)
 
 
-def test_bad_recordings_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("table", "pressed", "words"),
+    [
+        ("0001.png,50,wide,16\n", photograph((50, 70)), r"line 2: .* is no circle"),
+        ("0009.png,50,70,16\n", photograph((50, 70)), r"no image .*0009\.png"),
+        ("0001.png,50,70,16\n", photograph((50, 70))[:-1], r"expected that of idle\.png"),
+        ("0001.png,50,70,16\n", photograph(), "shows no ball"),
+        ("0001.png,30,30,16\n", photograph((30, 30), (85, 120)), "shows two contacts"),
+        ("0001.png,10,70,16\n", photograph((10, 70)), "leaves the frame"),
+        ("0001.png,30,30,16\n", photograph((85, 120)), "is at pixel .* mark the circle anew"),
+    ],
+)
+def test_bad_recordings_are_refused(
+    tmp_path: Path, table: str, pressed: NDArray[np.uint8], words: str
+) -> None:
+    write_recording(tmp_path, table, pressed)
+    with pytest.raises((ValueError, FileNotFoundError), match=words):
+        read_fots_balls(tmp_path)
+
+
+def test_a_folder_without_images_is_refused(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"no image .*idle\.png"):
-        read_ball_presses(tmp_path)
-    write_recording(tmp_path, HEADER + "0001.png,10,wide,30\n")
-    with pytest.raises(ValueError, match=r"line 2: .* is no circle"):
-        read_ball_presses(tmp_path)
-    write_recording(tmp_path, HEADER + "0009.png,10,20,30\n")
-    with pytest.raises(FileNotFoundError, match=r"no image .*0009\.png"):
-        read_ball_presses(tmp_path)
-    write_recording(tmp_path, HEADER + "0001.png,10,20,30\n")
-    cv2.imwrite(str(tmp_path / "0001.png"), image()[:-1])
-    with pytest.raises(ValueError, match="expected that of idle"):
-        read_ball_presses(tmp_path)
+        read_fots_balls(tmp_path)
+
+
+def test_the_published_recordings_are_read() -> None:
+    real = Path(__file__).parents[3] / "shared" / "real"
+    if not real.is_dir():
+        pytest.skip("the recordings are not here")
+    assert len(read_fots_balls(real / "gelsight").presses) == 32
+    for subset in ("gelsight", "gelsight_mini"):
+        recording = read_taxim_balls(real / "gelsight_taxim", subset)
+        assert len(recording.presses) == 18
+        assert recording.idle.shape == (480, 640, 3)
+
+
+def test_an_image_takes_the_gains_of_a_photograph() -> None:
+    press = replace(ball_press(radius=10.0), image=image(150))
+    assert np.array_equal(with_gains_of(image(100), press), image(150))
 
 
 def test_a_millimetre_has_its_pixels_everywhere() -> None:
-    camera = flat_camera(240, 320, 0.004)
+    camera = flat_camera(240, 320, 0.004, PIXELS_PER_METRE)
     face = np.array([[x, y, 0.004] for x in (-5e-3, 0.0, 5e-3) for y in (-7e-3, 0.0, 7e-3)])
     pixels = camera.project(face)
     expected = face[:, :2] * PIXELS_PER_METRE + camera.principal_point_px
@@ -108,7 +142,7 @@ def test_a_cap_is_the_ball() -> None:
     flat = scene()
     press = ball_press()
     given = gel_presses([press], flat, still())
-    (capped,) = cap_presses([press], given, flat)
+    (capped,) = cap_presses([press], given, flat, BALL_RADIUS_M)
     row, column = 45, 30
     contact = 30.0 / PIXELS_PER_METRE
     deepest = BALL_RADIUS_M - np.sqrt(BALL_RADIUS_M**2 - contact**2)
@@ -166,7 +200,7 @@ def test_the_gel_shows_the_circle_that_was_marked(profiles: PressProfiles) -> No
 
 
 def test_the_region_of_contact() -> None:
-    region = near_contact(ball_press(radius=10.0))
+    region = ball_press(radius=10.0).near_contact()
     assert region[45, 30]
     assert region[45, 44]
     assert not region[45, 46]

@@ -35,18 +35,7 @@ from dotsim_ros.evaluation.classification.classifier import (
     touched_as_taken,
     train_classifier,
 )
-from dotsim_ros.evaluation.optics.gelsight import (
-    BALL_RADIUS_M,
-    SENSOR,
-    STEP_S,
-    UNCHANGING,
-    BallPress,
-    FlatScene,
-    flat_scene,
-    gel_presses,
-    press_profiles,
-    read_ball_presses,
-)
+from dotsim_ros.evaluation.optics.gelsight import SENSOR
 from dotsim_ros.evaluation.optics.models import FitSettings, code_digest, factory_of
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import (
@@ -58,10 +47,24 @@ from dotsim_ros.geometry.indenter import (
     torus,
 )
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.measured.importers.ball_photographs import BallPress
+from dotsim_ros.measured.importers.fots_balls import (
+    BALL_RADIUS_M,
+    PIXELS_PER_METRE,
+    read_fots_balls,
+)
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.ball_presses import (
+    STEP_S,
+    UNCHANGING,
+    FlatScene,
+    flat_scene,
+    gel_presses,
+    press_profiles,
+)
 from dotsim_ros.twin.footage import OpticalPress
 
 BALL = "ball"
@@ -128,10 +131,11 @@ def evaluate_real_ball(
         sensor: a flat pad.
 
     Raises:
-        FileNotFoundError, ValueError: as `read_ball_presses`.
+        FileNotFoundError, ValueError: as `read_fots_balls`.
     """
-    idle, presses = read_ball_presses(study.directory)
-    scene = flat_scene(idle, sensor)
+    recording = read_fots_balls(study.directory)
+    idle, presses = recording.idle, recording.presses
+    scene = flat_scene(idle, sensor, PIXELS_PER_METRE)
     measured = gel_presses(presses, scene, press_profiles(sensor, BALL_RADIUS_M))
     touches, labels = simulated_pad_touches(scene, sensor, study.touches, study.fit.seed)
     tell(f"{len(touches)} simulated touches beside {len(presses)} real presses of a ball")

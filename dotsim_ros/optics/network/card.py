@@ -24,9 +24,15 @@ FORMAT = 1
 """Raised whenever a network's input or output changes its meaning."""
 
 SMALLEST_PX, LARGEST_PX = 16, 4096
-BASES = {"ours": "warped", "paper": "idle", "paper_direct": "none", "unet": "idle"}
+BASES = {
+    "ours": "warped",
+    "paper": "idle",
+    "paper_direct": "none",
+    "unet": "idle",
+    "neighbourhood": "warped",
+}
 """What each kind of network's output is added to."""
-FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1}
+FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1, "neighbourhood": 1}
 """How often wider and higher each kind's images are than the geometry that it is given."""
 
 
