@@ -15,7 +15,7 @@ from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
 from dotsim_ros.gel.solver_changes import SolverChanges
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
@@ -122,7 +122,7 @@ _View = tuple[tuple[int, int, int, int], tuple[int, int]]
 """A part of an image, and the size that it is seen at."""
 
 
-def _whole_view(camera: FisheyeCamera) -> _View:
+def _whole_view(camera: Camera) -> _View:
     return (0, 0, camera.width, camera.height), (camera.width, camera.height)
 
 
@@ -152,7 +152,7 @@ class TactileSensor:
     ) -> None:
         self.specification, self.device, self.indenter = specification, device, indenter
         self.skin = skin_of(specification.gel)
-        self.whole_camera = FisheyeCamera.from_specification(specification.camera)
+        self.whole_camera = Camera.from_specification(specification.camera)
         self.camera = self.whole_camera
         self._view = self._whole_view = _whole_view(self.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.

@@ -34,9 +34,12 @@ from dotsim_ros.quantity import (
 SHAPES = ("dome", "flat_pad")
 METHODS = ("implicit", "explicit")
 LAWS = ("neo_hookean", "mooney_rivlin", "yeoh")
+PROJECTIONS = ("equidistant", "pinhole")
 
 LARGEST_LENGTH_M = 0.2
 """Of a gel: that of a large palm. A length in millimetres is beyond it, and so is recognised."""
+WIDEST_PINHOLE_DEG = 80.0
+"""At half the height of a pinhole's image; beyond it a fisheye is meant."""
 LARGEST_DISTANCE_M = 0.1
 """Of the camera from the gel's box: tactile sensors look at it from a few centimetres at most."""
 LARGEST_MEMORY_BYTES = 16e9
@@ -301,9 +304,15 @@ class SolverSpecification:
 
 @dataclass(frozen=True)
 class CameraSpecification:
-    """The camera: an equidistant fisheye in the optical frame of REP 103 (z forward, x right, y
+    """The camera: a fisheye or a pinhole in the optical frame of REP 103 (z forward, x right, y
     down), behind the skin. What it looks through is taken to be clear and not to refract."""
 
+    projection: str = quantity(
+        "equidistant",
+        choices=PROJECTIONS,
+        help="How rays meet the image: at a distance from the principal point that is the focal "
+        "length times the angle from the axis (a fisheye), or times its tangent.",
+    )
     width: int = quantity(640, unit="px", low=16, high=4096, help="Width of the image.")
     height: int = quantity(480, unit="px", low=16, high=4096, help="Height of the image.")
     position_m: tuple[float, float, float] = quantity(
@@ -325,7 +334,8 @@ class CameraSpecification:
         unit="deg",
         low=1.0,
         high=180.0,
-        help="Angle from the axis that is seen at half the image's height, without distortion.",
+        help="Angle from the axis that is seen at half the image's height, without distortion; at "
+        f"most {WIDEST_PINHOLE_DEG:g} for a pinhole.",
     )
     principal_point_px: tuple[float, float] = quantity(
         (319.5, 239.5),
@@ -336,7 +346,10 @@ class CameraSpecification:
         "an image's size outside of it.",
     )
     distortion: tuple[float, float, float, float] = quantity(
-        (0.0, 0.0, 0.0, 0.0), low=-100.0, high=100.0, help="k1 to k4 of the equidistant model."
+        (0.0, 0.0, 0.0, 0.0),
+        low=-100.0,
+        high=100.0,
+        help="k1 to k4 of the equidistant model, or k1, k2, p1, p2 of a pinhole's plumb_bob.",
     )
     idle_image: str = quantity(
         "images/densetact2_idle.png",
@@ -351,6 +364,11 @@ class CameraSpecification:
 
     def __post_init__(self) -> None:
         check_fields("camera", self)
+        if self.projection == "pinhole" and self.half_height_angle_deg > WIDEST_PINHOLE_DEG:
+            raise ValueError(
+                f"camera.half_height_angle_deg is {self.half_height_angle_deg}, expected at most "
+                f"{WIDEST_PINHOLE_DEG:g} deg for the projection pinhole; 'equidistant' sees more"
+            )
         length = math.hypot(*self.quaternion_xyzw)
         if abs(length - 1.0) > 1e-3:
             raise ValueError(

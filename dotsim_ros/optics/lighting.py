@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.specification import LightingSpecification, VignettingSpecification
 
 _STATED = LightingSpecification()
@@ -140,7 +140,7 @@ class Vignetting:
         ]
         return Vignetting(tuple(falloff))
 
-    def brightness(self, camera: FisheyeCamera) -> Float32Array:
+    def brightness(self, camera: Camera) -> Float32Array:
         """Return (H, W) brightness relative to the principal point.
 
         No pixel gets less than a thousandth, so that dividing by it is safe.

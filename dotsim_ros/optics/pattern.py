@@ -21,7 +21,7 @@ from scipy import ndimage
 
 from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
 from dotsim_ros.files import given_path, write_image, write_text
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import IdleFrame, lights_of, read_description, read_idle_frame
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -88,7 +88,7 @@ def _seen_skin(
 
 
 def render_idle_image(
-    camera: FisheyeCamera,
+    camera: Camera,
     gel: GelSpecification,
     *,
     lighting: Lighting,
@@ -169,7 +169,7 @@ def render_idle_image(
     return np.clip(np.rint(levels), 0.0, 255.0).astype(np.uint8)
 
 
-def idle_frame_of(sensor: SensorSpecification, camera: FisheyeCamera) -> IdleFrame:
+def idle_frame_of(sensor: SensorSpecification, camera: Camera) -> IdleFrame:
     """Return a sensor's idle frame in a camera: read from the file that it names, or drawn where it
     names none.
 
@@ -229,7 +229,7 @@ def main() -> None:
         _describe(sensor, description)
     _, lighting, vignetting = read_description(description)
     image = render_idle_image(
-        FisheyeCamera.from_specification(sensor.camera),
+        Camera.from_specification(sensor.camera),
         sensor.gel,
         lighting=lighting,
         vignetting=vignetting,

@@ -75,6 +75,7 @@ def film_of(number):
         IDLE,
         CENTRE,
         FOCAL,
+        CAMERA.projection,
     )
 
 

@@ -268,7 +268,8 @@ def test_camera_info_is_exact(types, size, focal, centre, distortion):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"distortion_model": "plumb_bob"}, "plumb_bob"),
+        ({"distortion_model": "rational_polynomial"}, "rational_polynomial"),
+        ({"distortion_model": "plumb_bob"}, "5 numbers"),
         ({"d": np.zeros(5)}, "4 numbers"),
         ({"k": np.zeros(9)}, "uncalibrated"),
         ({"k": np.full(9, np.nan)}, "not finite"),

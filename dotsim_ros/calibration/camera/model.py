@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.optics.idle import stated_lights
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
@@ -70,7 +70,7 @@ class CameraModel:
         falloff: of the vignetting.
     """
 
-    camera: FisheyeCamera
+    camera: Camera
     lights: RingLights
     falloff: tuple[float, ...] = ()
 
@@ -125,7 +125,7 @@ def camera_section(
         stated,
         position_m=(px, py, pz),
         quaternion_xyzw=(qx, qy, qz, qw),
-        half_height_angle_deg=round(float(np.degrees(0.5 * camera.height / camera.focal_px)), 5),
+        half_height_angle_deg=round(float(np.degrees(camera.half_height_angle_rad)), 5),
         principal_point_px=(x, y),
         distortion=(k1, k2, k3, k4),
         idle_image=idle_image,

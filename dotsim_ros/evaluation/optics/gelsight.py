@@ -31,7 +31,7 @@ from dotsim_ros.evaluation.optics.judge import Factory, mean_score
 from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.gel.make import make_gel, skin_of
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -136,7 +136,7 @@ def _read_image(path: Path) -> ImageArray:
     return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
 
 
-def flat_camera(width: int, height: int, thickness_m: float) -> FisheyeCamera:
+def flat_camera(width: int, height: int, thickness_m: float) -> Camera:
     """Return the camera that looks up at a pad's face from below."""
     return FisheyeCamera(
         width=width,
@@ -237,7 +237,7 @@ def press_profiles(sensor: SensorSpecification, ball_radius_m: float) -> PressPr
 class FlatScene:
     """A camera over a pad, and what it sees at rest."""
 
-    camera: FisheyeCamera
+    camera: Camera
     skin: SkinMesh
     rest: Rest
 

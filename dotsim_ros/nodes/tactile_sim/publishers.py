@@ -194,6 +194,7 @@ class FramePublishers:
             focal_px=own.focal_px,
             principal_point_px=own.principal_point_px,
             distortion=own.distortion,
+            distortion_model=own.distortion_model,
             **header,
         )
 
