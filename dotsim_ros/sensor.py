@@ -301,6 +301,8 @@ class TactileSensor:
         fitted = fit_idle_image(image, self.whole_camera, disc=disc)
         before = self._own_idle
         self._own_idle = IdleFrame(fitted, before.lighting, before.vignetting)
+        if self.specification.camera.colour == "grey":
+            self._own_idle = self._own_idle.as_grey()
         self._make_images()
 
     def set_indenter(self, indenter: Indenter) -> None:
@@ -426,7 +428,12 @@ class TactileSensor:
         view = self._renderer.render(gel.skin_position_m)
         seen = clock()
         moment = (self._noise.seed, round(1e9 * gel.time_s))
-        image = with_noise(self._image.render(view), self._noise.deviation_levels, moment)
+        image = with_noise(
+            self._image.render(view),
+            self._noise.deviation_levels,
+            moment,
+            channel_count=self.specification.camera.channel_count,
+        )
         timings = {**gel.timings_s, "depth": seen - start, "image": clock() - seen}
         return Frame(
             time_s=gel.time_s,

@@ -18,8 +18,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import read_yaml, value_text
 from dotsim_ros.files import parameter_path, whole_file, write_text
 from dotsim_ros.printable import printable
@@ -31,11 +34,14 @@ from dotsim_ros.quantity import (
     section_from,
 )
 
-SHAPES = ("dome", "flat_pad")
+SHAPES = ("dome", "flat_pad", "curved_pad")
 METHODS = ("implicit", "explicit")
 LAWS = ("neo_hookean", "mooney_rivlin", "yeoh")
 PROJECTIONS = ("equidistant", "pinhole")
+COLOURS = ("rgb", "grey")
 
+SMALLEST_HEIGHT_M = 5e-4
+"""Of a curved pad at its corners."""
 LARGEST_LENGTH_M = 0.2
 """Of a gel: that of a large palm. A length in millimetres is beyond it, and so is recognised."""
 WIDEST_PINHOLE_DEG = 80.0
@@ -50,11 +56,32 @@ GRAIN_SHARE = 0.6
 """Size of the coat's fine texture, over that of a blotch."""
 
 
+def face_drop_m(x_m: ArrayLike, y_m: ArrayLike, curvature_per_m: tuple[float, float]) -> FloatArray:
+    """Return how far (...,) the face of a curved pad lies below its middle, NaN beyond its arc.
+
+    The face is a biconic surface of conic constants 0: a ball's for equal curvatures, a cylinder's
+    for one that is 0.
+
+    Args:
+        x_m, y_m: (...,) places, base frame.
+        curvature_per_m: along x and y.
+    """
+    x, y = np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64)
+    along_x, along_y = curvature_per_m
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(1.0 - (along_x * x) ** 2 - (along_y * y) ** 2)
+    return np.asarray((along_x * x**2 + along_y * y**2) / (1.0 + root))
+
+
 @dataclass(frozen=True)
 class GelSpecification:
     """Rest shape of the gel, on the base plane z = 0 and centred on the z axis."""
 
-    shape: str = quantity("dome", choices=SHAPES, help="Half a ball, or a flat block.")
+    shape: str = quantity(
+        "dome",
+        choices=SHAPES,
+        help="Half a ball, a flat block, or a block whose upper face bends down towards its sides.",
+    )
     skin_spacing_m: float = quantity(
         0.5e-3,
         unit="m",
@@ -83,7 +110,15 @@ class GelSpecification:
         unit="m",
         low=5e-4,
         high=LARGEST_LENGTH_M,
-        help="Lengths of a flat pad along x and y, and its thickness along z.",
+        help="Lengths of a pad along x and y, and its thickness along z, in its middle.",
+    )
+    face_radius_m: tuple[float, float] = quantity(
+        (0.0, 0.0),
+        unit="m",
+        low=0.0,
+        high=10.0,
+        help="Radii of the upper face of a curved pad along x and y, 0 for straight: equal ones "
+        "are a part of a ball, one of 0 is a part of a cylinder.",
     )
     bond_slip_share: float = quantity(
         0.0,
@@ -110,6 +145,7 @@ class GelSpecification:
                 f"gel.outer_radius_m ({self.outer_radius_m} m)"
             )
         is_dome = self.shape == "dome"
+        self._check_face()
         if self.bond_slip_share > 0.0 and not (is_dome and self.core_radius_m > 0.0):
             raise ValueError(
                 f"gel.bond_slip_share is {self.bond_slip_share}, expected 0 for a gel without a "
@@ -127,6 +163,29 @@ class GelSpecification:
                 f"{'gel.outer_radius_m' if is_dome else 'the shorter side of gel.pad_size_m'} "
                 f"({number_text(0.5 * side_m)} m)"
             )
+
+    def _check_face(self) -> None:
+        text = f"gel.face_radius_m is {value_text(self.face_radius_m)}"
+        if self.shape != "curved_pad":
+            if any(self.face_radius_m):
+                raise ValueError(
+                    f"{text}, expected [0, 0] for the shape {self.shape!r}: 'curved_pad' has radii"
+                )
+            return
+        x, y, thickness = self.pad_size_m
+        corner_m = thickness - float(face_drop_m(0.5 * x, 0.5 * y, self.face_curvature_per_m))
+        if not corner_m >= SMALLEST_HEIGHT_M:
+            raise ValueError(
+                f"{text}, which leaves less than {number_text(SMALLEST_HEIGHT_M)} m of gel at the "
+                f"corners of a pad of gel.pad_size_m {value_text(self.pad_size_m)}; make it "
+                "flatter or thicker"
+            )
+
+    @property
+    def face_curvature_per_m(self) -> tuple[float, float]:
+        """Curvature of a pad's upper face along x and y."""
+        x, y = (1.0 / radius if radius > 0.0 else 0.0 for radius in self.face_radius_m)
+        return x, y
 
     @property
     def bounds_m(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
@@ -160,7 +219,12 @@ class GelSpecification:
         """Return whether a point (3,) lies behind the skin, where a camera sees its inner side."""
         x, y, z = (float(v) for v in point_m)
         if self.shape != "dome":
-            return z < self.pad_size_m[2]
+            # Beside the pad as at its edge.
+            x, y = (
+                min(max(place, -0.5 * length), 0.5 * length)
+                for place, length in zip((x, y), self.pad_size_m[:2], strict=True)
+            )
+            return z < self.pad_size_m[2] - float(face_drop_m(x, y, self.face_curvature_per_m))
         return math.hypot(x, y, max(z, 0.0)) < self.outer_radius_m
 
 
@@ -329,6 +393,11 @@ class CameraSpecification:
         high=1.001,
         help="Rotation from the optical frame to the base frame, of length 1 within 0.001.",
     )
+    colour: str = quantity(
+        "rgb",
+        choices=COLOURS,
+        help="A grey camera sees all LEDs alike, and its images have three equal channels.",
+    )
     half_height_angle_deg: float = quantity(
         86.0,
         unit="deg",
@@ -361,6 +430,11 @@ class CameraSpecification:
         help="Folder of the network that completes the image, below `params/` or absolute; empty "
         "for none.",
     )
+
+    @property
+    def channel_count(self) -> int:
+        """Channels of its images that differ."""
+        return 1 if self.colour == "grey" else 3
 
     def __post_init__(self) -> None:
         check_fields("camera", self)
@@ -401,10 +475,17 @@ class NoiseSpecification:
 
 @dataclass(frozen=True)
 class LightingSpecification:
-    """Nine LEDs on a ring around the z axis (three red, three green, three blue), and the coat that
-    they light. Used where the idle image has no description of its own beside it."""
+    """Nine LEDs around the z axis (three red, three green, three blue) on a ring or in three
+    straight rows, and the coat that they light. A crosstalk of 1 makes all of them white. Used
+    where the idle image has no description of its own beside it."""
 
-    radius_m: float = quantity(0.010, unit="m", low=1e-4, high=0.3, help="Radius of the ring.")
+    radius_m: float = quantity(
+        0.010,
+        unit="m",
+        low=1e-4,
+        high=0.3,
+        help="Radius of the ring, or distance of the rows from the z axis.",
+    )
     height_m: float = quantity(
         0.0005, unit="m", low=-0.3, high=0.3, help="Height of the ring over the base plane."
     )
@@ -416,7 +497,19 @@ class LightingSpecification:
         help="Directions of the red, the green and the blue group, from +x towards +y.",
     )
     spread_deg: float = quantity(
-        12.0, unit="deg", low=0.0, high=120.0, help="Angle between two neighbours of one group."
+        12.0,
+        unit="deg",
+        low=0.0,
+        high=120.0,
+        help="Angle between two neighbours of one group on the ring.",
+    )
+    row_length_m: float = quantity(
+        0.0,
+        unit="m",
+        low=0.0,
+        high=0.3,
+        help="Length of the straight row that a group forms across its direction, as along a "
+        "pad's side; 0 for a part of the ring.",
     )
     crosstalk: float = quantity(
         0.1,
@@ -845,9 +938,10 @@ python -m dotsim_ros.optics.pattern my_pad_idle.png --sensor my_pad.yaml
 writes the image, and beside it the lights that it was drawn with, as a file that describes an idle
 image. Such a file comes before the sensor's own sections `lighting` and `vignetting`.
 
-**Flat pads.** `flat_pad` is a block of gel on a clear plate at z = 0. The camera stands below and
-looks up at the inner side of the upper face, the only one that is seen.
-`params/sensors/flat_pad.yaml` is one, made with the command above.
+**Pads.** `flat_pad` is a block of gel on a clear plate at z = 0. The camera stands below and looks
+up at the inner side of the upper face, the only one that is seen. `params/sensors/flat_pad.yaml` is
+one, made with the command above. A `curved_pad` differs by its upper face, which is highest in the
+middle and a part of a ball or a cylinder.
 
 **Noise.** `noise` adds normal noise to every image of `TactileSensor`. It is drawn by `noise.seed`
 and the frame's time since the last `reset`: the same motion after a reset gives the same images to

@@ -195,6 +195,16 @@ class IdleFrame:
     vignetting: Vignetting = field(default_factory=Vignetting)
     fine: ImageArray | None = None
 
+    def as_grey(self) -> IdleFrame:
+        """Return what a camera sees that tells no colours apart, in three equal channels."""
+        fine = None if self.fine is None else _grey(self.fine)
+        return IdleFrame(_grey(self.image), self.lighting.as_grey(), self.vignetting, fine)
+
+
+def _grey(image: ImageArray) -> ImageArray:
+    one = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    return np.asarray(cv2.cvtColor(one, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+
 
 def part_of_idle(
     idle: IdleFrame, crop_px: tuple[int, int, int, int], size_px: tuple[int, int]

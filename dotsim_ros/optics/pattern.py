@@ -22,6 +22,7 @@ from scipy import ndimage
 from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
 from dotsim_ros.files import given_path, write_image, write_text
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.geometry.pad_face import face_normal, meet_face
 from dotsim_ros.optics.idle import IdleFrame, lights_of, read_description, read_idle_frame
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -71,20 +72,15 @@ def _seen_skin(
     gel: GelSpecification, origin: FloatArray, rays: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return where rays (..., 3) from behind the skin meet it, and which (...,) do."""
-    # A ray along the skin or from it has no such place.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if gel.shape == "dome":
-            along = rays @ origin
-            below = float(origin @ origin) - gel.outer_radius_m**2
-            depth = -along + np.sqrt(along**2 - below)
-        else:
-            depth = (gel.pad_size_m[2] - origin[2]) / rays[..., 2]
-        points = origin + depth[..., None] * rays
-    if gel.shape == "dome":
-        return points, points[..., 2] >= 0.0
-    x, y, _ = gel.pad_size_m
-    inside = (np.abs(points[..., 0]) <= 0.5 * x) & (np.abs(points[..., 1]) <= 0.5 * y)
-    return points, (depth > 0.0) & inside
+    if gel.shape != "dome":
+        return meet_face(origin, rays, gel.pad_size_m, gel.face_curvature_per_m)
+    along = rays @ origin
+    below = float(origin @ origin) - gel.outer_radius_m**2
+    # A ray that meets no skin has no such place.
+    with np.errstate(invalid="ignore"):
+        depth = -along + np.sqrt(along**2 - below)
+    points = origin + depth[..., None] * rays
+    return points, points[..., 2] >= 0.0
 
 
 def render_idle_image(
@@ -133,7 +129,10 @@ def render_idle_image(
 
     seen = points[lit]
     is_dome = gel.shape == "dome"
-    normal = seen / gel.outer_radius_m if is_dome else np.tile([0.0, 0.0, 1.0], (len(seen), 1))
+    if is_dome:
+        normal = seen / gel.outer_radius_m
+    else:
+        normal = face_normal(seen[:, 0], seen[:, 1], gel.face_curvature_per_m)
     device = wp.get_device("cpu")
     light = direct_light(
         wp.array(camera.to_optical(seen).astype(np.float32), dtype=wp.vec3, device=device),
@@ -171,7 +170,7 @@ def render_idle_image(
 
 def idle_frame_of(sensor: SensorSpecification, camera: Camera) -> IdleFrame:
     """Return a sensor's idle frame in a camera: read from the file that it names, or drawn where it
-    names none.
+    names none; grey where the camera is.
 
     Args:
         sensor: the sensor.
@@ -184,11 +183,13 @@ def idle_frame_of(sensor: SensorSpecification, camera: Camera) -> IdleFrame:
     lighting, vignetting = lights_of(sensor)
     if sensor.camera.idle_image:
         path = given_path(sensor.camera.idle_image)
-        return read_idle_frame(path, camera, lighting=lighting, vignetting=vignetting)
+        frame = read_idle_frame(path, camera, lighting=lighting, vignetting=vignetting)
+        return frame if sensor.camera.colour != "grey" else frame.as_grey()
     image = render_idle_image(
         camera, sensor.gel, lighting=lighting, vignetting=vignetting, pattern=sensor.pattern
     )
-    return IdleFrame(image, lighting, vignetting)
+    frame = IdleFrame(image, lighting, vignetting)
+    return frame if sensor.camera.colour != "grey" else frame.as_grey()
 
 
 def _describe(sensor: SensorSpecification, path: Path) -> None:

@@ -290,3 +290,24 @@ def test_a_camera_that_looks_away_from_a_pad_is_refused() -> None:
             quaternion_xyzw=[1.0, 0.0, 0.0, 0.0],
             rim_angle_deg=60.0,
         )
+
+
+def test_a_grey_camera_sees_three_equal_channels_that_white_rows_of_leds_shade() -> None:
+    sensor = variant(
+        "gel: {shape: flat_pad, pad_size_m: [0.016, 0.016, 0.004], skin_spacing_m: 0.001}\n"
+        "solver: {grid_spacing_m: 0.002, refined: false}\n"
+        "camera: {projection: pinhole, colour: grey, width: 96, height: 96, idle_image: '',\n"
+        "  principal_point_px: [47.5, 47.5], position_m: [0, 0, -0.012],\n"
+        "  half_height_angle_deg: 25}\n"
+        "lighting: {radius_m: 0.011, row_length_m: 0.012, azimuth_deg: [0, 0, 0]}\n"
+        "noise: {deviation_levels: 2}\n"
+    )
+    places = np.array([light.position_m for light in lights_of(sensor)[0].lights])
+    assert places[:, 0] == pytest.approx(0.011)
+    assert sorted(set(places[:, 1].round(9))) == [-0.006, 0.0, 0.006]
+    grey = TactileSensor(sensor, indenter=load_indenter("sphere_4mm"))
+    image = grey.step(Pose(np.array([0.0, 0.0, 0.003])), 0.04).image
+    assert np.array_equal(image, np.repeat(image[..., :1], 3, axis=2))
+    # Seen from behind the dent is a bump, whose right flank faces the LEDs.
+    gain = image[..., 0].astype(float) - grey.idle_image[..., 0]
+    assert gain[40:56, 52:62].mean() > gain[40:56, 34:44].mean() + 10.0

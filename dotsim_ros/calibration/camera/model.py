@@ -30,8 +30,8 @@ FIRST_GLOSS = 1.0
 
 @dataclass(frozen=True)
 class RingLights:
-    """LEDs on a ring, the light between the parts of the gel, and the coat's gloss; see `led_ring`
-    and `Lighting` for the fields."""
+    """LEDs on a ring or in rows, the light between the parts of the gel, and the coat's gloss; see
+    `led_ring` and `Lighting` for the fields."""
 
     radius_m: float = 0.010
     height_m: float = 0.0005
@@ -42,6 +42,7 @@ class RingLights:
     exponent: float = 1.0
     gloss: float = 0.0
     gloss_exponent: float = 80.0
+    row_length_m: float = 0.0
 
     def lighting(self) -> Lighting:
         """Return the lights of the ring."""
@@ -52,6 +53,7 @@ class RingLights:
                 azimuth_deg=self.azimuth_deg,
                 spread_deg=self.spread_deg,
                 crosstalk=self.crosstalk,
+                row_length_m=self.row_length_m,
             ),
             ambient_fraction=self.ambient_fraction,
             exponent=self.exponent,

@@ -275,9 +275,11 @@ class FramePublishers:
         """Return an image with the camera's noise, which the stamp draws: the raw and the
         compressed image of a frame have the same, and so has a frame that is simulated again."""
         levels = self._parameters.image_noise_levels
+        channels = self._sensor.specification.camera.channel_count
         if levels < 0.0:
-            return with_noise(rgb, self._noise.deviation_levels, (self._noise.seed, stamp_ns))
-        return with_noise(rgb, levels, stamp_ns)
+            seed = (self._noise.seed, stamp_ns)
+            return with_noise(rgb, self._noise.deviation_levels, seed, channel_count=channels)
+        return with_noise(rgb, levels, stamp_ns, channel_count=channels)
 
     @staticmethod
     def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:
