@@ -17,6 +17,7 @@ from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
 from dotsim_ros.gel.solver_changes import SolverChanges
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.markers import MarkerMotion, PrintedMarkers
 from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, part_of_idle
@@ -162,6 +163,9 @@ class TactileSensor:
         self._solvers = SolverChanges(self._gel, specification.solver)
         self._own_idle = idle_frame_of(specification, self.camera)
         self._make_images()
+        self.markers: PrintedMarkers | None = None
+        if specification.markers.columns:
+            self.markers = PrintedMarkers(specification.markers, self.skin)
         self._noise = specification.noise
         self._time_s = 0.0
 
@@ -458,6 +462,22 @@ class TactileSensor:
         """
         view = self._renderer.render(after_m)
         return image_motion_px(view, self.skin.triangles, self.camera.project(before_m))
+
+    def marker_motion(self, skin_position_m: FloatArray) -> MarkerMotion:
+        """Return where the markers that are printed on the skin are at rest and now.
+
+        Args:
+            skin_position_m: (V, 3) the skin now, base frame, as a frame has it.
+
+        Raises:
+            ValueError: the sensor has no printed markers.
+        """
+        if self.markers is None:
+            raise ValueError(
+                f"sensor {self.specification.name!r} has no printed markers; give its file a "
+                "section markers with columns and rows"
+            )
+        return self.markers.motion(skin_position_m, self.camera)
 
     def step(self, pose: Pose | ApexPose | None, dt_s: float = FRAME_S) -> Frame:
         """Return the frame after a move of the indenter: `press`, then `see`.

@@ -603,6 +603,41 @@ class PatternSpecification:
         check_fields("pattern", self)
 
 
+@dataclass(frozen=True)
+class MarkerSpecification:
+    """A grid of dots that is printed on the skin, around the z axis and as it is seen along it;
+    none by default. They are drawn where the idle image is; an image that is named shows its own.
+    """
+
+    columns: int = quantity(0, low=0, high=200, help="Dots along x; 0 for none.")
+    rows: int = quantity(0, low=0, high=200, help="Dots along y; 0 for none.")
+    spacing_m: tuple[float, float] = quantity(
+        (1.5e-3, 1.5e-3),
+        unit="m",
+        low=1e-5,
+        high=LARGEST_LENGTH_M,
+        help="From one dot to the next along x and y, middle to middle.",
+    )
+    radius_m: float = quantity(0.25e-3, unit="m", low=1e-5, high=0.02, help="Radius of a dot.")
+    darkness: float = quantity(
+        0.9, low=0.0, high=1.0, help="Light that a dot swallows of what the coat sends back."
+    )
+
+    def __post_init__(self) -> None:
+        check_fields("markers", self)
+        if (self.columns > 0) != (self.rows > 0):
+            raise ValueError(
+                f"markers.columns is {self.columns} and markers.rows is {self.rows}, expected both "
+                "above 0, or both 0 for none"
+            )
+
+    @property
+    def corner_m(self) -> tuple[float, float]:
+        """x and y of the grid's last dot."""
+        x, y = self.spacing_m
+        return 0.5 * x * (self.columns - 1), 0.5 * y * (self.rows - 1)
+
+
 SECTIONS: dict[str, type[Any]] = {
     "gel": GelSpecification,
     "material": MaterialSpecification,
@@ -613,8 +648,9 @@ SECTIONS: dict[str, type[Any]] = {
     "lighting": LightingSpecification,
     "vignetting": VignettingSpecification,
     "pattern": PatternSpecification,
+    "markers": MarkerSpecification,
 }
-WRITTEN_BY_NEED = ("noise", "lighting", "vignetting", "pattern")
+WRITTEN_BY_NEED = ("noise", "lighting", "vignetting", "pattern", "markers")
 """Sections that a written file has only where they differ from their defaults."""
 
 
@@ -639,6 +675,7 @@ class SensorSpecification:
     lighting: LightingSpecification = field(default_factory=LightingSpecification)
     vignetting: VignettingSpecification = field(default_factory=VignettingSpecification)
     pattern: PatternSpecification = field(default_factory=PatternSpecification)
+    markers: MarkerSpecification = field(default_factory=MarkerSpecification)
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -654,6 +691,7 @@ class SensorSpecification:
             )
         self._check_grid()
         self._check_camera()
+        self._check_markers()
         if not self.camera.idle_image:
             check_drawable(self.gel, self.pattern)
         self._check_memory()
@@ -686,6 +724,21 @@ class SensorSpecification:
             raise ValueError(
                 f"camera.position_m is {value_text(place)}, in front of the skin; expected a place "
                 "behind it, where the camera sees its inner side"
+            )
+
+    def _check_markers(self) -> None:
+        if not self.markers.columns:
+            return
+        x, y = self.markers.corner_m
+        if self.gel.shape == "dome":
+            fits = math.hypot(x, y) < 0.99 * self.gel.outer_radius_m
+        else:
+            fits = x <= 0.5 * self.gel.pad_size_m[0] and y <= 0.5 * self.gel.pad_size_m[1]
+        if not fits:
+            raise ValueError(
+                f"markers reach {number_text(x)} m along x and {number_text(y)} m along y, beyond "
+                "the skin; expected fewer markers.columns and markers.rows, or a smaller "
+                "markers.spacing_m"
             )
 
     def _check_memory(self) -> None:

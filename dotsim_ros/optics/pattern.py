@@ -29,6 +29,7 @@ from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.specification import (
     GRAIN_SHARE,
     GelSpecification,
+    MarkerSpecification,
     PatternSpecification,
     SensorSpecification,
     check_drawable,
@@ -83,6 +84,18 @@ def _seen_skin(
     return points, points[..., 2] >= 0.0
 
 
+def _on_marker(points_m: FloatArray, markers: MarkerSpecification) -> BoolArray:
+    """Return which of points (N, 3) of the skin lie on a printed marker."""
+    distance = np.zeros(len(points_m))
+    for axis, (spacing, count) in enumerate(
+        zip(markers.spacing_m, (markers.columns, markers.rows), strict=True)
+    ):
+        number = points_m[:, axis] / spacing + 0.5 * (count - 1)
+        nearest = np.clip(np.rint(number), 0, count - 1)
+        distance = np.hypot(distance, spacing * (number - nearest))
+    return np.asarray(distance <= markers.radius_m)
+
+
 def render_idle_image(
     camera: Camera,
     gel: GelSpecification,
@@ -90,6 +103,7 @@ def render_idle_image(
     lighting: Lighting,
     vignetting: Vignetting,
     pattern: PatternSpecification,
+    markers: MarkerSpecification | None = None,
     supersampling: int = SUPERSAMPLING,
 ) -> ImageArray:
     """Return (H, W, 3) uint8: a gel painted with a random pattern and lit by the LEDs.
@@ -100,6 +114,7 @@ def render_idle_image(
         lighting: the LEDs.
         vignetting: of the camera.
         pattern: of the coat.
+        markers: printed on it; None for none.
         supersampling: rays a pixel along each axis.
 
     Raises:
@@ -152,6 +167,8 @@ def render_idle_image(
     # Each colour of LED is driven to the same brightness.
     light = (light / mean) ** lighting.exponent
     albedo = _albedo(seen if is_dome else seen[:, :2], gel.extent_m, pattern, random)
+    if markers is not None and markers.columns:
+        albedo = albedo * (1.0 - markers.darkness * _on_marker(seen, markers))
     radiance = np.zeros((*on_skin.shape, 3))
     radiance[lit] = (albedo * open_share[lit])[:, None] * light
     radiance = (
@@ -186,7 +203,12 @@ def idle_frame_of(sensor: SensorSpecification, camera: Camera) -> IdleFrame:
         frame = read_idle_frame(path, camera, lighting=lighting, vignetting=vignetting)
         return frame if sensor.camera.colour != "grey" else frame.as_grey()
     image = render_idle_image(
-        camera, sensor.gel, lighting=lighting, vignetting=vignetting, pattern=sensor.pattern
+        camera,
+        sensor.gel,
+        lighting=lighting,
+        vignetting=vignetting,
+        pattern=sensor.pattern,
+        markers=sensor.markers,
     )
     frame = IdleFrame(image, lighting, vignetting)
     return frame if sensor.camera.colour != "grey" else frame.as_grey()
@@ -235,7 +257,10 @@ def main() -> None:
         lighting=lighting,
         vignetting=vignetting,
         pattern=pattern,
+        markers=sensor.markers,
     )
+    if sensor.camera.colour == "grey":
+        image = IdleFrame(image, lighting, vignetting).as_grey().image
     write_image(arguments.out, image)
 
 
