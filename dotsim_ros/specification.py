@@ -202,6 +202,13 @@ class GelSpecification:
         return max(self.bounds_m[1][:2])
 
     @property
+    def thickness_m(self) -> float:
+        """Thickness of the gel on the z axis."""
+        if self.shape == "dome":
+            return self.outer_radius_m - self.core_radius_m
+        return self.pad_size_m[2]
+
+    @property
     def skin_area_m2(self) -> float:
         """Area of the skin at rest."""
         if self.shape == "dome":
@@ -650,6 +657,8 @@ SECTIONS: dict[str, type[Any]] = {
     "pattern": PatternSpecification,
     "markers": MarkerSpecification,
 }
+SOURCE_MARK = "Source: "
+"""Begins the line of a sensor's comment that says where its numbers come from."""
 WRITTEN_BY_NEED = ("noise", "lighting", "vignetting", "pattern", "markers")
 """Sections that a written file has only where they differ from their defaults."""
 
@@ -862,6 +871,11 @@ def sensor_path(source: str | Path) -> Path:
     return path if path.suffix in (".yaml", ".yml") else parameter_path(f"sensors/{source}.yaml")
 
 
+def shipped_sensors() -> list[str]:
+    """Return the names of the sensors that come with the package."""
+    return sorted(path.stem for path in parameter_path("sensors").glob("*.yaml"))
+
+
 def load_sensor(source: str | Path) -> SensorSpecification:
     """Read a sensor from a YAML file, or by name from `params/sensors/`.
 
@@ -935,6 +949,14 @@ def read_comment(path: Path) -> list[str]:
     lines = path.read_text(encoding="utf-8").splitlines()
     head = itertools.takewhile(lambda line: line.startswith("#"), lines)
     return [line.removeprefix("#").removeprefix(" ") for line in head]
+
+
+def read_source(path: Path) -> str:
+    """Return where a sensor's numbers come from: what its comment says after `Source: `, or the
+    comment's first line."""
+    comment = read_comment(path)
+    stated = [line.removeprefix(SOURCE_MARK) for line in comment if line.startswith(SOURCE_MARK)]
+    return next(iter([*stated, *comment]), "").rstrip(":")
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.geometry.markers import PrintedMarkers, grid_m
+from dotsim_ros.geometry.markers import MarkerMotion, PrintedMarkers, grid_m
 from dotsim_ros.geometry.pose import ApexPose
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.sensor import TactileSensor
@@ -20,6 +22,7 @@ from dotsim_ros.specification import (
     load_sensor,
     sensor_from,
 )
+from dotsim_ros.view.sensors import pressed_images, with_arrows
 
 GRID = {"columns": 5, "rows": 3, "spacing_m": [0.003, 0.004], "radius_m": 0.0005, "darkness": 1.0}
 PAD = {
@@ -69,6 +72,26 @@ def test_the_drawn_dots_are_where_the_markers_are_at_rest_and_pressed(pad: Tacti
     moved = np.linalg.norm(motion.position_m - motion.rest_m, axis=1)
     assert moved.argmax() == 7
     assert moved[7] == pytest.approx(0.0012, rel=0.05)
+
+
+def yellow(image: np.ndarray) -> np.ndarray:
+    """Return where (H, W) an image is as yellow as an arrow."""
+    return (image[..., :2].min(axis=2) > 180) & (image[..., 2] < 80)
+
+
+def test_pictures_show_the_motion_of_markers(tmp_path: Path) -> None:
+    file = tmp_path / "dotted.yaml"
+    file.write_text(yaml.safe_dump(PAD))
+    idle, pressed = pressed_images(str(file))
+    assert len(dots_px(idle)) == 15
+    assert yellow(pressed).sum() > yellow(idle).sum() + 20
+    apart = np.array([[4.0, 0.0], [np.nan, 0.0]])
+    motion = MarkerMotion(np.zeros((2, 3)), np.zeros((2, 3)), 20.0 + 0.0 * apart, 20.0 + apart)
+    y, x = np.nonzero(yellow(with_arrows(np.zeros((40, 60, 3), np.uint8), motion)))
+    # Three times as long as the motion, along it.
+    assert x.min() in (20, 21)
+    assert x.max() == 32
+    assert y.mean() == pytest.approx(20.0, abs=0.2)
 
 
 def test_markers_go_along_with_any_smooth_motion_of_the_skin() -> None:
