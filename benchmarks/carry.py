@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle import read_idle_frame
@@ -33,7 +33,7 @@ def measure(directory: Path, sensor_name: str) -> dict[str, float]:
     """Return mean PSNR (dB) over the last frames of all single presses, for three images."""
     data = read_data_set(directory)
     skin = data.skin_mesh()
-    sensor_camera = FisheyeCamera.from_specification(load_sensor(sensor_name).camera)
+    sensor_camera = Camera.from_specification(load_sensor(sensor_name).camera)
     scores = []
     for entry in data.entries:
         if not entry.has_images or "slide" in entry.name or "cycle" in entry.name:

@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from dotsim_ros.files import parameter_path, write_json
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
@@ -65,7 +65,7 @@ def measure(sensor_name: str, frame_count: int) -> dict[str, Any]:
     Embree renders every tenth frame between the others, so that both see the same machine.
     """
     sensor = load_sensor(sensor_name)
-    camera = FisheyeCamera.from_specification(sensor.camera)
+    camera = Camera.from_specification(sensor.camera)
     skin = dome_skin(sensor.gel.outer_radius_m, sensor.gel.skin_spacing_m)
     idle = read_idle_frame(parameter_path(sensor.camera.idle_image), camera)
     renderer = SkinRenderer(camera, skin)

@@ -26,7 +26,7 @@ import onnxruntime
 
 from dotsim_ros.files import given_path, write_json
 from dotsim_ros.gel.make import skin_of
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
@@ -78,7 +78,7 @@ def whole_optics(
     sensor: SensorSpecification, directory: Path, count: int, threads: int
 ) -> tuple[dict[str, dict[str, float]], Feed]:
     """Return the times of every part over frames of a deepening dent, and a network's input."""
-    camera = FisheyeCamera.from_specification(sensor.camera)
+    camera = Camera.from_specification(sensor.camera)
     skin = skin_of(sensor.gel)
     idle = read_idle_frame(given_path(sensor.camera.idle_image), camera)
     renderer = SkinRenderer(camera, skin, band_count=threads)

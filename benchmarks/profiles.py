@@ -59,17 +59,10 @@ FRAME_S = 0.04
 HANDOVER_EVERY = 4
 
 
-def thickness_m(sensor: SensorSpecification) -> float:
-    """Return how thick the gel is under the apex."""
-    if sensor.gel.shape == "dome":
-        return sensor.gel.outer_radius_m - sensor.gel.core_radius_m
-    return sensor.gel.pad_size_m[2]
-
-
 def motion(sensor: SensorSpecification, depth_share: float = DEPTH_SHARE) -> list[Pose]:
     """Return the press to a share of the gel's thickness and the slide, a pose a frame."""
     top_m = float(skin_of(sensor.gel).rest_position_m[:, 2].max())
-    depth_m = depth_share * thickness_m(sensor)
+    depth_m = depth_share * sensor.gel.thickness_m
     lifted_m = (1.0 - LIFT_SHARE) * depth_m
     steps = int(np.ceil(depth_m / PRESS_STEP_M))
     places = [(0.0, depth) for depth in np.linspace(0.0, depth_m, steps + 1)[1:]]
@@ -124,7 +117,7 @@ def errors(
     return {
         "sensor": sensor.name,
         "indenter": indenter,
-        "depth_mm": round(1e3 * depth_share * thickness_m(sensor), 2),
+        "depth_mm": round(1e3 * depth_share * sensor.gel.thickness_m, 2),
         "frames": len(poses),
         "largest_force_n": round(largest_n, 3),
         "profiles": found,

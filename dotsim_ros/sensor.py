@@ -18,8 +18,9 @@ from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
 from dotsim_ros.gel.solver_changes import SolverChanges
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.markers import MarkerMotion, PrintedMarkers
 from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
 from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, part_of_idle
@@ -125,7 +126,7 @@ _View = tuple[tuple[int, int, int, int], tuple[int, int]]
 """A part of an image, and the size that it is seen at."""
 
 
-def _whole_view(camera: FisheyeCamera) -> _View:
+def _whole_view(camera: Camera) -> _View:
     return (0, 0, camera.width, camera.height), (camera.width, camera.height)
 
 
@@ -155,7 +156,7 @@ class TactileSensor:
     ) -> None:
         self.specification, self.device, self.indenter = specification, device, indenter
         self.skin = skin_of(specification.gel)
-        self.whole_camera = FisheyeCamera.from_specification(specification.camera)
+        self.whole_camera = Camera.from_specification(specification.camera)
         self.camera = self.whole_camera
         self._view = self._whole_view = _whole_view(self.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.
@@ -165,6 +166,9 @@ class TactileSensor:
         self._solvers = SolverChanges(self._gel, specification.solver)
         self._own_idle = idle_frame_of(specification, self.camera)
         self._make_images()
+        self.markers: PrintedMarkers | None = None
+        if specification.markers.columns:
+            self.markers = PrintedMarkers(specification.markers, self.skin)
         self._noise = specification.noise
         self._time_s = 0.0
 
@@ -304,6 +308,8 @@ class TactileSensor:
         fitted = fit_idle_image(image, self.whole_camera, disc=disc)
         before = self._own_idle
         self._own_idle = IdleFrame(fitted, before.lighting, before.vignetting)
+        if self.specification.camera.colour == "grey":
+            self._own_idle = self._own_idle.as_grey()
         self._make_images()
 
     def set_indenter(self, indenter: Indenter) -> None:
@@ -429,7 +435,12 @@ class TactileSensor:
         view = self._renderer.render(gel.skin_position_m)
         seen = clock()
         moment = (self._noise.seed, round(1e9 * gel.time_s))
-        image = with_noise(self._image.render(view), self._noise.deviation_levels, moment)
+        image = with_noise(
+            self._image.render(view),
+            self._noise.deviation_levels,
+            moment,
+            channel_count=self.specification.camera.channel_count,
+        )
         timings = {**gel.timings_s, "depth": seen - start, "image": clock() - seen}
         return Frame(
             time_s=gel.time_s,
@@ -454,6 +465,22 @@ class TactileSensor:
         """
         view = self._renderer.render(after_m)
         return image_motion_px(view, self.skin.triangles, self.camera.project(before_m))
+
+    def marker_motion(self, skin_position_m: FloatArray) -> MarkerMotion:
+        """Return where the markers that are printed on the skin are at rest and now.
+
+        Args:
+            skin_position_m: (V, 3) the skin now, base frame, as a frame has it.
+
+        Raises:
+            ValueError: the sensor has no printed markers.
+        """
+        if self.markers is None:
+            raise ValueError(
+                f"sensor {self.specification.name!r} has no printed markers; give its file a "
+                "section markers with columns and rows"
+            )
+        return self.markers.motion(skin_position_m, self.camera)
 
     def step(self, pose: Pose | ApexPose | None, dt_s: float = FRAME_S) -> Frame:
         """Return the frame after a move of the indenter: `press`, then `see`.

@@ -21,8 +21,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from numpy.typing import ArrayLike
 
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import read_yaml, value_text
 from dotsim_ros.files import parameter_path, whole_file, write_text
 from dotsim_ros.printable import printable
@@ -34,12 +37,18 @@ from dotsim_ros.quantity import (
     section_from,
 )
 
-SHAPES = ("dome", "flat_pad")
+SHAPES = ("dome", "flat_pad", "curved_pad")
 METHODS = ("implicit", "explicit")
 LAWS = ("neo_hookean", "mooney_rivlin", "yeoh")
+PROJECTIONS = ("equidistant", "pinhole")
+COLOURS = ("rgb", "grey")
 
+SMALLEST_HEIGHT_M = 5e-4
+"""Of a curved pad at its corners."""
 LARGEST_LENGTH_M = 0.2
 """Of a gel: that of a large palm. A length in millimetres is beyond it, and so is recognised."""
+WIDEST_PINHOLE_DEG = 80.0
+"""At half the height of a pinhole's image; beyond it a fisheye is meant."""
 LARGEST_DISTANCE_M = 0.1
 """Of the camera from the gel's box: tactile sensors look at it from a few centimetres at most."""
 LARGEST_MEMORY_BYTES = 16e9
@@ -50,11 +59,32 @@ GRAIN_SHARE = 0.6
 """Size of the coat's fine texture, over that of a blotch."""
 
 
+def face_drop_m(x_m: ArrayLike, y_m: ArrayLike, curvature_per_m: tuple[float, float]) -> FloatArray:
+    """Return how far (...,) the face of a curved pad lies below its middle, NaN beyond its arc.
+
+    The face is a biconic surface of conic constants 0: a ball's for equal curvatures, a cylinder's
+    for one that is 0.
+
+    Args:
+        x_m, y_m: (...,) places, base frame.
+        curvature_per_m: along x and y.
+    """
+    x, y = np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64)
+    along_x, along_y = curvature_per_m
+    with np.errstate(invalid="ignore"):
+        root = np.sqrt(1.0 - (along_x * x) ** 2 - (along_y * y) ** 2)
+    return np.asarray((along_x * x**2 + along_y * y**2) / (1.0 + root))
+
+
 @dataclass(frozen=True)
 class GelSpecification:
     """Rest shape of the gel, on the base plane z = 0 and centred on the z axis."""
 
-    shape: str = quantity("dome", choices=SHAPES, help="Half a ball, or a flat block.")
+    shape: str = quantity(
+        "dome",
+        choices=SHAPES,
+        help="Half a ball, a flat block, or a block whose upper face bends down towards its sides.",
+    )
     skin_spacing_m: float = quantity(
         0.5e-3,
         unit="m",
@@ -83,7 +113,15 @@ class GelSpecification:
         unit="m",
         low=5e-4,
         high=LARGEST_LENGTH_M,
-        help="Lengths of a flat pad along x and y, and its thickness along z.",
+        help="Lengths of a pad along x and y, and its thickness along z, in its middle.",
+    )
+    face_radius_m: tuple[float, float] = quantity(
+        (0.0, 0.0),
+        unit="m",
+        low=0.0,
+        high=10.0,
+        help="Radii of the upper face of a curved pad along x and y, 0 for straight: equal ones "
+        "are a part of a ball, one of 0 is a part of a cylinder.",
     )
     bond_slip_share: float = quantity(
         0.0,
@@ -110,6 +148,7 @@ class GelSpecification:
                 f"gel.outer_radius_m ({self.outer_radius_m} m)"
             )
         is_dome = self.shape == "dome"
+        self._check_face()
         if self.bond_slip_share > 0.0 and not (is_dome and self.core_radius_m > 0.0):
             raise ValueError(
                 f"gel.bond_slip_share is {self.bond_slip_share}, expected 0 for a gel without a "
@@ -128,6 +167,29 @@ class GelSpecification:
                 f"({number_text(0.5 * side_m)} m)"
             )
 
+    def _check_face(self) -> None:
+        text = f"gel.face_radius_m is {value_text(self.face_radius_m)}"
+        if self.shape != "curved_pad":
+            if any(self.face_radius_m):
+                raise ValueError(
+                    f"{text}, expected [0, 0] for the shape {self.shape!r}: 'curved_pad' has radii"
+                )
+            return
+        x, y, thickness = self.pad_size_m
+        corner_m = thickness - float(face_drop_m(0.5 * x, 0.5 * y, self.face_curvature_per_m))
+        if not corner_m >= SMALLEST_HEIGHT_M:
+            raise ValueError(
+                f"{text}, which leaves less than {number_text(SMALLEST_HEIGHT_M)} m of gel at the "
+                f"corners of a pad of gel.pad_size_m {value_text(self.pad_size_m)}; make it "
+                "flatter or thicker"
+            )
+
+    @property
+    def face_curvature_per_m(self) -> tuple[float, float]:
+        """Curvature of a pad's upper face along x and y."""
+        x, y = (1.0 / radius if radius > 0.0 else 0.0 for radius in self.face_radius_m)
+        return x, y
+
     @property
     def bounds_m(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Lower and upper corner of a box around the gel."""
@@ -141,6 +203,13 @@ class GelSpecification:
     def extent_m(self) -> float:
         """How far the gel reaches from the z axis, along x or y."""
         return max(self.bounds_m[1][:2])
+
+    @property
+    def thickness_m(self) -> float:
+        """Thickness of the gel on the z axis."""
+        if self.shape == "dome":
+            return self.outer_radius_m - self.core_radius_m
+        return self.pad_size_m[2]
 
     @property
     def skin_area_m2(self) -> float:
@@ -160,7 +229,12 @@ class GelSpecification:
         """Return whether a point (3,) lies behind the skin, where a camera sees its inner side."""
         x, y, z = (float(v) for v in point_m)
         if self.shape != "dome":
-            return z < self.pad_size_m[2]
+            # Beside the pad as at its edge.
+            x, y = (
+                min(max(place, -0.5 * length), 0.5 * length)
+                for place, length in zip((x, y), self.pad_size_m[:2], strict=True)
+            )
+            return z < self.pad_size_m[2] - float(face_drop_m(x, y, self.face_curvature_per_m))
         return math.hypot(x, y, max(z, 0.0)) < self.outer_radius_m
 
 
@@ -304,9 +378,15 @@ class SolverSpecification:
 
 @dataclass(frozen=True)
 class CameraSpecification:
-    """The camera: an equidistant fisheye in the optical frame of REP 103 (z forward, x right, y
+    """The camera: a fisheye or a pinhole in the optical frame of REP 103 (z forward, x right, y
     down), behind the skin. What it looks through is taken to be clear and not to refract."""
 
+    projection: str = quantity(
+        "equidistant",
+        choices=PROJECTIONS,
+        help="How rays meet the image: at a distance from the principal point that is the focal "
+        "length times the angle from the axis (a fisheye), or times its tangent.",
+    )
     width: int = quantity(640, unit="px", low=16, high=4096, help="Width of the image.")
     height: int = quantity(480, unit="px", low=16, high=4096, help="Height of the image.")
     position_m: tuple[float, float, float] = quantity(
@@ -323,12 +403,18 @@ class CameraSpecification:
         high=1.001,
         help="Rotation from the optical frame to the base frame, of length 1 within 0.001.",
     )
+    colour: str = quantity(
+        "rgb",
+        choices=COLOURS,
+        help="A grey camera sees all LEDs alike, and its images have three equal channels.",
+    )
     half_height_angle_deg: float = quantity(
         86.0,
         unit="deg",
         low=1.0,
         high=180.0,
-        help="Angle from the axis that is seen at half the image's height, without distortion.",
+        help="Angle from the axis that is seen at half the image's height, without distortion; at "
+        f"most {WIDEST_PINHOLE_DEG:g} for a pinhole.",
     )
     principal_point_px: tuple[float, float] = quantity(
         (319.5, 239.5),
@@ -339,7 +425,10 @@ class CameraSpecification:
         "an image's size outside of it.",
     )
     distortion: tuple[float, float, float, float] = quantity(
-        (0.0, 0.0, 0.0, 0.0), low=-100.0, high=100.0, help="k1 to k4 of the equidistant model."
+        (0.0, 0.0, 0.0, 0.0),
+        low=-100.0,
+        high=100.0,
+        help="k1 to k4 of the equidistant model, or k1, k2, p1, p2 of a pinhole's plumb_bob.",
     )
     idle_image: str = quantity(
         "images/densetact2_idle.png",
@@ -352,8 +441,18 @@ class CameraSpecification:
         "for none.",
     )
 
+    @property
+    def channel_count(self) -> int:
+        """Channels of its images that differ."""
+        return 1 if self.colour == "grey" else 3
+
     def __post_init__(self) -> None:
         check_fields("camera", self)
+        if self.projection == "pinhole" and self.half_height_angle_deg > WIDEST_PINHOLE_DEG:
+            raise ValueError(
+                f"camera.half_height_angle_deg is {self.half_height_angle_deg}, expected at most "
+                f"{WIDEST_PINHOLE_DEG:g} deg for the projection pinhole; 'equidistant' sees more"
+            )
         length = math.hypot(*self.quaternion_xyzw)
         if abs(length - 1.0) > 1e-3:
             raise ValueError(
@@ -386,10 +485,17 @@ class NoiseSpecification:
 
 @dataclass(frozen=True)
 class LightingSpecification:
-    """Nine LEDs on a ring around the z axis (three red, three green, three blue), and the coat that
-    they light. Used where the idle image has no description of its own beside it."""
+    """Nine LEDs around the z axis (three red, three green, three blue) on a ring or in three
+    straight rows, and the coat that they light. A crosstalk of 1 makes all of them white. Used
+    where the idle image has no description of its own beside it."""
 
-    radius_m: float = quantity(0.010, unit="m", low=1e-4, high=0.3, help="Radius of the ring.")
+    radius_m: float = quantity(
+        0.010,
+        unit="m",
+        low=1e-4,
+        high=0.3,
+        help="Radius of the ring, or distance of the rows from the z axis.",
+    )
     height_m: float = quantity(
         0.0005, unit="m", low=-0.3, high=0.3, help="Height of the ring over the base plane."
     )
@@ -401,7 +507,19 @@ class LightingSpecification:
         help="Directions of the red, the green and the blue group, from +x towards +y.",
     )
     spread_deg: float = quantity(
-        12.0, unit="deg", low=0.0, high=120.0, help="Angle between two neighbours of one group."
+        12.0,
+        unit="deg",
+        low=0.0,
+        high=120.0,
+        help="Angle between two neighbours of one group on the ring.",
+    )
+    row_length_m: float = quantity(
+        0.0,
+        unit="m",
+        low=0.0,
+        high=0.3,
+        help="Length of the straight row that a group forms across its direction, as along a "
+        "pad's side; 0 for a part of the ring.",
     )
     crosstalk: float = quantity(
         0.1,
@@ -495,6 +613,41 @@ class PatternSpecification:
         check_fields("pattern", self)
 
 
+@dataclass(frozen=True)
+class MarkerSpecification:
+    """A grid of dots that is printed on the skin, around the z axis and as it is seen along it;
+    none by default. They are drawn where the idle image is; an image that is named shows its own.
+    """
+
+    columns: int = quantity(0, low=0, high=200, help="Dots along x; 0 for none.")
+    rows: int = quantity(0, low=0, high=200, help="Dots along y; 0 for none.")
+    spacing_m: tuple[float, float] = quantity(
+        (1.5e-3, 1.5e-3),
+        unit="m",
+        low=1e-5,
+        high=LARGEST_LENGTH_M,
+        help="From one dot to the next along x and y, middle to middle.",
+    )
+    radius_m: float = quantity(0.25e-3, unit="m", low=1e-5, high=0.02, help="Radius of a dot.")
+    darkness: float = quantity(
+        0.9, low=0.0, high=1.0, help="Light that a dot swallows of what the coat sends back."
+    )
+
+    def __post_init__(self) -> None:
+        check_fields("markers", self)
+        if (self.columns > 0) != (self.rows > 0):
+            raise ValueError(
+                f"markers.columns is {self.columns} and markers.rows is {self.rows}, expected both "
+                "above 0, or both 0 for none"
+            )
+
+    @property
+    def corner_m(self) -> tuple[float, float]:
+        """x and y of the grid's last dot."""
+        x, y = self.spacing_m
+        return 0.5 * x * (self.columns - 1), 0.5 * y * (self.rows - 1)
+
+
 SECTIONS: dict[str, type[Any]] = {
     "gel": GelSpecification,
     "material": MaterialSpecification,
@@ -505,8 +658,11 @@ SECTIONS: dict[str, type[Any]] = {
     "lighting": LightingSpecification,
     "vignetting": VignettingSpecification,
     "pattern": PatternSpecification,
+    "markers": MarkerSpecification,
 }
-WRITTEN_BY_NEED = ("noise", "lighting", "vignetting", "pattern")
+SOURCE_MARK = "Source: "
+"""Begins the line of a sensor's comment that says where its numbers come from."""
+WRITTEN_BY_NEED = ("noise", "lighting", "vignetting", "pattern", "markers")
 """Sections that a written file has only where they differ from their defaults."""
 
 
@@ -531,6 +687,7 @@ class SensorSpecification:
     lighting: LightingSpecification = field(default_factory=LightingSpecification)
     vignetting: VignettingSpecification = field(default_factory=VignettingSpecification)
     pattern: PatternSpecification = field(default_factory=PatternSpecification)
+    markers: MarkerSpecification = field(default_factory=MarkerSpecification)
 
     def __post_init__(self) -> None:
         check_fields("", self)
@@ -546,6 +703,7 @@ class SensorSpecification:
             )
         self._check_grid()
         self._check_camera()
+        self._check_markers()
         if not self.camera.idle_image:
             check_drawable(self.gel, self.pattern)
         self._check_memory()
@@ -578,6 +736,21 @@ class SensorSpecification:
             raise ValueError(
                 f"camera.position_m is {value_text(place)}, in front of the skin; expected a place "
                 "behind it, where the camera sees its inner side"
+            )
+
+    def _check_markers(self) -> None:
+        if not self.markers.columns:
+            return
+        x, y = self.markers.corner_m
+        if self.gel.shape == "dome":
+            fits = math.hypot(x, y) < 0.99 * self.gel.outer_radius_m
+        else:
+            fits = x <= 0.5 * self.gel.pad_size_m[0] and y <= 0.5 * self.gel.pad_size_m[1]
+        if not fits:
+            raise ValueError(
+                f"markers reach {number_text(x)} m along x and {number_text(y)} m along y, beyond "
+                "the skin; expected fewer markers.columns and markers.rows, or a smaller "
+                "markers.spacing_m"
             )
 
     def _check_memory(self) -> None:
@@ -701,6 +874,11 @@ def sensor_path(source: str | Path) -> Path:
     return path if path.suffix in (".yaml", ".yml") else parameter_path(f"sensors/{source}.yaml")
 
 
+def shipped_sensors() -> list[str]:
+    """Return the names of the sensors that come with the package."""
+    return sorted(path.stem for path in parameter_path("sensors").glob("*.yaml"))
+
+
 def load_sensor(source: str | Path) -> SensorSpecification:
     """Read a sensor from a YAML file, or by name from `params/sensors/`.
 
@@ -776,6 +954,14 @@ def read_comment(path: Path) -> list[str]:
     return [line.removeprefix("#").removeprefix(" ") for line in head]
 
 
+def read_source(path: Path) -> str:
+    """Return where a sensor's numbers come from: what its comment says after `Source: `, or the
+    comment's first line."""
+    comment = read_comment(path)
+    stated = [line.removeprefix(SOURCE_MARK) for line in comment if line.startswith(SOURCE_MARK)]
+    return next(iter([*stated, *comment]), "").rstrip(":")
+
+
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
     return {
         name: list(value) if isinstance(value, tuple) else value for name, value in values.items()
@@ -830,9 +1016,10 @@ python -m dotsim_ros.optics.pattern my_pad_idle.png --sensor my_pad.yaml
 writes the image, and beside it the lights that it was drawn with, as a file that describes an idle
 image. Such a file comes before the sensor's own sections `lighting` and `vignetting`.
 
-**Flat pads.** `flat_pad` is a block of gel on a clear plate at z = 0. The camera stands below and
-looks up at the inner side of the upper face, the only one that is seen.
-`params/sensors/flat_pad.yaml` is one, made with the command above.
+**Pads.** `flat_pad` is a block of gel on a clear plate at z = 0. The camera stands below and looks
+up at the inner side of the upper face, the only one that is seen. `params/sensors/flat_pad.yaml` is
+one, made with the command above. A `curved_pad` differs by its upper face, which is highest in the
+middle and a part of a ball or a cylinder.
 
 **Noise.** `noise` adds normal noise to every image of `TactileSensor`. It is drawn by `noise.seed`
 and the frame's time since the last `reset`: the same motion after a reset gives the same images to

@@ -19,7 +19,7 @@ from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import active_effects, read_overlay
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import MAXIMUM_EXTENT_M, Indenter, load_indenter
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.optics.idle import read_idle_frame
@@ -122,7 +122,7 @@ def _active(path: Path, library: dict[str, Effect]) -> list[tuple[Effect, Any]]:
 
 @dataclass(frozen=True)
 class _Idle:
-    camera: FisheyeCamera
+    camera: Camera
     image: bytes
     description: str
 
@@ -131,7 +131,7 @@ def _idle_images(_folder: Path) -> _Idle:
     sensor = load_sensor("densetact2")
     path = parameter_path("images/densetact2_idle.png")
     return _Idle(
-        FisheyeCamera.from_specification(sensor.camera),
+        Camera.from_specification(sensor.camera),
         path.read_bytes(),
         path.with_suffix(".yaml").read_text(),
     )

@@ -18,7 +18,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.network.carded_weights import CARD_KEY, GRAPH, WEIGHTS
 from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.specification import load_sensor
@@ -43,8 +43,8 @@ def _of(folder: Path) -> _Network:
     return _Network(folder, card, weights)
 
 
-def _completion(_folder: Path) -> tuple[_Network, FisheyeCamera]:
-    camera = FisheyeCamera.from_specification(load_sensor(SENSOR).camera)
+def _completion(_folder: Path) -> tuple[_Network, Camera]:
+    camera = Camera.from_specification(load_sensor(SENSOR).camera)
     return _of(parameter_path(f"networks/{SENSOR}")), camera
 
 
@@ -87,9 +87,7 @@ def _rewrite(path: Path, content: bytes) -> None:
     path.write_bytes(content)
 
 
-def _attempt_completion(
-    known: tuple[_Network, FisheyeCamera], random: Random, folder: Path
-) -> None:
+def _attempt_completion(known: tuple[_Network, Camera], random: Random, folder: Path) -> None:
     network, camera = known
     _spoil(network, random, folder)
     load = partial(CompletionNetwork, folder, sensor=SENSOR, camera=camera)

@@ -9,8 +9,10 @@ raises ValueError that says what was wrong and what was expected.
 """
 
 from msg_adapters.camera_info import (
+    EQUIDISTANT,
+    PLUMB_BOB,
     CameraCalibration,
-    FisheyeIntrinsics,
+    CameraIntrinsics,
     decode_calibration,
     decode_camera_info,
     encode_calibration,
@@ -45,11 +47,13 @@ from msg_adapters.types import ROS, BagTypes, Message, MessageTypes, RosTypes, m
 from msg_adapters.xarm import RobotState, decode_robot_state, encode_move_velocity
 
 __all__ = [
+    "EQUIDISTANT",
+    "PLUMB_BOB",
     "ROS",
     "BagTypes",
     "CameraCalibration",
+    "CameraIntrinsics",
     "Cloud",
-    "FisheyeIntrinsics",
     "Level",
     "Message",
     "MessageTypes",

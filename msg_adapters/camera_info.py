@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""sensor_msgs/CameraInfo of a fisheye camera (REP 104, distortion model "equidistant")."""
+"""sensor_msgs/CameraInfo of a fisheye or a pinhole camera (REP 104)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,25 @@ from msg_adapters.stamps import encode_header
 from msg_adapters.types import ROS, Message, MessageTypes
 
 EQUIDISTANT = "equidistant"
+PLUMB_BOB = "plumb_bob"
+COEFFICIENT_COUNTS = {EQUIDISTANT: 4, PLUMB_BOB: 5}
+"""Of the distortion models that a simulated camera has."""
 LARGEST_COEFFICIENT_COUNT = 14
 """Of OpenCV's models."""
 
 
 @dataclass(frozen=True)
-class FisheyeIntrinsics:
-    """Intrinsics of an equidistant fisheye: r = f * theta * (1 + k1 theta^2 + ... + k4 theta^8).
+class CameraIntrinsics:
+    """Intrinsics of an equidistant fisheye, r = f * theta * (1 + k1 theta^2 + ... + k4 theta^8), or
+    of a pinhole with Brown's distortion.
 
     Attributes:
         width: image width in pixels.
         height: image height in pixels.
-        focal_px: (2,) focal lengths fx, fy in pixels per radian.
+        focal_px: (2,) focal lengths fx, fy in pixels per radian at the optical axis.
         principal_point_px: (2,) cx, cy.
-        distortion: (4,) k1 to k4.
+        distortion: (4,) k1 to k4 of "equidistant", or (5,) k1, k2, p1, p2, k3 of "plumb_bob".
+        distortion_model: either of these.
     """
 
     width: int
@@ -36,6 +41,7 @@ class FisheyeIntrinsics:
     focal_px: NDArray[np.float64]
     principal_point_px: NDArray[np.float64]
     distortion: NDArray[np.float64]
+    distortion_model: str = EQUIDISTANT
 
 
 @dataclass(frozen=True)
@@ -94,19 +100,20 @@ def encode_camera_info(
     focal_px: ArrayLike,
     principal_point_px: ArrayLike,
     distortion: ArrayLike,
+    distortion_model: str = EQUIDISTANT,
     stamp_ns: int,
     frame_id: str,
     types: MessageTypes = ROS,
 ) -> Message:
-    """Return a sensor_msgs/CameraInfo; arguments as `FisheyeIntrinsics`.
+    """Return a sensor_msgs/CameraInfo; arguments as `CameraIntrinsics`.
 
     Raises:
-        ValueError: not exactly four coefficients, a size or focal length that is not positive, or
-            a number that is not finite.
+        ValueError: another distortion model or number of coefficients, a size or focal length that
+            is not positive, or a number that is not finite.
     """
     focal = finite_vector(np.broadcast_to(np.asarray(focal_px, dtype=float), (2,)), 2, "focal_px")
     centre = finite_vector(principal_point_px, 2, "principal_point_px")
-    coefficients = finite_vector(distortion, 4, "distortion")
+    coefficients = finite_vector(distortion, _coefficient_count(distortion_model), "distortion")
     if width <= 0 or height <= 0 or not (focal > 0.0).all():
         raise ValueError(
             f"camera of {width} x {height} pixels and focal length {focal.tolist()} px: all must "
@@ -118,13 +125,22 @@ def encode_camera_info(
     calibration = CameraCalibration(
         width=int(width),
         height=int(height),
-        distortion_model=EQUIDISTANT,
+        distortion_model=distortion_model,
         distortion=coefficients,
         camera_matrix=camera_matrix,
         rectification=np.eye(3),
         projection=np.hstack([camera_matrix, np.zeros((3, 1))]),
     )
     return encode_calibration(calibration, stamp_ns=stamp_ns, frame_id=frame_id, types=types)
+
+
+def _coefficient_count(distortion_model: str) -> int:
+    if distortion_model not in COEFFICIENT_COUNTS:
+        raise ValueError(
+            f"distortion model {distortion_model!r} is not supported; expected one of "
+            f"{', '.join(COEFFICIENT_COUNTS)}"
+        )
+    return COEFFICIENT_COUNTS[distortion_model]
 
 
 def encode_calibration(
@@ -171,19 +187,15 @@ def decode_calibration(message: Message) -> CameraCalibration:
     )
 
 
-def decode_camera_info(message: Message) -> FisheyeIntrinsics:
+def decode_camera_info(message: Message) -> CameraIntrinsics:
     """Return the intrinsics of a sensor_msgs/CameraInfo.
 
     Raises:
-        ValueError: another distortion model, not exactly four coefficients, a matrix that is no
+        ValueError: another distortion model or number of coefficients, a matrix that is no
             pinhole's, or a number that is not finite.
     """
-    if message.distortion_model != EQUIDISTANT:
-        raise ValueError(
-            f"distortion model {message.distortion_model!r} is not supported; expected "
-            f"{EQUIDISTANT!r}"
-        )
-    coefficients = finite_vector(message.d, 4, "distortion")
+    count = _coefficient_count(message.distortion_model)
+    coefficients = finite_vector(message.d, count, "distortion")
     matrix = finite_vector(message.k, 9, "camera matrix").reshape(3, 3)
     focal = np.array([matrix[0, 0], matrix[1, 1]])
     skew_and_last_row = [matrix[0, 1], matrix[1, 0], matrix[2, 0], matrix[2, 1], matrix[2, 2] - 1.0]
@@ -194,10 +206,11 @@ def decode_camera_info(message: Message) -> FisheyeIntrinsics:
         )
     if message.width <= 0 or message.height <= 0:
         raise ValueError(f"camera of {message.width} x {message.height} pixels is empty")
-    return FisheyeIntrinsics(
+    return CameraIntrinsics(
         width=int(message.width),
         height=int(message.height),
         focal_px=focal,
         principal_point_px=matrix[:2, 2].copy(),
         distortion=coefficients,
+        distortion_model=message.distortion_model,
     )

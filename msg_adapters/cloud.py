@@ -32,21 +32,27 @@ FLOAT32 = 7
 POSITION = ("x", "y", "z")
 NORMAL = ("normal_x", "normal_y", "normal_z")
 DISPLACEMENT = ("displacement_x", "displacement_y", "displacement_z")
+PIXEL = ("u", "v")
+PIXEL_DISPLACEMENT = ("displacement_u", "displacement_v")
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """Points of a cloud, with their optional normals and displacements.
+    """Points of a cloud, with their optional normals, displacements and places in an image.
 
     Attributes:
         position: (N, 3) metres.
         normal: (N, 3) unit vectors, or None.
         displacement: (N, 3) metres from the place at rest, or None.
+        pixel: (N, 2) x and y in an image, or None.
+        pixel_displacement: (N, 2) pixels from the place at rest, or None.
     """
 
     position: NDArray[Any]
     normal: NDArray[Any] | None
     displacement: NDArray[Any] | None
+    pixel: NDArray[Any] | None = None
+    pixel_displacement: NDArray[Any] | None = None
 
 
 def encode_cloud(
@@ -54,19 +60,23 @@ def encode_cloud(
     *,
     normal: ArrayLike | None = None,
     displacement_m: ArrayLike | None = None,
+    pixel: ArrayLike | None = None,
+    pixel_displacement: ArrayLike | None = None,
     stamp_ns: int,
     frame_id: str,
     types: MessageTypes = ROS,
 ) -> Message:
     """Return an unordered sensor_msgs/PointCloud2 of float32 fields without padding.
 
-    Fields x, y, z, then normal_x, normal_y, normal_z and displacement_x, displacement_y,
-    displacement_z where given. `is_dense` says whether every position is finite.
+    Fields x, y, z, then normal_x, normal_y, normal_z, displacement_x, displacement_y,
+    displacement_z, u, v, and displacement_u, displacement_v where given. `is_dense` says whether
+    every position is finite.
 
     Args:
         position_m: (N, 3).
         normal: (N, 3) or None.
         displacement_m: (N, 3) or None.
+        pixel, pixel_displacement: (N, 2) or None.
         stamp_ns: time of acquisition.
         frame_id: frame of points and vectors.
         types: of the message: an installed ROS or a bag's type store.
@@ -74,15 +84,20 @@ def encode_cloud(
     Raises:
         ValueError: an array of another shape.
     """
-    named = [(POSITION, position_m), (NORMAL, normal), (DISPLACEMENT, displacement_m)]
+    named = [
+        (POSITION, position_m),
+        (NORMAL, normal),
+        (DISPLACEMENT, displacement_m),
+        (PIXEL, pixel),
+        (PIXEL_DISPLACEMENT, pixel_displacement),
+    ]
     groups = [(names, np.asarray(values)) for names, values in named if values is not None]
     count = len(groups[0][1])
     for names, values in groups:
-        if values.shape != (count, 3):
-            raise ValueError(f"cloud field {names[0]} needs shape ({count}, 3), got {values.shape}")
-    table = np.empty((count, 3 * len(groups)), dtype=np.float32)
-    for index, (_, values) in enumerate(groups):
-        table[:, 3 * index : 3 * index + 3] = values
+        expected = (count, len(names))
+        if values.shape != expected:
+            raise ValueError(f"cloud field {names[0]} needs shape {expected}, got {values.shape}")
+    table = np.concatenate([values for _, values in groups], axis=1, dtype=np.float32)
     fields = [
         types.make(
             "sensor_msgs/msg/PointField", name=name, offset=4 * index, datatype=FLOAT32, count=1
@@ -164,7 +179,7 @@ def decode_cloud_fields(message: Message) -> NDArray[Any]:
     return rows.reshape(-1).view(dtype)
 
 
-def _vectors(points: NDArray[Any], names: tuple[str, str, str]) -> NDArray[Any] | None:
+def _vectors(points: NDArray[Any], names: tuple[str, ...]) -> NDArray[Any] | None:
     fields: Mapping[str, Any] = points.dtype.fields or {}
     if not set(names) <= set(fields):
         return None
@@ -176,7 +191,11 @@ def _vectors(points: NDArray[Any], names: tuple[str, str, str]) -> NDArray[Any] 
     if not packed or len(points) == 0:
         return np.stack([points[name] for name in names], axis=1)
     return np.ndarray(
-        (len(points), 3), kind, points, offset=first, strides=(points.strides[0], kind.itemsize)
+        (len(points), len(names)),
+        kind,
+        points,
+        offset=first,
+        strides=(points.strides[0], kind.itemsize),
     )
 
 
@@ -193,4 +212,10 @@ def decode_cloud(message: Message) -> Cloud:
         raise ValueError(f"cloud has fields {list(points.dtype.names or ())}, expected x, y and z")
     if message.is_dense and not np.isfinite(position).all():
         raise ValueError("cloud is marked is_dense but holds a position that is not finite")
-    return Cloud(position, _vectors(points, NORMAL), _vectors(points, DISPLACEMENT))
+    return Cloud(
+        position,
+        _vectors(points, NORMAL),
+        _vectors(points, DISPLACEMENT),
+        _vectors(points, PIXEL),
+        _vectors(points, PIXEL_DISPLACEMENT),
+    )

@@ -84,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from dotsim_ros.calibration.camera.score import score_frames
     from dotsim_ros.files import write_image, write_json
-    from dotsim_ros.geometry.camera import FisheyeCamera
+    from dotsim_ros.geometry.camera import Camera
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.measured.trajectory import Topics
     from dotsim_ros.provenance import provenance
@@ -105,7 +105,7 @@ def run(arguments: argparse.Namespace) -> int:
     height, width = filmed.idle.shape[:2]
     lights, falloff = read_lights(stated)
     start = CameraModel(
-        FisheyeCamera.from_specification(stated.camera).scaled(width, height), lights, falloff
+        Camera.from_specification(stated.camera).scaled(width, height), lights, falloff
     )
     to_fit = _only(filmed, train)
     lens_skin = to_fit

@@ -21,6 +21,7 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import value_text
 from dotsim_ros.gel.values import GelValues
+from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.recording import Recording
 from dotsim_ros.printable import one_line
@@ -114,11 +115,12 @@ class SeenImage:
         pixels: (H, W, 3) linear to the sensor's numbers, 0 to 255, not rounded.
         idle: (H, W, 3) the same without contact.
         centre_px: (2,) x and y of the optical axis.
-        focal_px: pixels a radian of the equidistant fisheye.
+        focal_px: pixels a radian at the optical axis.
         flow_px_s: (H, W, 2) how fast the image moves; zero where it is not known.
         depth_m: (H, W) distance of the skin along each pixel's ray; NaN where no skin is seen.
         normal: (H, W, 3) unit normal of the skin, optical frame, on the camera's side; NaN where
             no skin is seen.
+        projection: of the camera, as a sensor's file names it.
     """
 
     stamp_s: float
@@ -130,6 +132,7 @@ class SeenImage:
     flow_px_s: FloatArray
     depth_m: FloatArray
     normal: FloatArray
+    projection: str = FisheyeCamera.projection
 
 
 MotionFilter = Callable[[float, Pose, FloatArray], Pose]

@@ -24,7 +24,7 @@ from dotsim_ros.effects.effect import (
 )
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.gel.values import specification_with, values_of
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.specification import SensorSpecification
@@ -80,7 +80,7 @@ class FilteredSensor(Protocol):
         """The skin at rest."""
 
     @property
-    def camera(self) -> FisheyeCamera:
+    def camera(self) -> Camera:
         """That the images are of."""
 
     @property
@@ -210,6 +210,7 @@ class LiveEffects:
                     flow_px_s=flow,
                     depth_m=frame.depth_m.astype(np.float64),
                     normal=frame.normal.astype(np.float64),
+                    projection=sensor.camera.projection,
                 )
             )
             return np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8)

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, SeenImage, Values
+from dotsim_ros.geometry.camera import CAMERAS, Camera
 from dotsim_ros.measured.recording import Phase, Recording
 
 FULL_SCALE = 255.0
@@ -87,6 +88,13 @@ def _asked_for(place: FloatArray) -> FloatArray:
     return np.asarray(whole + 0.5 + np.sinh(np.arcsinh(4.0 * (place - whole) - 2.0) / 3.0))
 
 
+def undistorted_camera(image: SeenImage) -> Camera:
+    """Return the camera of an image, in its own frame, without its distortion, which is not known
+    to an effect."""
+    height, width = image.pixels.shape[:2]
+    return CAMERAS[image.projection](width, height, image.focal_px, image.centre_px)
+
+
 def pixel_places(image: SeenImage) -> tuple[FloatArray, FloatArray]:
     """Return x and y (H, W each) of all pixels."""
     height, width = image.pixels.shape[:2]
@@ -98,18 +106,24 @@ class FixedResampling:
     """Resamples every image alike; the map is made for the first image of each geometry.
 
     Args:
-        source: makes the map; it may read the image's size, centre and focal length alone.
+        source: makes the map; it may read the image's size, centre, focal length and projection
+            alone.
     """
 
     def __init__(self, source: SourceMap) -> None:
         self._source = source
-        self._geometry: tuple[float, ...] = ()
+        self._geometry: tuple[float | str, ...] = ()
         self._x: NDArray[np.float64] = np.empty((0, 0))
         self._y: NDArray[np.float64] = np.empty((0, 0))
 
     def __call__(self, image: SeenImage) -> FloatArray:
         """Return the resampled pixels (H, W, 3)."""
-        geometry = (*image.pixels.shape, *map(float, image.centre_px), float(image.focal_px))
+        geometry = (
+            *image.pixels.shape,
+            *map(float, image.centre_px),
+            float(image.focal_px),
+            image.projection,
+        )
         if geometry != self._geometry:
             self._x, self._y = self._source(image)
             self._geometry = geometry

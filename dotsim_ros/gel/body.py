@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.specification import face_drop_m
 
 
 class Body(Protocol):
@@ -92,17 +93,20 @@ class Dome:
 
 @dataclass(frozen=True)
 class Pad:
-    """A flat block of gel on the base, centred on the z axis.
+    """A block of gel on the base, centred on the z axis, with a flat or a curved upper face.
 
     Attributes:
-        size_m: lengths along x and y, and the thickness along z.
+        size_m: lengths along x and y, and the thickness along z in the middle.
+        curvature_per_m: of the upper face along x and y.
     """
 
     size_m: tuple[float, float, float]
+    curvature_per_m: tuple[float, float] = field(default=(0.0, 0.0), kw_only=True)
 
     @property
     def symmetries(self) -> FloatArray:
-        square = self.size_m[0] == self.size_m[1]
+        along_x, along_y = zip(self.size_m[:2], self.curvature_per_m, strict=True)
+        square = along_x == along_y
         return QUARTER_TURNS_AND_MIRRORS if square else QUARTER_TURNS_AND_MIRRORS[:4]
 
     def bounds_m(self) -> FloatArray:
@@ -111,7 +115,11 @@ class Pad:
 
     def contains(self, points_m: FloatArray) -> NDArray[np.bool_]:
         lower, upper = self.bounds_m()
-        return np.asarray(np.all((points_m >= lower) & (points_m <= upper), axis=-1))
+        inside = np.all((points_m >= lower) & (points_m <= upper), axis=-1)
+        if any(self.curvature_per_m):
+            drop = face_drop_m(points_m[..., 0], points_m[..., 1], self.curvature_per_m)
+            inside &= points_m[..., 2] <= self.size_m[2] - drop
+        return np.asarray(inside)
 
     def bonded_surface(self, spacing_m: float) -> tuple[FloatArray, FloatArray]:
         return np.zeros((0, 3)), np.zeros(0)

@@ -25,7 +25,7 @@ from dotsim_ros.gel.material import (
 )
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, pad_skin
 from dotsim_ros.specification import GelSpecification, MaterialSpecification, SensorSpecification
 
 
@@ -73,7 +73,7 @@ def body_of(specification: GelSpecification) -> Body:
     """Return the gel's shape."""
     if specification.shape == "dome":
         return Dome(specification.outer_radius_m, specification.core_radius_m)
-    return Pad(specification.pad_size_m)
+    return Pad(specification.pad_size_m, curvature_per_m=specification.face_curvature_per_m)
 
 
 def bond_of(specification: GelSpecification) -> LooseBond | None:
@@ -87,8 +87,11 @@ def skin_of(specification: GelSpecification) -> SkinMesh:
     """Return the gel's skin at rest."""
     if specification.shape == "dome":
         return dome_skin(specification.outer_radius_m, specification.skin_spacing_m)
-    x, y, thickness = specification.pad_size_m
-    return flat_pad_skin((x, y), thickness, specification.skin_spacing_m)
+    return pad_skin(
+        specification.pad_size_m,
+        specification.skin_spacing_m,
+        curvature_per_m=specification.face_curvature_per_m,
+    )
 
 
 def law_of(specification: MaterialSpecification) -> ElasticLaw:

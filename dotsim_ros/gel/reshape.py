@@ -52,7 +52,11 @@ class ReshapedDome(Dome):
 
 @dataclass(frozen=True)
 class ReshapedPad(Pad):
-    """A pad whose points are those of a reference pad, stretched along the axes."""
+    """A pad whose points are those of a reference pad, stretched along the axes.
+
+    The curvature of its face is the reference's, and where the pad is told from the outside it is
+    taken for that after the stretch, too.
+    """
 
     reference: Pad
 

@@ -55,10 +55,6 @@ def values_of(specification: SensorSpecification) -> GelValues:
             f"material.law is {s.material.law!r}, expected neo_hookean or yeoh for a calibration"
         )
     youngs, bulk = map(float, small_strain_moduli_pa(law_of(s.material)))
-    if s.gel.shape == "dome":
-        thickness = s.gel.outer_radius_m - s.gel.core_radius_m
-    else:
-        thickness = s.gel.pad_size_m[2]
     return GelValues(
         youngs_modulus_pa=youngs,
         poisson_ratio=0.5 - youngs / (6.0 * bulk),
@@ -66,7 +62,7 @@ def values_of(specification: SensorSpecification) -> GelValues:
         contact_stiffness=s.contact.stiffness,
         c20_ratio=c20 / c10,
         c30_ratio=c30 / c10,
-        thickness_m=thickness,
+        thickness_m=s.gel.thickness_m,
         bond_slip_share=s.gel.bond_slip_share,
         loose_patch_rad=s.gel.loose_patch_rad,
     )

@@ -17,7 +17,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
 from dotsim_ros.arrays import BoolArray, FloatArray, IndexArray
+from dotsim_ros.geometry.pad_face import face_normal
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.specification import face_drop_m
 
 
 def face_vectors(position_m: FloatArray, triangles: IndexArray) -> FloatArray:
@@ -238,6 +240,33 @@ def flat_pad_skin(size_m: tuple[float, float], thickness_m: float, spacing_m: fl
             wide = np.stack([start + column, start + column + 1, middle + column + 1], axis=1)[:-1]
             triangles.append(np.concatenate([narrow, wide])[:, ::winding])
     return skin_of_triangles(position, np.concatenate(triangles))
+
+
+def pad_skin(
+    size_m: tuple[float, float, float],
+    spacing_m: float,
+    *,
+    curvature_per_m: tuple[float, float] = (0.0, 0.0),
+) -> SkinMesh:
+    """Return the upper face of a pad, flat or curved, centred on the z axis.
+
+    Args:
+        size_m: lengths along x and y, and the thickness in the middle.
+        spacing_m: no two neighbouring vertices are farther apart than this.
+        curvature_per_m: of the face along x and y.
+
+    Raises:
+        ValueError: as `flat_pad_skin`.
+    """
+    x, y, thickness = size_m
+    # Edges lengthen with the slope, which is largest at the corners.
+    corner = face_normal(np.array(0.5 * x), np.array(0.5 * y), curvature_per_m)
+    flat = flat_pad_skin((x, y), thickness, spacing_m * float(corner[2]))
+    if not any(curvature_per_m):
+        return flat
+    position = flat.rest_position_m.copy()
+    position[:, 2] -= face_drop_m(position[:, 0], position[:, 1], curvature_per_m)
+    return skin_of_triangles(position, flat.triangles)
 
 
 def tip_depth_m(skin: SkinMesh, poses: Iterable[Pose]) -> FloatArray:

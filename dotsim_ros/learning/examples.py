@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.network.card import FINENESS
 from dotsim_ros.optics.network.input import (
     DEPTH,
@@ -63,7 +63,7 @@ class ImageExamples:
         )
 
 
-def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera) -> None:
+def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: Camera) -> None:
     """Refuse presses that no network can be trained on.
 
     Raises:
@@ -89,9 +89,7 @@ def check_presses(presses: Sequence[OpticalPress], rest: Rest, camera: FisheyeCa
         )
 
 
-def network_input(
-    kind: str, rest: Rest, camera: FisheyeCamera, size: tuple[int, int]
-) -> CompletionInput:
+def network_input(kind: str, rest: Rest, camera: Camera, size: tuple[int, int]) -> CompletionInput:
     """Return what brings a sensor's frames to the size and the units of a network.
 
     Args:
@@ -124,7 +122,7 @@ def make_examples(
     kind: str,
     presses: Sequence[OpticalPress],
     rest: Rest,
-    camera: FisheyeCamera,
+    camera: Camera,
     size: tuple[int, int],
 ) -> ImageExamples:
     """Return presses as examples.

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from dotsim_ros.arrays import Float32Array, ImageArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.examples import inputs_of, make_examples, network_input
 from dotsim_ros.learning.networks import make_network
 from dotsim_ros.learning.training import (
@@ -48,7 +48,7 @@ class FittedNetwork:
 
     kind: str
     trained: Trained
-    camera: FisheyeCamera
+    camera: Camera
     size: tuple[int, int]
 
     @property
@@ -104,7 +104,7 @@ def check_width(width: int, widest: int | None = None) -> None:
 
 
 def network_size(
-    kind: str, camera: FisheyeCamera, size: int | None, device: torch.device
+    kind: str, camera: Camera, size: int | None, device: torch.device
 ) -> tuple[int, int]:
     """Return width and height of a network's images.
 
@@ -135,7 +135,7 @@ def fit_network(
     kind: str,
     train: Sequence[OpticalPress],
     rest: Rest,
-    camera: FisheyeCamera,
+    camera: Camera,
     *,
     seed: int = 0,
     budget_minutes: float | None = None,

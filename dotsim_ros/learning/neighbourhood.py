@@ -26,7 +26,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.examples import ImageExamples, make_examples
 from dotsim_ros.learning.fitting import FittedNetwork, network_size
 from dotsim_ros.learning.networks import CHANGE_SCALE, OFFSET_SCALE, moved
@@ -145,7 +145,7 @@ def _pixels(network: NeighbourhoodModel, examples: ImageExamples) -> _Pixels:
 def fit_neighbourhood(
     train: Sequence[OpticalPress],
     rest: Rest,
-    camera: FisheyeCamera,
+    camera: Camera,
     *,
     seed: int = 0,
     size: int | None = None,

@@ -23,7 +23,7 @@ from scipy import sparse
 from scipy.sparse.linalg import cg
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.untouched import with_refined_idle
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
@@ -59,7 +59,7 @@ class _Samples:
 
 def with_learned_pattern(
     filmed: FilmedData,
-    camera: FisheyeCamera,
+    camera: Camera,
     *,
     lighting: Lighting,
     vignetting: Vignetting,

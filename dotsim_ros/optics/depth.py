@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, ImageArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 
 RADIUS_STEPS = 256.0
 """Of 8 bits, as readers of the DenseTact driver's imgDepth take them."""
@@ -21,7 +21,7 @@ class DepthConversion:
         camera: whose image it is.
     """
 
-    def __init__(self, camera: FisheyeCamera) -> None:
+    def __init__(self, camera: Camera) -> None:
         rays, _ = camera.rays()
         origin = camera.pose.position_m @ camera.pose.rotation()
         with np.errstate(invalid="ignore"):

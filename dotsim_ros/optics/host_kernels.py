@@ -117,7 +117,7 @@ def rasterize(
     since its triangles share pixels. A band has at least `LANES` pixels.
 
     The box around the projected corners only chooses the pixels; each is tested with its own ray,
-    so the fisheye's curved edges cost no accuracy. The rays are (3, H, W): their parts lie apart.
+    so a lens's curved edges cost no accuracy. The rays are (3, H, W): their parts lie apart.
     """
     face = wp.tid()
     i0 = triangles[face, 0]
@@ -130,10 +130,10 @@ def rasterize(
     right = wp.max(wp.max(p0[0], p1[0]), p2[0])
     top = wp.min(wp.min(p0[1], p1[1]), p2[1])
     bottom = wp.max(wp.max(p0[1], p1[1]), p2[1])
-    # An edge of length s images as a curve of curvature below 0.65 / focal, which bulges out of
-    # the box of its ends by at most a curvature's eighth of s^2; s^2 is at most 2 extent^2.
+    # An edge of length s images as a curve of curvature below edge_curvature / focal, which bulges
+    # out of the box of its ends by at most a curvature's eighth of s^2; s^2 is at most 2 extent^2.
     extent = wp.max(right - left, bottom - top)
-    margin = 0.2 * extent * extent / lens.focal_px + 0.01
+    margin = 0.25 * lens.edge_curvature * extent * extent / lens.focal_px + 0.01
     x_first = wp.max(int(wp.ceil(left - margin)), 0)
     x_last = wp.min(int(wp.floor(right + margin)), triangle_seen.shape[1] - 1)
     y_first = wp.max(int(wp.ceil(top - margin)), row_first)

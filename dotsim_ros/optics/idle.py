@@ -15,7 +15,7 @@ import numpy as np
 from dotsim_ros.arrays import BoolArray, ImageArray
 from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import given_path
-from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
+from dotsim_ros.geometry.camera import Camera, camera_of_disc
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.quantity import section_from
 from dotsim_ros.specification import (
@@ -82,7 +82,7 @@ def lit_region(image: ImageArray) -> BoolArray:
     return np.asarray(filled, dtype=np.bool_)
 
 
-def resample(image: ImageArray, source: FisheyeCamera, target: FisheyeCamera) -> ImageArray:
+def resample(image: ImageArray, source: Camera, target: Camera) -> ImageArray:
     """Return the image (H, W, 3) as a camera of another size, direction or lens sees it.
 
     Both cameras stand at the same place; directions that the source does not see become black.
@@ -141,9 +141,7 @@ def fine_path(path: Path) -> Path:
     return path.with_name(f"{path.stem}_fine.png")
 
 
-def fit_idle_image(
-    image: ImageArray, camera: FisheyeCamera, *, disc: LitDisc | None = None
-) -> ImageArray:
+def fit_idle_image(image: ImageArray, camera: Camera, *, disc: LitDisc | None = None) -> ImageArray:
     """Return an idle frame (H, W, 3) of any size as the sensor's camera would see it.
 
     Args:
@@ -163,7 +161,7 @@ def fit_idle_image(
             f"idle image has no pixel above grey level {DARK_LEVEL}; expected the lit gel"
         )
     if disc is not None:
-        source = camera_of_disc(
+        source: Camera = camera_of_disc(
             width,
             height,
             centre_px=disc.centre_px,
@@ -200,6 +198,16 @@ class IdleFrame:
     vignetting: Vignetting = field(default_factory=Vignetting)
     fine: ImageArray | None = None
 
+    def as_grey(self) -> IdleFrame:
+        """Return what a camera sees that tells no colours apart, in three equal channels."""
+        fine = None if self.fine is None else _grey(self.fine)
+        return IdleFrame(_grey(self.image), self.lighting.as_grey(), self.vignetting, fine)
+
+
+def _grey(image: ImageArray) -> ImageArray:
+    one = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    return np.asarray(cv2.cvtColor(one, cv2.COLOR_GRAY2RGB), dtype=np.uint8)
+
 
 def part_of_idle(
     idle: IdleFrame, crop_px: tuple[int, int, int, int], size_px: tuple[int, int]
@@ -227,7 +235,7 @@ def part_of_idle(
 
 def read_idle_frame(
     path: Path,
-    camera: FisheyeCamera,
+    camera: Camera,
     *,
     lighting: Lighting | None = None,
     vignetting: Vignetting | None = None,

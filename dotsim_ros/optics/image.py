@@ -22,7 +22,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands, thread_count
@@ -69,7 +69,7 @@ def double_resolution(image: Float32Array) -> Float32Array:
     return np.asarray(fine, dtype=np.float32)
 
 
-def leds_of(lighting: Lighting, camera: FisheyeCamera, device: wp.Device) -> wp.array:
+def leds_of(lighting: Lighting, camera: Camera, device: wp.Device) -> wp.array:
     """Return the LEDs in the optical frame, as the kernels' struct."""
     leds = []
     for light in lighting.lights:
@@ -144,7 +144,7 @@ class ImageRenderer:
 
     def __init__(
         self,
-        camera: FisheyeCamera,
+        camera: Camera,
         skin_mesh: SkinMesh,
         idle_image: ImageArray,
         *,

@@ -22,21 +22,37 @@ _NAN = wp.constant(float("nan"))
 
 @wp.struct
 class Lens:
-    """The equidistant model: pixels a radian, principal point, k1..k4, widest angle imaged."""
+    """A projection: pixels a radian at the axis, principal point, coefficients, widest angle imaged
+    and its cotangent, whether it is a pinhole, and how strongly straight edges bend."""
 
     focal_px: float
     principal_x: float
     principal_y: float
     distortion: wp.vec4
     widest_angle: float
+    least_cotangent: float
+    pinhole: int
+    edge_curvature: float
 
 
 @wp.func
 def projected(point: wp.vec3, lens: Lens):
     across = wp.sqrt(point[0] * point[0] + point[1] * point[1])
+    k = lens.distortion
+    if lens.pinhole != 0:
+        height = wp.max(wp.max(point[2], across * lens.least_cotangent), 1.0e-12)
+        x = point[0] / height
+        y = point[1] / height
+        around = x * x + y * y
+        radial = 1.0 + around * (k[0] + around * k[1])
+        return wp.vec2(
+            lens.principal_x
+            + lens.focal_px * (x * radial + 2.0 * k[2] * x * y + k[3] * (around + 2.0 * x * x)),
+            lens.principal_y
+            + lens.focal_px * (y * radial + k[2] * (around + 2.0 * y * y) + 2.0 * k[3] * x * y),
+        )
     angle = wp.min(wp.atan2(across, point[2]), lens.widest_angle)
     square = angle * angle
-    k = lens.distortion
     growth = 1.0 + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3])))
     scale = lens.focal_px * angle * growth / wp.max(across, 1.0e-12)
     return wp.vec2(lens.principal_x + scale * point[0], lens.principal_y + scale * point[1])

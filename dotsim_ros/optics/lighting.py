@@ -5,12 +5,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.specification import LightingSpecification, VignettingSpecification
 
 _STATED = LightingSpecification()
@@ -36,8 +36,10 @@ def led_ring(
     azimuth_deg: tuple[float, float, float] = _STATED.azimuth_deg,
     spread_deg: float = _STATED.spread_deg,
     crosstalk: float = _STATED.crosstalk,
+    row_length_m: float = _STATED.row_length_m,
 ) -> tuple[PointLight, ...]:
-    """Return nine LEDs on a ring around the axis: three red, three green, three blue.
+    """Return nine LEDs around the axis, on a ring or in three rows: three red, three green, three
+    blue.
 
     Args:
         radius_m: radius of the ring.
@@ -46,12 +48,20 @@ def led_ring(
             the image: from right towards down).
         spread_deg: between two neighbours of one group.
         crosstalk: share of an LED's light that the camera sees in each of the other two colours.
+        row_length_m: of the straight row that a group forms across its direction, at the ring's
+            radius from the axis; 0 for a part of the ring.
     """
     lights = []
     mixing = crosstalk + (1.0 - crosstalk) * np.eye(3)
     for intensity, centre in zip(mixing, azimuth_deg, strict=True):
-        for azimuth in np.radians(centre + spread_deg * np.array([-1.0, 0.0, 1.0])):
-            place = (radius_m * np.cos(azimuth), radius_m * np.sin(azimuth), height_m)
+        for step in (-1.0, 0.0, 1.0):
+            along = 0.5 * row_length_m * step
+            azimuth = np.radians(centre if row_length_m > 0.0 else centre + spread_deg * step)
+            place = (
+                radius_m * np.cos(azimuth) - along * np.sin(azimuth),
+                radius_m * np.sin(azimuth) + along * np.cos(azimuth),
+                height_m,
+            )
             lights.append(
                 PointLight(
                     (float(place[0]), float(place[1]), float(place[2])),
@@ -96,6 +106,7 @@ class Lighting:
             azimuth_deg=s.azimuth_deg,
             spread_deg=s.spread_deg,
             crosstalk=s.crosstalk,
+            row_length_m=s.row_length_m,
         )
         return cls(
             ring,
@@ -104,6 +115,14 @@ class Lighting:
             gloss=s.gloss,
             gloss_exponent=s.gloss_exponent,
         )
+
+    def as_grey(self) -> Lighting:
+        """Return the light as a camera sees it that tells no colours apart."""
+        lights = []
+        for light in self.lights:
+            mean = sum(light.intensity) / 3.0
+            lights.append(PointLight(light.position_m, (mean, mean, mean)))
+        return replace(self, lights=tuple(lights))
 
     def __post_init__(self) -> None:
         if not self.lights:
@@ -143,7 +162,7 @@ class Vignetting:
         ]
         return Vignetting(tuple(falloff))
 
-    def brightness(self, camera: FisheyeCamera) -> Float32Array:
+    def brightness(self, camera: Camera) -> Float32Array:
         """Return (H, W) brightness relative to the principal point.
 
         No pixel gets less than a thousandth, so that dividing by it is safe.

@@ -16,20 +16,25 @@ TILE_PX = (61, 67)
 """Rows and columns that are drawn and repeated: much faster, and no different to a network."""
 
 
-def with_noise(image: ImageArray, levels: float, seed: int | Sequence[int]) -> ImageArray:
+def with_noise(
+    image: ImageArray, levels: float, seed: int | Sequence[int], *, channel_count: int = 3
+) -> ImageArray:
     """Return the image with normal noise of a standard deviation in grey levels, where it is lit.
 
     Args:
         image: (H, W, 3).
         levels: the standard deviation; 0 for the image itself.
         seed: what the noise is drawn by, not negative.
+        channel_count: of the camera: 3, or 1 for one whose channels are equal.
     """
     if levels <= 0.0:
         return image
     height, width = image.shape[:2]
     rows, columns = TILE_PX
-    tile = np.random.default_rng(seed).standard_normal((rows, columns, 3), dtype=np.float32)
-    times = (height // rows + 1, width // columns + 1, 1)
+    tile = np.random.default_rng(seed).standard_normal(
+        (rows, columns, channel_count), dtype=np.float32
+    )
+    times = (height // rows + 1, width // columns + 1, 3 // channel_count)
     noise = np.tile(np.rint(tile * levels).astype(np.int16), times)[:height, :width]
     noisy = cv2.add(image.astype(np.int16), noise)
     return np.where(image > 0, np.clip(noisy, 0, 255), 0).astype(np.uint8)

@@ -24,13 +24,15 @@ from scipy import ndimage
 
 from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
 from dotsim_ros.files import given_path, write_image, write_text
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.geometry.pad_face import face_normal, meet_face
 from dotsim_ros.optics.idle import IdleFrame, lights_of, read_description, read_idle_frame
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.specification import (
     GRAIN_SHARE,
     GelSpecification,
+    MarkerSpecification,
     PatternSpecification,
     SensorSpecification,
     check_drawable,
@@ -74,29 +76,37 @@ def _seen_skin(
     gel: GelSpecification, origin: FloatArray, rays: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
     """Return where rays (..., 3) from behind the skin meet it, and which (...,) do."""
-    # A ray along the skin or from it has no such place.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        if gel.shape == "dome":
-            along = rays @ origin
-            below = float(origin @ origin) - gel.outer_radius_m**2
-            depth = -along + np.sqrt(along**2 - below)
-        else:
-            depth = (gel.pad_size_m[2] - origin[2]) / rays[..., 2]
-        points = origin + depth[..., None] * rays
-    if gel.shape == "dome":
-        return points, points[..., 2] >= 0.0
-    x, y, _ = gel.pad_size_m
-    inside = (np.abs(points[..., 0]) <= 0.5 * x) & (np.abs(points[..., 1]) <= 0.5 * y)
-    return points, (depth > 0.0) & inside
+    if gel.shape != "dome":
+        return meet_face(origin, rays, gel.pad_size_m, gel.face_curvature_per_m)
+    along = rays @ origin
+    below = float(origin @ origin) - gel.outer_radius_m**2
+    # A ray that meets no skin has no such place.
+    with np.errstate(invalid="ignore"):
+        depth = -along + np.sqrt(along**2 - below)
+    points = origin + depth[..., None] * rays
+    return points, points[..., 2] >= 0.0
+
+
+def _on_marker(points_m: FloatArray, markers: MarkerSpecification) -> BoolArray:
+    """Return which of points (N, 3) of the skin lie on a printed marker."""
+    distance = np.zeros(len(points_m))
+    for axis, (spacing, count) in enumerate(
+        zip(markers.spacing_m, (markers.columns, markers.rows), strict=True)
+    ):
+        number = points_m[:, axis] / spacing + 0.5 * (count - 1)
+        nearest = np.clip(np.rint(number), 0, count - 1)
+        distance = np.hypot(distance, spacing * (number - nearest))
+    return np.asarray(distance <= markers.radius_m)
 
 
 def render_idle_image(
-    camera: FisheyeCamera,
+    camera: Camera,
     gel: GelSpecification,
     *,
     lighting: Lighting,
     vignetting: Vignetting,
     pattern: PatternSpecification,
+    markers: MarkerSpecification | None = None,
     supersampling: int = SUPERSAMPLING,
 ) -> ImageArray:
     """Return (H, W, 3) uint8: a gel painted with a random pattern and lit by the LEDs.
@@ -107,6 +117,7 @@ def render_idle_image(
         lighting: the LEDs.
         vignetting: of the camera.
         pattern: of the coat.
+        markers: printed on it; None for none.
         supersampling: rays a pixel along each axis.
 
     Raises:
@@ -136,7 +147,10 @@ def render_idle_image(
 
     seen = points[lit]
     is_dome = gel.shape == "dome"
-    normal = seen / gel.outer_radius_m if is_dome else np.tile([0.0, 0.0, 1.0], (len(seen), 1))
+    if is_dome:
+        normal = seen / gel.outer_radius_m
+    else:
+        normal = face_normal(seen[:, 0], seen[:, 1], gel.face_curvature_per_m)
     device = wp.get_device("cpu")
     light = direct_light(
         wp.array(camera.to_optical(seen).astype(np.float32), dtype=wp.vec3, device=device),
@@ -156,6 +170,8 @@ def render_idle_image(
     # Each colour of LED is driven to the same brightness.
     light = (light / mean) ** lighting.exponent
     albedo = _albedo(seen if is_dome else seen[:, :2], gel.extent_m, pattern, random)
+    if markers is not None and markers.columns:
+        albedo = albedo * (1.0 - markers.darkness * _on_marker(seen, markers))
     radiance = np.zeros((*on_skin.shape, 3))
     radiance[lit] = (albedo * open_share[lit])[:, None] * light
     radiance = (
@@ -172,9 +188,9 @@ def render_idle_image(
     return np.clip(np.rint(levels), 0.0, 255.0).astype(np.uint8)
 
 
-def idle_frame_of(sensor: SensorSpecification, camera: FisheyeCamera) -> IdleFrame:
+def idle_frame_of(sensor: SensorSpecification, camera: Camera) -> IdleFrame:
     """Return a sensor's idle frame in a camera: read from the file that it names, or drawn where it
-    names none.
+    names none; grey where the camera is.
 
     Args:
         sensor: the sensor.
@@ -187,11 +203,18 @@ def idle_frame_of(sensor: SensorSpecification, camera: FisheyeCamera) -> IdleFra
     lighting, vignetting = lights_of(sensor)
     if sensor.camera.idle_image:
         path = given_path(sensor.camera.idle_image)
-        return read_idle_frame(path, camera, lighting=lighting, vignetting=vignetting)
+        frame = read_idle_frame(path, camera, lighting=lighting, vignetting=vignetting)
+        return frame if sensor.camera.colour != "grey" else frame.as_grey()
     image = render_idle_image(
-        camera, sensor.gel, lighting=lighting, vignetting=vignetting, pattern=sensor.pattern
+        camera,
+        sensor.gel,
+        lighting=lighting,
+        vignetting=vignetting,
+        pattern=sensor.pattern,
+        markers=sensor.markers,
     )
-    return IdleFrame(image, lighting, vignetting)
+    frame = IdleFrame(image, lighting, vignetting)
+    return frame if sensor.camera.colour != "grey" else frame.as_grey()
 
 
 def _describe(sensor: SensorSpecification, path: Path) -> None:
@@ -232,12 +255,15 @@ def main() -> None:
         _describe(sensor, description)
     _, lighting, vignetting = read_description(description)
     image = render_idle_image(
-        FisheyeCamera.from_specification(sensor.camera),
+        Camera.from_specification(sensor.camera),
         sensor.gel,
         lighting=lighting,
         vignetting=vignetting,
         pattern=pattern,
+        markers=sensor.markers,
     )
+    if sensor.camera.colour == "grey":
+        image = IdleFrame(image, lighting, vignetting).as_grey().image
     write_image(arguments.out, image)
 
 

@@ -18,7 +18,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.arrays import BoolArray, Float32Array, IndexArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands, thread_count
@@ -99,7 +99,7 @@ class SkinRenderer:
 
     def __init__(
         self,
-        camera: FisheyeCamera,
+        camera: Camera,
         skin_mesh: SkinMesh,
         *,
         device: str = "cpu",

@@ -22,7 +22,7 @@ import numpy as np
 import warp as wp
 
 from dotsim_ros.arrays import Float32Array, IndexArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands
 
@@ -60,13 +60,16 @@ class VisibilityFinder(Protocol):
         """
 
 
-def lens_of(camera: FisheyeCamera) -> Any:
+def lens_of(camera: Camera) -> Any:
     """Return the camera's model as the kernels' struct."""
     lens = kernels.Lens()
     lens.focal_px = camera.focal_px
     lens.principal_x, lens.principal_y = camera.principal_point_px
     lens.distortion = wp.vec4(*camera.distortion)
     lens.widest_angle = camera.widest_angle_rad
+    lens.least_cotangent = 1.0 / np.tan(camera.widest_angle_rad)
+    lens.pinhole = int(camera.projection == PinholeCamera.projection)
+    lens.edge_curvature = camera.edge_curvature
     return lens
 
 
@@ -84,7 +87,7 @@ class RasterFinder:
     """
 
     def __init__(
-        self, camera: FisheyeCamera, rays: Float32Array, triangles: wp.array, band_count: int
+        self, camera: Camera, rays: Float32Array, triangles: wp.array, band_count: int
     ) -> None:
         if camera.width * camera.height < host_kernels.LANES:
             raise ValueError(

@@ -21,7 +21,7 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.gel.make import make_gel, skin_of
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -47,7 +47,7 @@ UNCHANGING = Lighting(ambient_fraction=1e9)
 
 def flat_camera(
     width: int, height: int, thickness_m: float, pixels_per_metre: float
-) -> FisheyeCamera:
+) -> Camera:
     """Return the camera that looks up at a pad's face from below."""
     return FisheyeCamera(
         width=width,
@@ -155,7 +155,7 @@ class FlatScene:
         pixels_per_metre: of the flat gel.
     """
 
-    camera: FisheyeCamera
+    camera: Camera
     skin: SkinMesh
     rest: Rest
     pixels_per_metre: float

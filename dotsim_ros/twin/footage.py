@@ -21,7 +21,7 @@ from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory, short_name
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_mesh
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
@@ -100,7 +100,7 @@ class OpticalData:
         presses: in the order asked for.
     """
 
-    camera: FisheyeCamera
+    camera: Camera
     rest: Rest
     presses: tuple[OpticalPress, ...]
 
@@ -250,7 +250,7 @@ def with_measured_skin(
     return FilmedData(skin, filmed.idle, tuple(presses))
 
 
-def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> FisheyeCamera:
+def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> Camera:
     """Return the sensor's camera at the resolution of a measured image (H, W, 3).
 
     Args:
@@ -263,13 +263,13 @@ def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> F
     """
     height, width = image.shape[:2]
     try:
-        return FisheyeCamera.from_specification(sensor.camera).scaled(width, height)
+        return Camera.from_specification(sensor.camera).scaled(width, height)
     except ValueError as error:
         raise ValueError(f"{source}: measured images do not fit the camera: {error}") from error
 
 
 def render_filmed(
-    filmed: FilmedData, camera: FisheyeCamera, *, lighting: Lighting, vignetting: Vignetting
+    filmed: FilmedData, camera: Camera, *, lighting: Lighting, vignetting: Vignetting
 ) -> OpticalData:
     """Return what a camera sees of presses.
 

@@ -212,7 +212,7 @@ class GelSimulator:
         if isinstance(shape, Dome) and isinstance(own, Dome) and shape != own:
             return ReshapedDome(shape.outer_radius_m, shape.core_radius_m, own)
         if isinstance(shape, Pad) and isinstance(own, Pad) and shape != own:
-            return ReshapedPad(shape.size_m, own)
+            return ReshapedPad(shape.size_m, own, curvature_per_m=own.curvature_per_m)
         return shape
 
     def _refinement(self, poisson_ratio: float) -> Refinement:

@@ -18,7 +18,7 @@ from dotsim_ros.calibration.camera.model import (
     moved,
 )
 from dotsim_ros.calibration.camera.score import score_frames, summarize_frames
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.pattern import render_idle_image
@@ -45,7 +45,7 @@ def dented(skin, axis, depth_m):
 
 @pytest.fixture(scope="module")
 def stated():
-    camera = FisheyeCamera.from_specification(load_sensor("densetact2").camera)
+    camera = Camera.from_specification(load_sensor("densetact2").camera)
     return CameraModel(camera.scaled(240, 180), STATED_LIGHTS)
 
 
@@ -135,7 +135,7 @@ def test_no_circle_is_seen_where_there_is_none():
 
 def test_sensor_file_gives_the_fitted_camera_back(true):
     section = camera_section(true, load_sensor("densetact2").camera, "images/densetact2_idle.png")
-    camera = FisheyeCamera.from_specification(section).scaled(240, 180)
+    camera = Camera.from_specification(section).scaled(240, 180)
     directions = np.random.default_rng(1).standard_normal((200, 3)) * [1.0, 1.0, 0.3]
     directions[:, 2] += 0.5
     points = true.camera.pose.apply(0.01 * directions)

@@ -13,7 +13,7 @@ import pytest
 from harness import LockstepPress, TactileFrame, running, sensor
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.specification import load_sensor, write_sensor
@@ -34,7 +34,7 @@ def sensor_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with torch.no_grad():
         for parameter in network.parameters():
             parameter += 0.03 * torch.randn_like(parameter)
-    camera = FisheyeCamera.from_specification(PLAIN.camera)
+    camera = Camera.from_specification(PLAIN.camera)
     write_network(
         directory,
         network,
@@ -52,7 +52,7 @@ def frames_of(name: str) -> list[TactileFrame]:
 
 def test_the_network_completes_what_the_node_publishes(sensor_file: Path) -> None:
     learned, plain = frames_of(str(sensor_file)), frames_of(PLAIN.name)
-    camera = FisheyeCamera.from_specification(PLAIN.camera)
+    camera = Camera.from_specification(PLAIN.camera)
     idle = read_idle_frame(parameter_path(PLAIN.camera.idle_image), camera).image
     assert np.array_equal(learned[0].image(), idle)
     dark = ~lit_region(idle)

@@ -78,6 +78,7 @@ def film_of(number):
         IDLE,
         CENTRE,
         FOCAL,
+        CAMERA.projection,
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
@@ -35,9 +35,7 @@ def film(*, width: int, press_count: int, frame_count: int = 4, seed: int = 0) -
     """Return presses at random places, the first frame of each untouched."""
     random = np.random.default_rng(seed)
     height = 3 * width // 4
-    camera = FisheyeCamera.from_specification(load_sensor("densetact2").camera).scaled(
-        width, height
-    )
+    camera = Camera.from_specification(load_sensor("densetact2").camera).scaled(width, height)
     skin = dome_skin(RADIUS_M, 1.0e-3)
     idle = read_idle_frame(parameter_path("images/densetact2_idle.png"), camera)
     renderer = SkinRenderer(camera, skin)

@@ -1,7 +1,9 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The fisheye: there and back, against OpenCV, beyond 90 degrees, and from a sensor's file."""
+"""Cameras: there and back, against OpenCV, beyond 90 degrees, and from a sensor's file."""
+
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera, PinholeCamera, camera_of_disc
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import load_sensor
 
@@ -49,6 +51,34 @@ def test_agrees_with_opencv_in_front_of_the_camera():
         points[:, None, :], np.zeros(3), np.zeros(3), matrix, camera.distortion
     )
     assert camera.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
+
+
+PINHOLE = PinholeCamera(64, 48, 40.0, (31.0, 24.5), (-0.25, 0.08, 0.004, -0.006))
+
+
+def test_a_pinhole_agrees_with_opencv():
+    random = np.random.default_rng(2)
+    points = random.uniform([-0.7, -0.6, 0.9], [0.7, 0.6, 1.1], (200, 3))
+    matrix = np.diag([PINHOLE.focal_px, PINHOLE.focal_px, 1.0])
+    matrix[:2, 2] = PINHOLE.principal_point_px
+    k1, k2, p1, p2 = PINHOLE.distortion
+    expected, _ = cv2.projectPoints(
+        points, np.zeros(3), np.zeros(3), matrix, np.array([k1, k2, p1, p2, 0.0])
+    )
+    assert PINHOLE.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
+
+
+def test_a_pinhole_unprojects_what_it_images_and_nothing_else():
+    directions, valid = PINHOLE.rays()
+    assert valid.all()
+    y, x = np.mgrid[0:48, 0:64]
+    assert PINHOLE.project_optical(directions) == pytest.approx(np.stack([x, y], -1), abs=1e-8)
+    assert np.isnan(PINHOLE.project_optical([0.1, 0.0, -1.0])).all()
+    # r - 0.3 r^3 turns where r is 1.054, and reaches 0.703 there: 28.1 px.
+    turning = replace(PINHOLE, distortion=(-0.3, 0.0, 0.0, 0.0))
+    assert np.isfinite(turning.unproject([31.0 + 28.0, 24.5])).all()
+    assert np.isnan(turning.unproject([31.0 + 28.3, 24.5])).all()
+    assert np.isnan(turning.project_optical([1.1, 0.0, 1.0])).all()
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 45.0, 90.0, 99.0, 150.0])
@@ -92,11 +122,23 @@ def test_scaling_keeps_the_view():
 
 
 def test_sensor_file_sets_the_angle_at_half_the_height():
-    camera = FisheyeCamera.from_specification(load_sensor("densetact2").camera)
+    camera = Camera.from_specification(load_sensor("densetact2").camera)
     direction = camera.unproject([319.5, 239.5 + 240.0])
     assert np.degrees(np.arctan2(direction[1], direction[2])) == pytest.approx(86.0)
     assert camera.pose.position_m == pytest.approx([0.0, 0.0, 0.0025])
     assert camera.focal_px == pytest.approx(240.0 / np.radians(86.0))
+
+
+def test_a_pinhole_of_a_file_sees_the_angle_at_half_the_height():
+    section = replace(
+        load_sensor("densetact2").camera, projection="pinhole", half_height_angle_deg=30.0
+    )
+    camera = Camera.from_specification(section)
+    direction = camera.unproject([319.5, 239.5 + 240.0])
+    assert np.degrees(np.arctan2(direction[1], direction[2])) == pytest.approx(30.0)
+    assert np.degrees(camera.half_height_angle_rad) == pytest.approx(30.0)
+    with pytest.raises(ValueError, match="at most 80 deg"):
+        replace(section, half_height_angle_deg=85.0)
 
 
 def test_camera_of_a_disc_shows_the_rim_at_its_angle():

@@ -14,7 +14,7 @@ import pytest
 from optical_presses import RADIUS_M, dented
 
 from dotsim_ros.files import PACKAGE_ROOT, given_path, parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -47,7 +47,7 @@ SINGLE_PRECISION_LEVELS = 0.01
 
 @pytest.fixture(scope="module")
 def camera():
-    return FisheyeCamera.from_specification(SENSOR.camera)
+    return Camera.from_specification(SENSOR.camera)
 
 
 @pytest.fixture(scope="module")
@@ -294,7 +294,7 @@ def test_a_sensor_refuses_a_network_that_is_not_its_own(made):
 
 def test_the_stand_in_sensor_ships_with_its_network():
     shipped = load_sensor("sensor_a")
-    camera = FisheyeCamera.from_specification(shipped.camera)
+    camera = Camera.from_specification(shipped.camera)
     network = CompletionNetwork(
         given_path(shipped.camera.residual), sensor=shipped.name, camera=camera
     )
@@ -317,7 +317,7 @@ def test_the_stand_in_sensor_ships_with_its_network():
 
 def test_two_threads_add_what_one_adds_to_the_last_bit():
     shipped = load_sensor("sensor_a")
-    camera = FisheyeCamera.from_specification(shipped.camera)
+    camera = Camera.from_specification(shipped.camera)
     dome = dome_skin(RADIUS_M, 0.5e-3)
     renderer = SkinRenderer(camera, dome)
     idle = read_idle_frame(given_path(shipped.camera.idle_image), camera).image
@@ -345,8 +345,8 @@ def test_running_a_network_loads_no_torch(made):
         "assert 'onnxruntime' not in sys.modules; "
         "from dotsim_ros.optics.network.completion import CompletionNetwork; "
         "from dotsim_ros.specification import load_sensor; "
-        "from dotsim_ros.geometry.camera import FisheyeCamera; "
-        "camera = FisheyeCamera.from_specification(load_sensor('densetact2').camera); "
+        "from dotsim_ros.geometry.camera import Camera; "
+        "camera = Camera.from_specification(load_sensor('densetact2').camera); "
         f"CompletionNetwork(Path({str(made[0])!r}), sensor='densetact2', camera=camera); "
         "assert 'torch' not in sys.modules and 'onnx' not in sys.modules"
     )

@@ -21,7 +21,7 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.nodes.tactile_policy.files import read_image
 from dotsim_ros.optics.network import carded_weights
 from dotsim_ros.optics.network.carded_weights import CARD_KEY, GRAPH, WEIGHTS, weights_hash
@@ -52,7 +52,7 @@ def shipped() -> dict[str, tuple[Card, Weights, bytes]]:
 def opened(noun: str, folder: Path) -> Any:
     if noun == "policy":
         return load_policy(folder)
-    camera = FisheyeCamera.from_specification(load_sensor("sensor_a").camera)
+    camera = Camera.from_specification(load_sensor("sensor_a").camera)
     return CompletionNetwork(folder, sensor="sensor_a", camera=camera)
 
 

@@ -36,7 +36,7 @@ from dotsim_ros.evaluation.optics.report import evaluate_optics, optics_page, sh
 from dotsim_ros.evaluation.optics.rows import RowMaker
 from dotsim_ros.evaluation.optics.sheet import write_sheets
 from dotsim_ros.evaluation.optics.split import LEVELS, OpticalSplit
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.metrics.images import LARGEST_PSNR_DB
 from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
 
@@ -274,7 +274,7 @@ def test_taxim_is_fitted_on_the_frames_given(
     def watched(name: str, settings: FitSettings, **options: Any) -> Any:
         make = factory_of(name, settings, **options)
 
-        def made(train: Any, rest: Rest, camera: FisheyeCamera) -> Any:
+        def made(train: Any, rest: Rest, camera: Camera) -> Any:
             seen.append(sum(len(p.measured) for p in train))
             return make(train, rest, camera)
 

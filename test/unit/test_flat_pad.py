@@ -19,7 +19,7 @@ import yaml
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.files import parameter_path
 from dotsim_ros.gel.make import skin_of
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.optics.idle import lights_of, lit_region, read_description, stated_lights
@@ -191,7 +191,7 @@ def test_each_leds_colour_is_strongest_on_its_side(pad: TactileSensor) -> None:
 )
 def test_a_sensor_without_an_image_is_drawn_where_its_skin_is_seen(text: str) -> None:
     sensor = variant(text)
-    camera, skin = FisheyeCamera.from_specification(sensor.camera), skin_of(sensor.gel)
+    camera, skin = Camera.from_specification(sensor.camera), skin_of(sensor.gel)
     idle = idle_frame_of(sensor, camera)
     view = SkinRenderer(camera, skin).render(skin.rest_position_m)
     assert np.mean(lit_region(idle.image) == view.mask) > 0.98
@@ -209,7 +209,7 @@ def test_a_small_pad_far_away_is_not_blown_out() -> None:
         "gel: {shape: flat_pad, pad_size_m: [0.005, 0.005, 0.005]}\n"
         "camera: {idle_image: '', position_m: [0, 0, -0.03], half_height_angle_deg: 80}\n"
     )
-    idle = idle_frame_of(sensor, FisheyeCamera.from_specification(sensor.camera)).image
+    idle = idle_frame_of(sensor, Camera.from_specification(sensor.camera)).image
     lit = lit_region(idle)
     assert 0.0 < lit.mean() < 0.01
     assert 60.0 < idle[lit].mean() < 200.0
@@ -224,7 +224,7 @@ def test_lights_of_an_image_come_from_the_file_beside_it_or_from_the_sensor(
     stated = LightingSpecification(gloss=2.0)
     camera = replace(own.camera, idle_image=str(tmp_path / "mine.png"))
     sensor = replace(own, camera=camera, lighting=stated)
-    seen = FisheyeCamera.from_specification(camera)
+    seen = Camera.from_specification(camera)
     assert stated_lights(sensor) == (stated, own.vignetting)
     assert idle_frame_of(sensor, seen).lighting == Lighting.from_specification(stated)
     (tmp_path / "mine.yaml").write_text("lighting: {gloss: 3}")
@@ -249,7 +249,7 @@ def test_the_command_draws_a_sensor_and_keeps_what_describes_its_image(tmp_path:
     first = cv2.imread(str(out))
     _, lighting, _ = read_description(out.with_suffix(".yaml"))
     sensor = load_sensor(tmp_path / "small.yaml")
-    drawn = idle_frame_of(sensor, FisheyeCamera.from_specification(sensor.camera))
+    drawn = idle_frame_of(sensor, Camera.from_specification(sensor.camera))
     assert np.array_equal(first[..., ::-1], drawn.image)
     assert lighting == drawn.lighting
     out.with_suffix(".yaml").write_text("lighting: {height_m: -0.003, azimuth_deg: [0, 120, 240]}")
@@ -293,3 +293,24 @@ def test_a_camera_that_looks_away_from_a_pad_is_refused() -> None:
             quaternion_xyzw=[1.0, 0.0, 0.0, 0.0],
             rim_angle_deg=60.0,
         )
+
+
+def test_a_grey_camera_sees_three_equal_channels_that_white_rows_of_leds_shade() -> None:
+    sensor = variant(
+        "gel: {shape: flat_pad, pad_size_m: [0.016, 0.016, 0.004], skin_spacing_m: 0.001}\n"
+        "solver: {grid_spacing_m: 0.002, refined: false}\n"
+        "camera: {projection: pinhole, colour: grey, width: 96, height: 96, idle_image: '',\n"
+        "  principal_point_px: [47.5, 47.5], position_m: [0, 0, -0.012],\n"
+        "  half_height_angle_deg: 25}\n"
+        "lighting: {radius_m: 0.011, row_length_m: 0.012, azimuth_deg: [0, 0, 0]}\n"
+        "noise: {deviation_levels: 2}\n"
+    )
+    places = np.array([light.position_m for light in lights_of(sensor)[0].lights])
+    assert places[:, 0] == pytest.approx(0.011)
+    assert sorted(set(places[:, 1].round(9))) == [-0.006, 0.0, 0.006]
+    grey = TactileSensor(sensor, indenter=load_indenter("sphere_4mm"))
+    image = grey.step(Pose(np.array([0.0, 0.0, 0.003])), 0.04).image
+    assert np.array_equal(image, np.repeat(image[..., :1], 3, axis=2))
+    # Seen from behind the dent is a bump, whose right flank faces the LEDs.
+    gain = image[..., 0].astype(float) - grey.idle_image[..., 0]
+    assert gain[40:56, 52:62].mean() > gain[40:56, 34:44].mean() + 10.0

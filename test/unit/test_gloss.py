@@ -8,7 +8,7 @@ import pytest
 import warp as wp
 import yaml
 
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import read_description
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, PointLight
@@ -19,7 +19,7 @@ LED = PointLight((0.009, 0.0, 0.0005), (1.0, 0.5, 0.0))
 
 @pytest.fixture(scope="module")
 def camera():
-    return FisheyeCamera.from_specification(load_sensor("densetact2").camera)
+    return Camera.from_specification(load_sensor("densetact2").camera)
 
 
 def light_on(camera, points_m, normals, lighting):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.optics import kernels
 from dotsim_ros.optics.idle import LitDisc, fit_idle_image, lit_region, read_idle_frame
@@ -27,7 +27,7 @@ SENSOR_A = Path(__file__).parents[3] / "shared" / "measured" / "sensor_a"
 
 @pytest.fixture(scope="module")
 def camera():
-    return FisheyeCamera.from_specification(load_sensor("densetact2").camera).scaled(320, 240)
+    return Camera.from_specification(load_sensor("densetact2").camera).scaled(320, 240)
 
 
 @pytest.fixture(scope="module")
@@ -237,7 +237,7 @@ def test_measured_skin_carries_the_measured_idle_frame():
 
     data = read_data_set(SENSOR_A)
     skin = data.skin_mesh()
-    camera = FisheyeCamera.from_specification(load_sensor("densetact2").camera).scaled(320, 240)
+    camera = Camera.from_specification(load_sensor("densetact2").camera).scaled(320, 240)
     idle = read_idle_frame(data.idle_images()[0], camera)
     renderer = SkinRenderer(camera, skin)
     plain = ImageRenderer(camera, skin, idle.image, lighting=UNCHANGING)

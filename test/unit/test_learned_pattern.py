@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.files import write_image
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.optics.idle import check_fine, fine_path, lit_region, read_idle_frame
@@ -28,7 +28,7 @@ VIGNETTING = Vignetting((-0.2,))
 
 @pytest.fixture(scope="module")
 def camera():
-    return FisheyeCamera.from_specification(load_sensor("densetact2").camera).scaled(160, 120)
+    return Camera.from_specification(load_sensor("densetact2").camera).scaled(160, 120)
 
 
 @pytest.fixture(scope="module")

@@ -271,7 +271,8 @@ def test_camera_info_is_exact(types, size, focal, centre, distortion):
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ({"distortion_model": "plumb_bob"}, "plumb_bob"),
+        ({"distortion_model": "rational_polynomial"}, "rational_polynomial"),
+        ({"distortion_model": "plumb_bob"}, "5 numbers"),
         ({"d": np.zeros(5)}, "4 numbers"),
         ({"k": np.zeros(9)}, "uncalibrated"),
         ({"k": np.full(9, np.nan)}, "not finite"),
@@ -305,10 +306,13 @@ def points(count):
 @given(st.integers(0, 20).flatmap(lambda count: st.tuples(*[points(count)] * 3)), st.booleans())
 def test_cloud_is_exact(types, groups, has_extras):
     position, normal, displacement = groups
+    pixel, pixel_displacement = normal[:, 1:], displacement[:, :2]
     message = adapters.encode_cloud(
         position,
         normal=normal if has_extras else None,
         displacement_m=displacement if has_extras else None,
+        pixel=pixel if has_extras else None,
+        pixel_displacement=pixel_displacement if has_extras else None,
         stamp_ns=3,
         frame_id="base",
         types=types,
@@ -318,10 +322,13 @@ def test_cloud_is_exact(types, groups, has_extras):
     if has_extras:
         assert np.array_equal(cloud.normal, normal)
         assert np.array_equal(cloud.displacement, displacement)
+        assert np.array_equal(cloud.pixel, pixel)
+        assert np.array_equal(cloud.pixel_displacement, pixel_displacement)
         assert [field.name for field in message.fields][3:5] == ["normal_x", "normal_y"]
     else:
         assert cloud.normal is None
         assert cloud.displacement is None
+        assert cloud.pixel is None
     assert message.is_dense
 
 

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_sim.framing import Framing
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
@@ -71,7 +71,7 @@ def test_the_files_for_drivers_hold_valid_parameters(name):
         parameters = TactileSimParameters(**plain)
         framings.add(
             Framing.of_camera(
-                FisheyeCamera.from_specification(load_sensor(parameters.sensor).camera),
+                Camera.from_specification(load_sensor(parameters.sensor).camera),
                 crop_px=parameters.crop_px,
                 image_size_px=parameters.image_size_px,
                 image_aspect=parameters.image_aspect,

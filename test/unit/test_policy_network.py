@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.network.carded_weights import CARD, GRAPH, WEIGHTS, card_from
 from dotsim_ros.optics.network.session import open_session
@@ -214,7 +214,7 @@ def test_the_shipped_policy_knows_the_sensors_images_from_others():
     assert set(policy.paths) == set(PATH_NAMES)
     assert sum(file.stat().st_size for file in folder.iterdir()) < 25e6
     own = load_sensor("densetact2")
-    camera = FisheyeCamera.from_specification(own.camera)
+    camera = Camera.from_specification(own.camera)
     idle = read_idle_frame(parameter_path(own.camera.idle_image), camera).image
     dimmed = (0.97 * idle).astype(np.uint8)
     for usual in (idle, dimmed):

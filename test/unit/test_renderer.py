@@ -6,7 +6,7 @@
 import numpy as np
 import pytest
 
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera, PinholeCamera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin, flat_pad_skin
 from dotsim_ros.optics import kernels
@@ -23,7 +23,7 @@ OTHERS = [Visibility.EMBREE, Visibility.RAY_QUERY]
 
 @pytest.fixture(scope="module")
 def camera():
-    return FisheyeCamera.from_specification(load_sensor("densetact2").camera).scaled(320, 240)
+    return Camera.from_specification(load_sensor("densetact2").camera).scaled(320, 240)
 
 
 @pytest.fixture(scope="module")
@@ -148,6 +148,20 @@ def test_large_triangles_lose_no_pixel_to_the_fisheye():
     expected = SkinRenderer(camera, mesh, visibility=Visibility.EMBREE).render(mesh.rest_position_m)
     assert np.array_equal(view.mask, expected.mask)
     assert np.abs(view.depth_m - expected.depth_m)[view.mask].max() < 1e-7
+
+
+def test_large_triangles_lose_no_pixel_to_a_distorting_pinhole():
+    # Bent outwards by the lens, the edges leave the boxes around their ends.
+    mesh = flat_pad_skin((0.02, 0.02), 0.004, 4e-3)
+    pose = Pose(np.array([0.0, 0.0, -0.01]))
+    distortion = (-0.3, 0.1, 0.01, -0.01)
+    camera = PinholeCamera(200, 200, 130.0, (99.5, 99.5), distortion, pose)
+    view = SkinRenderer(camera, mesh).render(mesh.rest_position_m)
+    expected = SkinRenderer(camera, mesh, visibility=Visibility.EMBREE).render(mesh.rest_position_m)
+    assert 0.3 < view.mask.mean() < 1.0
+    assert np.array_equal(view.mask, expected.mask)
+    assert np.abs(view.depth_m - expected.depth_m)[view.mask].max() < 1e-7
+    assert camera.project(view.material_point_m[100, 40]) == pytest.approx([40.0, 100.0], abs=1e-3)
 
 
 @pytest.mark.parametrize(("width", "height"), [(7, 5), (8, 1), (3, 4), (1, 9), (17, 3)])

@@ -14,7 +14,7 @@ import pytest
 
 from dotsim_ros.cli import calibrate_camera, train_optics
 from dotsim_ros.cli.main import main
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.learning.untouched import refined_idle, untouched_frames, with_refined_idle
 from dotsim_ros.measured.data_set import read_data_set
@@ -140,7 +140,7 @@ def test_a_trained_sensor_can_be_loaded(tmp_path, capsys):
     assert replace(trained, camera=stated.camera) == stated
     idle = cv2.imread(trained.camera.idle_image)
     assert idle.shape == (240, 320, 3)
-    camera = FisheyeCamera.from_specification(trained.camera)
+    camera = Camera.from_specification(trained.camera)
     network = CompletionNetwork(out, sensor="sensor_a", camera=camera)
     assert (network.card.width, network.card.height) == (160, 120)
     assert len(network.card.data["train"]) == 2

@@ -31,7 +31,7 @@ from dotsim_ros.baselines.optics.pixels import (
     idle_ground,
     pixel_grid,
 )
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
 SAMPLES = 3_000_000
@@ -101,7 +101,7 @@ def network_input(
 def fit(
     train: Sequence[OpticalPress],
     rest: Rest,
-    camera: FisheyeCamera,
+    camera: Camera,
     *,
     seed: int = 0,
     settings: PerPixelSettings = DIFFTACTILE,

@@ -32,7 +32,7 @@ from dotsim_ros.baselines.optics.pixels import (
     pixel_grid,
     seen_region,
 )
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
 SEARCH_PIXELS = 20_000
@@ -137,7 +137,7 @@ class TactoImage:
 
     light: PhongLight
     intensity: FloatArray
-    camera: FisheyeCamera
+    camera: Camera
     name: str = "tacto"
     ground: Ground = idle_ground
 
@@ -168,7 +168,7 @@ class TactoImage:
 def fit(
     train: Sequence[OpticalPress],
     rest: Rest,
-    camera: FisheyeCamera,
+    camera: Camera,
     *,
     seed: int = 0,
     ground: Ground = idle_ground,
@@ -231,7 +231,7 @@ def _intensities(basis: FloatArray, change: FloatArray) -> tuple[FloatArray, flo
 def _search_pixels(
     train: Sequence[OpticalPress],
     rest: Rest,
-    camera: FisheyeCamera,
+    camera: Camera,
     seed: int,
     ground: Ground,
 ) -> tuple[Surface, Surface, FloatArray]:

@@ -34,7 +34,7 @@ from dotsim_ros.baselines.optics.pixels import (
     idle_ground,
     pixel_grid,
 )
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
 PUBLISHED_BINS = 125
@@ -156,7 +156,7 @@ class TaximImage:
 def fit(
     train: Sequence[OpticalPress],
     rest: Rest,
-    camera: FisheyeCamera,
+    camera: Camera,
     *,
     seed: int = 0,
     ground: Ground = idle_ground,

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.optics.idle import stated_lights
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
@@ -33,8 +33,8 @@ FIRST_GLOSS = 1.0
 
 @dataclass(frozen=True)
 class RingLights:
-    """LEDs on a ring, the light between the parts of the gel, and the coat's gloss; see `led_ring`
-    and `Lighting` for the fields."""
+    """LEDs on a ring or in rows, the light between the parts of the gel, and the coat's gloss; see
+    `led_ring` and `Lighting` for the fields."""
 
     radius_m: float = 0.010
     height_m: float = 0.0005
@@ -45,6 +45,7 @@ class RingLights:
     exponent: float = 1.0
     gloss: float = 0.0
     gloss_exponent: float = 80.0
+    row_length_m: float = 0.0
 
     def lighting(self) -> Lighting:
         """Return the lights of the ring."""
@@ -55,6 +56,7 @@ class RingLights:
                 azimuth_deg=self.azimuth_deg,
                 spread_deg=self.spread_deg,
                 crosstalk=self.crosstalk,
+                row_length_m=self.row_length_m,
             ),
             ambient_fraction=self.ambient_fraction,
             exponent=self.exponent,
@@ -73,7 +75,7 @@ class CameraModel:
         falloff: of the vignetting.
     """
 
-    camera: FisheyeCamera
+    camera: Camera
     lights: RingLights
     falloff: tuple[float, ...] = ()
 
@@ -128,7 +130,7 @@ def camera_section(
         stated,
         position_m=(px, py, pz),
         quaternion_xyzw=(qx, qy, qz, qw),
-        half_height_angle_deg=round(float(np.degrees(0.5 * camera.height / camera.focal_px)), 5),
+        half_height_angle_deg=round(float(np.degrees(camera.half_height_angle_rad)), 5),
         principal_point_px=(x, y),
         distortion=(k1, k2, k3, k4),
         idle_image=idle_image,

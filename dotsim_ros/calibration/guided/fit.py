@@ -21,7 +21,7 @@ from dotsim_ros.arrays import ImageArray
 from dotsim_ros.calibration.calibrate import report_folder
 from dotsim_ros.calibration.guided.photographs import GuidedPhotographs, read_guided_photographs
 from dotsim_ros.files import check_output_file, check_output_folder, write_image
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork
 from dotsim_ros.learning.neighbourhood import NeighbourhoodRecipe, fit_neighbourhood
@@ -249,7 +249,7 @@ def calibrate_guided(
     presses = photographs.presses
     shapes = gel_presses(presses, scene, press_profiles(fine, ball_radius_m))
     judged = range(EVERY - 1, len(presses), EVERY)
-    camera = FisheyeCamera.from_specification(sensor.camera)
+    camera = Camera.from_specification(sensor.camera)
     network = fit_neighbourhood(
         [shape for k, shape in enumerate(shapes) if k not in judged],
         scene.rest,

@@ -104,7 +104,8 @@ def circle_sheet(found: GuidedCalibration) -> ImageArray:
         centre = np.rint(factor * press.centre_px).astype(int)
         tile = _tile(press.image)
         radius = round(factor * press.radius_px)
-        tiles.append(cv2.circle(tile, (int(centre[0]), int(centre[1])), radius, WHITE, 1))
+        cv2.circle(tile, (int(centre[0]), int(centre[1])), radius, WHITE, 1)
+        tiles.append(tile)
     return _rows([tiles[k : k + COLUMNS] for k in range(0, len(tiles), COLUMNS)])
 
 

@@ -15,8 +15,13 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
-from dotsim_ros.effects.optical_terms import any_frame, pixel_places, sampled, within_scale
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.effects.optical_terms import (
+    any_frame,
+    pixel_places,
+    sampled,
+    undistorted_camera,
+    within_scale,
+)
 
 ROUNDS = 2
 """How often it is asked where the skin that a new pixel shows was seen before."""
@@ -29,8 +34,7 @@ def parallax_px(image: SeenImage, displacement_m: FloatArray) -> FloatArray:
         image: with the skin's depth.
         displacement_m: (3,) of the camera, optical frame.
     """
-    height, width = image.depth_m.shape
-    camera = FisheyeCamera(width, height, image.focal_px, image.centre_px)
+    camera = undistorted_camera(image)
     directions, _ = camera.rays()
     point_m = image.depth_m[..., None] * directions
     x, y = pixel_places(image)

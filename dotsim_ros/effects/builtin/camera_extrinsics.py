@@ -15,8 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
-from dotsim_ros.effects.optical_terms import FixedResampling, any_frame
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.effects.optical_terms import FixedResampling, any_frame, undistorted_camera
 
 
 def _image(values: Values) -> ImageFilter:
@@ -25,11 +24,10 @@ def _image(values: Values) -> ImageFilter:
     ).as_matrix()
 
     def source(image: SeenImage) -> tuple[FloatArray, FloatArray]:
-        height, width = image.pixels.shape[:2]
-        camera = FisheyeCamera(width, height, image.focal_px, image.centre_px)
+        camera = undistorted_camera(image)
         directions, _ = camera.rays()
         places = camera.project_optical(directions @ turn.T)
-        # Beyond 180 degrees from the axis there is no direction; such a pixel shows the border.
+        # Where a pixel has no direction or its direction no place, the border is shown.
         places = np.where(np.isfinite(places), places, -1.0)
         return places[..., 0], places[..., 1]
 

@@ -3,9 +3,9 @@
 
 """Camera intrinsics: another focal length, or another place of the optical axis in the image.
 
-With an equidistant lens and any radial distortion, focal length and centre act on the image
-linearly: a new pixel p looks where the old image has c + (p - c') / k, with k the ratio of the
-focal lengths and c' the new centre.
+With an equidistant lens or a pinhole, and any radial distortion, focal length and centre act on the
+image linearly: a new pixel p looks where the old image has c + (p - c') / k, with k the ratio of
+the focal lengths and c' the new centre.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit, Recorded, optical_splits
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.metrics.images import ImageScore, depth_ranges, image_psnr_db, psnr_db, score_image
 from dotsim_ros.twin.footage import FilmedPress, OpticalData, OpticalPress, Rest
 
@@ -40,7 +40,7 @@ class ImageModel(Protocol):
         """
 
 
-Factory = Callable[[Sequence[OpticalPress], Rest, FisheyeCamera], ImageModel]
+Factory = Callable[[Sequence[OpticalPress], Rest, Camera], ImageModel]
 """Makes a model from the frames to fit on."""
 
 

@@ -14,7 +14,7 @@ from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
 from dotsim_ros.baselines.optics.pixels import idle_ground, warped_ground
 from dotsim_ros.code_version import version_of
 from dotsim_ros.evaluation.optics.judge import Factory, Idle, ImageModel, WarpedIdle
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
 PUBLISHED = ("paper", "paper_direct", "unet")
@@ -151,7 +151,7 @@ def _need_torch(name: str) -> None:
 def _network(
     name: str, settings: FitSettings, state: Path, progress: Callable[[str], None]
 ) -> Factory:
-    def make(train: Sequence[OpticalPress], rest: Rest, camera: FisheyeCamera) -> ImageModel:
+    def make(train: Sequence[OpticalPress], rest: Rest, camera: Camera) -> ImageModel:
         # Loaded on use: the other models need none of it.
         from dotsim_ros.learning.fitting import fit_network
 

@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
 from dotsim_ros.gel.make import make_gel, skin_of
-from dotsim_ros.geometry.camera import FisheyeCamera, camera_of_disc
+from dotsim_ros.geometry.camera import Camera, camera_of_disc
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.measured.motion import pose_along
 from dotsim_ros.metrics.images import score_image
@@ -121,7 +121,7 @@ def pattern_likeness(image: ImageArray, other: ImageArray, region: BoolArray) ->
     return float(np.sum(first * second) / np.sqrt(np.sum(first**2) * np.sum(second**2)))
 
 
-def place_of_change(pair: RealPair, camera: FisheyeCamera, radius_m: float) -> tuple[float, float]:
+def place_of_change(pair: RealPair, camera: Camera, radius_m: float) -> tuple[float, float]:
     """Return x and y of the unit vector to where the image changes most."""
     change = np.abs(pair.pressed.astype(np.float32) - pair.idle).sum(axis=2)
     weight = cv2.GaussianBlur(change, (0, 0), CHANGE_SMOOTHING_PX) ** 3 * pair.mask
@@ -161,7 +161,7 @@ class PressSearch:
             centre_px=disc.centre_px,
             radius_px=disc.radius_px,
             rim_angle_deg=disc.rim_angle_deg,
-            pose=FisheyeCamera.from_specification(sensor.camera).pose,
+            pose=Camera.from_specification(sensor.camera).pose,
         )
         self._radius_m = sensor.gel.outer_radius_m
         skin = skin_of(sensor.gel)

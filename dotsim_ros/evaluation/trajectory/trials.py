@@ -24,7 +24,7 @@ from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cache import content_key, tell_broken
 from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import given_path, parameter_path, whole_file, write_image
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import description_of, resample
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.provenance import provenance
@@ -196,9 +196,9 @@ def write_shifted(folder: Path, source: str) -> Path:
     turned = Rotation.from_quat(sensor.camera.quaternion_xyzw) * turn
     camera = document["camera"]
     camera["quaternion_xyzw"] = [float(number) for number in turned.as_quat()]
-    own = FisheyeCamera.from_specification(sensor.camera)
+    own = Camera.from_specification(sensor.camera)
     x, y, z, w = camera["quaternion_xyzw"]
-    tilted = FisheyeCamera.from_specification(replace(sensor.camera, quaternion_xyzw=(x, y, z, w)))
+    tilted = Camera.from_specification(replace(sensor.camera, quaternion_xyzw=(x, y, z, w)))
     seen = resample(idle_frame_of(sensor, own).image, own, tilted)
     idle_file = folder.absolute() / "shifted_idle.png"
     write_image(idle_file, np.rint(DIMMED * seen).astype(np.uint8))

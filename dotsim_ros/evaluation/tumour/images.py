@@ -20,7 +20,7 @@ import numpy as np
 from dotsim_ros.arrays import Float32Array, ImageArray, IntArray
 from dotsim_ros.evaluation.tumour.presses import SolvedPress
 from dotsim_ros.files import given_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics.idle import lights_of, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
@@ -78,7 +78,7 @@ class Eye:
                 f"sensor {sensor.name} names no camera.idle_image, expected one: images are made "
                 "from it"
             )
-        whole = FisheyeCamera.from_specification(sensor.camera)
+        whole = Camera.from_specification(sensor.camera)
         self._camera = whole.scaled(WIDTH_PX, round(whole.height * WIDTH_PX / whole.width))
         self._lighting, self._vignetting = lights_of(sensor)
         self.idle = read_idle_frame(given_path(sensor.camera.idle_image), self._camera).image

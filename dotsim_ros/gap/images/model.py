@@ -25,7 +25,7 @@ from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.effects.effect import Active, SeenImage, image_filters
 
 if TYPE_CHECKING:
-    from dotsim_ros.geometry.camera import FisheyeCamera
+    from dotsim_ros.geometry.camera import Camera
     from dotsim_ros.optics.renderer import View
     from dotsim_ros.specification import SensorSpecification
 
@@ -44,7 +44,8 @@ class Film:
             none is seen.
         idle: (H, W, 3) the same camera's image without contact.
         centre_px: (2,) x and y of the optical axis.
-        focal_px: pixels a radian.
+        focal_px: pixels a radian at the optical axis.
+        projection: of the camera, as a sensor's file names it.
     """
 
     stamp_s: FloatArray
@@ -56,6 +57,7 @@ class Film:
     idle: FloatArray
     centre_px: FloatArray
     focal_px: float
+    projection: str
 
     def seen(self) -> Iterator[SeenImage]:
         """Yield the frames as effects take them."""
@@ -70,6 +72,7 @@ class Film:
                 self.flow_px_s[frame].astype(np.float64),
                 self.depth_m[frame].astype(np.float64),
                 self.normal[frame].astype(np.float64),
+                self.projection,
             )
 
     def with_effects(self, effects: Sequence[Active]) -> Float32Array:
@@ -94,6 +97,7 @@ def resized(film: Film, width: int, height: int) -> Film:
         # The centre of the first pixel is (0, 0).
         scale * (film.centre_px + 0.5) - 0.5,
         scale * film.focal_px,
+        film.projection,
     )
 
 
@@ -136,14 +140,14 @@ class TwinCamera:
     ) -> None:
         # Loaded on use: they start Warp.
         from dotsim_ros.gel.make import skin_of
-        from dotsim_ros.geometry.camera import FisheyeCamera
+        from dotsim_ros.geometry.camera import Camera
         from dotsim_ros.optics.image import ImageRenderer
         from dotsim_ros.optics.network.loading import completion_network
         from dotsim_ros.optics.pattern import idle_frame_of
         from dotsim_ros.optics.renderer import SkinRenderer
 
-        full = FisheyeCamera.from_specification(sensor.camera)
-        self.camera: FisheyeCamera = full.scaled(width, height)
+        full = Camera.from_specification(sensor.camera)
+        self.camera: Camera = full.scaled(width, height)
         frame = idle_frame_of(sensor, self.camera)
         self.idle: ImageArray = frame.image if idle is None else idle
         skin = skin_of(sensor.gel)
@@ -215,6 +219,7 @@ class TwinCamera:
             self.idle.astype(np.float64),
             self.camera.principal_point_px,
             self.camera.focal_px,
+            self.camera.projection,
         )
 
     def _seen(self, view: View) -> Float32Array:

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.camera import FisheyeCamera
-from msg_adapters import FisheyeIntrinsics
+from dotsim_ros.geometry.camera import Camera, PinholeCamera
+from msg_adapters import EQUIDISTANT, PLUMB_BOB, CameraIntrinsics
 
 MESSAGE_BYTES = 25.0
 """For a pixel of the published image: with readers of colours, depth and compressed images the node
@@ -44,7 +44,7 @@ class Framing:
     @classmethod
     def of_camera(
         cls,
-        camera: FisheyeCamera,
+        camera: Camera,
         *,
         crop_px: tuple[int, int, int, int],
         image_size_px: tuple[int, int],
@@ -104,20 +104,25 @@ class Framing:
             return part
         return np.asarray(cv2.resize(part, self.size_px, interpolation=interpolation))
 
-    def camera(self, camera: FisheyeCamera) -> FisheyeCamera:
+    def camera(self, camera: Camera) -> Camera:
         """Return the camera that sees the part at the size that it is best rendered at."""
         return camera.part(*self.crop_px).scaled(*self.rendered_px)
 
-    def intrinsics(self, camera: FisheyeCamera) -> FisheyeIntrinsics:
+    def intrinsics(self, camera: Camera) -> CameraIntrinsics:
         """Return the intrinsics of the published image, given the sensor's own camera."""
         part = self.camera(camera)
         scale = np.array(self.size_px) / np.array(self.rendered_px)
-        return FisheyeIntrinsics(
+        model, coefficients = EQUIDISTANT, camera.distortion
+        if camera.projection == PinholeCamera.projection:
+            # Of CameraInfo's five, the last is k3.
+            model, coefficients = PLUMB_BOB, np.append(camera.distortion, 0.0)
+        return CameraIntrinsics(
             width=self.size_px[0],
             height=self.size_px[1],
             focal_px=part.focal_px * scale,
             principal_point_px=(part.principal_point_px + 0.5) * scale - 0.5,
-            distortion=camera.distortion,
+            distortion=coefficients,
+            distortion_model=model,
         )
 
 

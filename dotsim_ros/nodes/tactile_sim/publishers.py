@@ -18,7 +18,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
-from dotsim_ros.arrays import ImageArray
+from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.nodes.tactile_sim.difference import difference_image
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
 from dotsim_ros.nodes.tactile_sim.output_parameters import AXIAL
@@ -87,6 +87,9 @@ class FramePublishers:
         self._radius = self._publisher(node, Image, parameters.radius_topic)
         self._radius_shown = self._publisher(node, Image, parameters.radius_shown_topic)
         self._points = self._publisher(node, PointCloud2, "points")
+        self._markers = None
+        if sensor.markers is not None:
+            self._markers = self._publisher(node, PointCloud2, "markers")
         self._wrench = self._publisher(node, WrenchStamped, parameters.wrench_topic)
         self._state = self._publisher(node, PoseStamped, "indenter/state")
         self._idle = node.create_publisher(Image, "~/idle_image", LATCHED_QOS)
@@ -170,6 +173,23 @@ class FramePublishers:
                 )
             )
 
+        if self._markers is not None and _is_read(self._markers):
+            self._markers.publish(self._markers_message(moment.gel.skin_position_m, base))
+
+    def _markers_message(self, skin_position_m: FloatArray, header: _Header) -> Any:
+        assert self._sensor.markers is not None
+        seen_by = self._framing.camera(self._sensor.whole_camera)
+        motion = self._sensor.markers.motion(skin_position_m, seen_by)
+        # To the published size: a pixel's middle has a half to its edge.
+        scale = np.array(self._framing.size_px) / np.array(self._framing.rendered_px)
+        return msg_adapters.encode_cloud(
+            motion.position_m,
+            displacement_m=motion.position_m - motion.rest_m,
+            pixel=(motion.position_px + 0.5) * scale - 0.5,
+            pixel_displacement=(motion.position_px - motion.rest_px) * scale,
+            **header,
+        )
+
     def _is_shown(self, publisher: Publisher) -> bool:
         return _is_read(publisher) and not self._parameters.fail_drop_images
 
@@ -197,6 +217,7 @@ class FramePublishers:
             focal_px=own.focal_px,
             principal_point_px=own.principal_point_px,
             distortion=own.distortion,
+            distortion_model=own.distortion_model,
             **header,
         )
 
@@ -277,9 +298,11 @@ class FramePublishers:
         """Return an image with the camera's noise, which the stamp draws: the raw and the
         compressed image of a frame have the same, and so has a frame that is simulated again."""
         levels = self._parameters.image_noise_levels
+        channels = self._sensor.specification.camera.channel_count
         if levels < 0.0:
-            return with_noise(rgb, self._noise.deviation_levels, (self._noise.seed, stamp_ns))
-        return with_noise(rgb, levels, stamp_ns)
+            seed = (self._noise.seed, stamp_ns)
+            return with_noise(rgb, self._noise.deviation_levels, seed, channel_count=channels)
+        return with_noise(rgb, levels, stamp_ns, channel_count=channels)
 
     @staticmethod
     def _publisher(node: Node, kind: type[Any], topic: str) -> Publisher:

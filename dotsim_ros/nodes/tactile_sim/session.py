@@ -27,7 +27,7 @@ from dotsim_ros.sensor import GelFailureError
 if TYPE_CHECKING:
     from dotsim_ros.effects.effect import Active
     from dotsim_ros.gel.make import GelFrame
-    from dotsim_ros.geometry.camera import FisheyeCamera
+    from dotsim_ros.geometry.camera import Camera
     from dotsim_ros.geometry.indenter import Indenter
     from dotsim_ros.sensor import Frame, TactileSensor
     from dotsim_ros.specification import SolverSpecification
@@ -54,7 +54,7 @@ class SensorMoment:
     ) -> None:
         self._sensor, self.gel, self.pose, self._camera = sensor, gel, pose, camera
         self._frame: Frame | None = None
-        self._seen_by: FisheyeCamera | None = None
+        self._seen_by: Camera | None = None
 
     def render(self) -> Frame:
         """Return the whole frame; it is rendered the first time, and when the sensor's camera has

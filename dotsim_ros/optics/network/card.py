@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.documents import value_text
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.optics.network.carded_weights import CardKind, read_weights
 
 FORMAT = 1
@@ -89,7 +89,7 @@ class NetworkCard:
 NETWORK = CardKind(NetworkCard, FORMAT, "network", "dotsim_ros train-optics")
 
 
-def camera_hash(camera: FisheyeCamera) -> str:
+def camera_hash(camera: Camera) -> str:
     """Return a hash that differs between cameras whose images differ by more than resolution."""
     numbers = [
         camera.width / camera.height,
@@ -98,6 +98,8 @@ def camera_hash(camera: FisheyeCamera) -> str:
         *camera.distortion,
         *camera.pose.position_m,
         *camera.pose.rotation().ravel(),
+        # Networks of fisheyes are older than other projections, and keep their hash.
+        *((1.0,) if camera.projection == PinholeCamera.projection else ()),
     ]
     text = " ".join(f"{number:.6f}" for number in np.asarray(numbers) + 0.0)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -109,7 +111,7 @@ def read_network(directory: Path) -> NetworkCard:
     return read_weights(directory, NETWORK)[0]
 
 
-def check_card(card: NetworkCard, *, sensor: str, camera: FisheyeCamera, source: Path) -> None:
+def check_card(card: NetworkCard, *, sensor: str, camera: Camera, source: Path) -> None:
     """Refuse a network that was trained for another sensor.
 
     Args:

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, ImageArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics import bands
 from dotsim_ros.optics.network.card import BASES, FINENESS, NETWORK, check_card, read_network
 from dotsim_ros.optics.network.carded_weights import GRAPH
@@ -44,7 +44,7 @@ class CompletionNetwork:
         directory: Path,
         *,
         sensor: str,
-        camera: FisheyeCamera,
+        camera: Camera,
         thread_count: int | None = None,
     ) -> None:
         self.card = read_network(directory)

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import Float32Array, ImageArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import lit_region
 
 FRAME = slice(0, 7)
@@ -75,7 +75,7 @@ class CompletionInput:
 
     def __init__(
         self,
-        camera: FisheyeCamera,
+        camera: Camera,
         size: tuple[int, int],
         *,
         fineness: int,

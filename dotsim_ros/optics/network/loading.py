@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from dotsim_ros.files import given_path
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.specification import SensorSpecification
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def completion_network(
-    specification: SensorSpecification, camera: FisheyeCamera
+    specification: SensorSpecification, camera: Camera
 ) -> CompletionNetwork | None:
     """Return the network that completes the sensor's image; None where the sensor names none.
 

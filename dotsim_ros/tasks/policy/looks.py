@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray, ImageArray
-from dotsim_ros.geometry.camera import FisheyeCamera
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.optics.idle import IdleFrame
 from dotsim_ros.optics.image import ImageRenderer
@@ -78,7 +78,7 @@ def _camera(
 
 
 def _idle_frame(
-    sensor: SensorSpecification, camera: FisheyeCamera, random: np.random.Generator
+    sensor: SensorSpecification, camera: Camera, random: np.random.Generator
 ) -> IdleFrame:
     """Return an idle frame with a coat and lights of its own."""
     azimuth = random.uniform(0.0, 360.0) + np.array([0.0, 120.0, 240.0])
@@ -138,7 +138,7 @@ class Look:
         ranges: LookRanges,
         random: np.random.Generator,
     ) -> None:
-        camera = FisheyeCamera.from_specification(_camera(sensor.camera, ranges, random))
+        camera = Camera.from_specification(_camera(sensor.camera, ranges, random))
         if random.uniform() < OWN_COAT_SHARE:
             frame = idle_frame_of(sensor, camera)
         else:

@@ -1,0 +1,36 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""`dotsim_ros sensors`, and that every shipped sensor is whole."""
+
+from __future__ import annotations
+
+import pytest
+
+from dotsim_ros.cli.main import main
+from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.optics.idle import lit_region
+from dotsim_ros.optics.pattern import idle_frame_of
+from dotsim_ros.specification import load_sensor, read_source, sensor_path, shipped_sensors
+
+
+def test_the_list_names_every_shipped_sensor(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sensors"]) == 0
+    first, *rows = capsys.readouterr().out.splitlines()
+    assert first.split() == ["name", "shape", "camera", "law", "source"]
+    assert [row.split()[0] for row in rows] == shipped_sensors()
+    digit = next(row for row in rows if row.startswith("digit "))
+    assert digit.split()[1:6] == ["curved_pad", "pinhole", "240x320", "rgb", "neo_hookean"]
+    assert main(["sensors", "digits"]) == 1
+    assert "no shipped sensor 'digits'; there are densetact2, digit," in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", shipped_sensors())
+def test_a_shipped_sensor_says_its_source_and_has_an_image(name: str) -> None:
+    sensor = load_sensor(name)
+    assert sensor.name == name
+    assert read_source(sensor_path(name))
+    frame = idle_frame_of(sensor, Camera.from_specification(sensor.camera))
+    assert lit_region(frame.image).mean() > 0.3
+    grey = (frame.image == frame.image[..., :1]).all()
+    assert grey == (sensor.camera.colour == "grey")
