@@ -45,9 +45,7 @@ UNCHANGING = Lighting(ambient_fraction=1e9)
 """The real sensor's lights are not known; what changes is left to be learned."""
 
 
-def flat_camera(
-    width: int, height: int, thickness_m: float, pixels_per_metre: float
-) -> Camera:
+def flat_camera(width: int, height: int, thickness_m: float, pixels_per_metre: float) -> Camera:
     """Return the camera that looks up at a pad's face from below."""
     return FisheyeCamera(
         width=width,
