@@ -1,0 +1,2 @@
+"""Importers of published recordings on real gels: each reads a set as it was published, checks it,
+and writes it as a data set."""
