@@ -24,7 +24,9 @@ model's images, and judges them on measured ones (`--gelsight` adds real ones of
 was made before is not made again. `tumour` presses the sensor onto soft skins over a bulge or a
 dent: classifiers learn in simulation which it is, and are judged on presses that CalculiX solved
 with both bodies deformable (ccx must be installed); presses that were solved before are not solved
-again.
+again. `real_force` predicts each depth of a real ball on a pad from the other ones, and says what
+it cannot tell apart. `real_cylinders` fits laws to one real specimen of a gel and judges them on
+another (ccx must be installed).
 docs/evaluation.md says what the figures mean.
 
 examples:
@@ -44,6 +46,8 @@ examples:
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
   dotsim_ros evaluate classification --data DIR --sensor FOLDER --gelsight DIR --out docs/results
   dotsim_ros evaluate tumour --presses 30 --judged 6 --out docs/results
+  dotsim_ros evaluate real_force --data ../shared/real/gelsight_mini_force --out docs/results
+  dotsim_ros evaluate real_cylinders --data ../shared/real/ecoflex_compression --out docs/results
 """
 
 from __future__ import annotations
@@ -124,8 +128,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     classification = subjects.add_parser(
         "classification", help="which indenter touches, learnt from simulated images"
     )
+    real_force = subjects.add_parser("real_force", help="forces of a real ball on a pad")
+    real_force.add_argument(
+        "--at-mm",
+        nargs="+",
+        type=float,
+        default=[1.5],
+        metavar="MM",
+        help="further depths to predict, from all that were measured (1.5)",
+    )
+    real_cylinders = subjects.add_parser("real_cylinders", help="laws of real gels, between plates")
     balls = (gelsight, gelsight_taxim)
-    for subject in (geometry, later, optics, *balls, real_pair, runtime, gap, classification):
+    on_data = (geometry, later, optics, *balls, real_pair, runtime, gap)
+    for subject in (*on_data, classification, real_force, real_cylinders):
         subject.add_argument(
             "--data", type=Path, required=subject is not gap, help="folder of a data set"
         )
@@ -678,6 +693,22 @@ def _gap_sets(arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _real_force(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.real_force.pad_study import evaluate_pad, pad_page
+
+    figures = evaluate_pad(
+        arguments.data, seed=arguments.seed, at_mm=arguments.at_mm, progress=_say
+    )
+    return _write(arguments, figures, {"seed": str(arguments.seed)}, pad_page)
+
+
+def _real_cylinders(arguments: argparse.Namespace) -> int:
+    from dotsim_ros.evaluation.real_force.cylinder_study import cylinders_page, evaluate_cylinders
+
+    figures = evaluate_cylinders(arguments.data, progress=_say)
+    return _write(arguments, figures, {}, cylinders_page)
+
+
 def _real_pair(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.optics.real_pair import (
         evaluate_real_pair,
@@ -925,6 +956,8 @@ _SUBJECTS = {
     "gelsight": _gelsight,
     "gelsight_taxim": _gelsight_taxim,
     "real_pair": _real_pair,
+    "real_force": _real_force,
+    "real_cylinders": _real_cylinders,
     "gap": _gap,
     "runtime": _runtime,
     "trajectory": _trajectory,

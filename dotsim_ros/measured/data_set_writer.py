@@ -286,6 +286,7 @@ def write_data_set(
     *,
     skin: SkinMesh | None = None,
     idle_images: Iterable[ImageArray] = (),
+    indenter_step_m: float = STEP_M,
 ) -> DataSet:
     """Write a data set, whole or not at all; `DataSetWriter` writes one that grows.
 
@@ -295,6 +296,7 @@ def write_data_set(
         skin: whose vertices the trajectories' clouds list, such as a sensor's own; None where there
             are no clouds, or where they list no vertices.
         idle_images: (H, W, 3) uint8 each, red, green, blue, of the sensor without contact.
+        indenter_step_m: as for `DataSetWriter`.
 
     Returns:
         The data set, as `read_data_set` reads it.
@@ -309,7 +311,7 @@ def write_data_set(
     directory.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=f".{directory.name}.", dir=directory.parent) as folder:
         part = Path(folder) / directory.name
-        writer = DataSetWriter(part, skin)
+        writer = DataSetWriter(part, skin, indenter_step_m=indenter_step_m)
         names: set[str] = set()
         for trajectory, indenter in presses:
             if trajectory.name in names:

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Presses of a body of revolution on the dome's apex as a problem of two dimensions.
+"""Presses of a body of revolution on a dome's apex or a round pad as a problem of two dimensions.
 
 Elements of 0.25 mm, which resolve a narrow contact, cost seconds here and hours in three
 dimensions. CalculiX expands each (CAX8R) into a wedge of two degrees, whose force it prints.
@@ -55,30 +55,28 @@ class AxisymmetricSettings:
 
 
 @dataclass(frozen=True)
-class DomeSection:
-    """A dome's half section, in quadrilaterals of 8 nodes.
+class GelSection:
+    """A gel's half section, in quadrilaterals of 8 nodes.
 
     Attributes:
         node_m: (N, 2) distance from the axis, and height.
         element: (E, 8) node numbers from 0: corners, against the clock, then middles of the edges;
             the third edge of an element at the skin lies on it.
         skin_element: (Q,) those.
-        skin_node: (K,) nodes on the skin from the apex to the base.
-        skin_angle_rad: (K,) their angles from the axis.
-        bonded, on_axis: nodes on core and base, and the others on the axis.
+        skin_node: (K,) nodes on the skin, from the axis outwards.
+        bonded, on_axis: nodes that are held, and the others on the axis.
     """
 
     node_m: FloatArray
     element: IntArray
     skin_element: IntArray
     skin_node: IntArray
-    skin_angle_rad: FloatArray
     bonded: IntArray
     on_axis: IntArray
 
 
-def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> DomeSection:
-    """Return the mesh of a dome's half section, fine at the apex.
+def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> GelSection:
+    """Return the mesh of a dome's half section, fine at the apex, bonded on core and base.
 
     Raises:
         ValueError: the gel is no dome around a core.
@@ -94,22 +92,59 @@ def dome_section(gel: GelSpecification, settings: AxisymmetricSettings) -> DomeS
     beyond = growing_marks(0.5 * np.pi - fine, GROWTH * spacing / outer, largest_ratio=GROWTH)
     angle = halved_marks(np.concatenate([np.linspace(0.0, fine, count + 1), fine + beyond[1:]]))
     depth = halved_marks(growing_marks(outer - gel.core_radius_m, spacing, largest_ratio=GROWTH))
-    radius = outer - depth
-    turn, reach = np.meshgrid(angle, radius, indexing="ij")
-    is_node = (np.arange(len(angle))[:, None] % 2 == 0) | (np.arange(len(radius)) % 2 == 0)
+    turn, reach = np.meshgrid(angle, outer - depth, indexing="ij")
+    place = np.stack([reach * np.sin(turn), reach * np.cos(turn)], axis=-1)
+    return section_of(place, bonded_side=True)
+
+
+def disc_section(radius_m: float, thickness_m: float, settings: AxisymmetricSettings) -> GelSection:
+    """Return the mesh of a round pad's half section, fine in its middle, bonded at its base.
+
+    Args:
+        radius_m: of the pad, whose side is free.
+        thickness_m: its base lies at the height 0, its skin at this.
+        settings: `reach_m` is the distance from the axis up to which the elements are small.
+
+    Raises:
+        ValueError: the pad is not larger than what is to be fine.
+    """
+    if not radius_m > settings.reach_m > 0.0 or not thickness_m > settings.spacing_m:
+        raise ValueError(
+            f"a pad of {radius_m} m radius and {thickness_m} m thickness, expected more than the "
+            f"{settings.reach_m} m and {settings.spacing_m} m of its fine elements"
+        )
+    spacing = settings.spacing_m
+    count = int(np.ceil(settings.reach_m / spacing))
+    beyond = growing_marks(radius_m - settings.reach_m, GROWTH * spacing, largest_ratio=GROWTH)
+    fine = np.linspace(0.0, settings.reach_m, count + 1)
+    across = halved_marks(np.concatenate([fine, settings.reach_m + beyond[1:]]))
+    depth = halved_marks(growing_marks(thickness_m, spacing, largest_ratio=GROWTH))
+    place = np.stack(np.meshgrid(across, thickness_m - depth, indexing="ij"), axis=-1)
+    return section_of(place, bonded_side=False)
+
+
+def section_of(place_m: FloatArray, *, bonded_side: bool) -> GelSection:
+    """Return the section whose nodes lie on a grid of doubled marks.
+
+    Args:
+        place_m: (A, D, 2) distance from the axis and height, from the axis outwards and from the
+            skin inwards; A and D are odd.
+        bonded_side: whether the gel is held at its outer end too, not at its base only.
+    """
+    rows, columns = np.arange(place_m.shape[0]), np.arange(place_m.shape[1])
+    is_node = (rows[:, None] % 2 == 0) | (columns % 2 == 0)
     number = np.where(is_node, np.cumsum(is_node).reshape(is_node.shape) - 1, -1)
-    # From the core outwards at the larger angle, along the skin to the smaller one, and back.
+    # From the base outwards, along the skin inwards, and back.
     corners = ((0, 2), (2, 2), (2, 0), (0, 0), (1, 2), (2, 1), (1, 0), (0, 1))
-    rows, columns = len(angle) - 2, len(radius) - 2
-    element = np.stack([number[i : i + rows : 2, j : j + columns : 2] for i, j in corners], axis=-1)
-    fixed = np.concatenate([number[:, -1], number[-1]])
+    last, deepest = len(rows) - 2, len(columns) - 2
+    element = np.stack([number[i : i + last : 2, j : j + deepest : 2] for i, j in corners], axis=-1)
+    fixed = np.concatenate([number[:, -1], number[-1] if bonded_side else []]).astype(np.int64)
     bonded = np.unique(fixed[fixed >= 0])
-    return DomeSection(
-        node_m=np.stack([reach * np.sin(turn), reach * np.cos(turn)], axis=-1)[is_node],
+    return GelSection(
+        node_m=place_m[is_node],
         element=element.reshape(-1, 8),
         skin_element=np.arange(element.shape[0]) * element.shape[1],
         skin_node=number[:, 0],
-        skin_angle_rad=angle,
         bonded=bonded,
         on_axis=np.setdiff1d(number[0], bonded),
     )
@@ -120,9 +155,9 @@ class AxisymmetricDeck:
     """What a run computes.
 
     Attributes:
-        section: the dome's mesh.
+        section: the gel's mesh.
         indenter: a body of revolution.
-        apex_m: height of the dome's skin.
+        apex_m: height of the skin on the axis.
         depth_m: of the tip below it, at the start and then at the end of each step.
         law: of the gel.
         contact: friction and stiffness.
@@ -132,7 +167,7 @@ class AxisymmetricDeck:
         ValueError: the indenter is no body of revolution that stands on its tip.
     """
 
-    section: DomeSection
+    section: GelSection
     indenter: Indenter
     apex_m: float
     depth_m: Sequence[float]

@@ -116,10 +116,11 @@ def _solved_section(
     across = np.linalg.norm(rest[:, :2], axis=1)
     angle = np.arctan2(across, rest[:, 2])
     direction = rest[:, :2] / np.maximum(across, 1e-12)[:, None]
+    skin_angle = np.arctan2(*section.node_m[section.skin_node].T)
     moved = []
     for step in solution.steps:
         sideways, up = (
-            np.interp(angle, section.skin_angle_rad, step.displacement_m[section.skin_node, axis])
+            np.interp(angle, skin_angle, step.displacement_m[section.skin_node, axis])
             for axis in (0, 2)
         )
         moved.append(np.concatenate([sideways[:, None] * direction, up[:, None]], axis=1))

@@ -18,7 +18,12 @@ from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.scripted import Site
-from dotsim_ros.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
+from dotsim_ros.reference.axisymmetric import (
+    AxisymmetricDeck,
+    AxisymmetricSettings,
+    disc_section,
+    dome_section,
+)
 from dotsim_ros.reference.data_set import read_solved_presses
 from dotsim_ros.reference.deck import EARLY_M, Deck, StepControl
 from dotsim_ros.reference.mesh import (
@@ -286,11 +291,18 @@ def test_half_section_is_filled_without_gaps():
     assert set(np.unique(section.element)) == set(range(len(section.node_m)))
     skin = section.node_m[section.element[section.skin_element][:, [2, 6, 3]]]
     np.testing.assert_allclose(np.linalg.norm(skin, axis=2), OUTER_M)
-    np.testing.assert_allclose(
-        section.node_m[section.skin_node],
-        OUTER_M * np.stack([np.sin(section.skin_angle_rad), np.cos(section.skin_angle_rad)], 1),
-        atol=1e-12,
-    )
+    line = section.node_m[section.skin_node]
+    np.testing.assert_allclose(np.linalg.norm(line, axis=1), OUTER_M)
+    assert (np.diff(line[:, 0]) > 0.0).all()
+
+
+def test_the_half_section_of_a_pad_is_held_at_its_base_alone():
+    section = disc_section(0.010, 0.004, AxisymmetricSettings(spacing_m=0.8e-3))
+    assert section.node_m[section.bonded][:, 1].max() == pytest.approx(0.0, abs=1e-12)
+    assert section.node_m[section.bonded][:, 0].max() == pytest.approx(0.010)
+    np.testing.assert_allclose(section.node_m[section.skin_node][:, 1], 0.004)
+    with pytest.raises(ValueError, match="expected more than"):
+        disc_section(0.004, 0.004, AxisymmetricSettings(reach_m=0.0045))
 
 
 @pytest.mark.parametrize("name", ["sphere_4mm", "cone", "flat_punch", "torus"])

@@ -1,0 +1,180 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Force against depth, as published tables have it: units, order and plausibility.
+
+A table says its units in its column names (`depth_mm`, `normal_force_N`). That they are right is
+checked by the stiffness that they give: silicone gels span three decades, while grams for newtons
+or inches for millimetres are off by two or more.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.documents import value_text
+from dotsim_ros.measured.data_set import STANDARD_GRAVITY_M_S2
+
+DEPTH_UNITS_M = {"mm": 1e-3, "m": 1.0, "um": 1e-6, "in": 0.0254}
+FORCE_UNITS_N = {
+    "N": 1.0,
+    "mN": 1e-3,
+    "kN": 1e3,
+    "g": 1e-3 * STANDARD_GRAVITY_M_S2,
+    "kg": STANDARD_GRAVITY_M_S2,
+}
+SOFTEST_PA, STIFFEST_PA = 1.0e3, 1.0e7
+"""Young's moduli, as a half-space or a free column has them, that are taken for a gel's."""
+NOISE_SHARE = 0.02
+"""Of the largest force, and of the largest depth: what goes back by less is noise."""
+EARLIEST_SHARE = 0.1
+"""Of the largest depth: a gel that is touched at 0 has answered by then."""
+SILENT_SHARE = 0.002
+"""Of the largest force: less is no answer. A column of gel has 2 % by a tenth of two thirds."""
+
+
+@dataclass(frozen=True)
+class ForceDepth:
+    """A force against the depth of what presses, N points.
+
+    Attributes:
+        depth_m: (N,) of the indenter into the gel at rest.
+        force_n: (N,) that pushes the indenter out.
+    """
+
+    depth_m: FloatArray
+    force_n: FloatArray
+
+
+def read_force_table(path: str | Path) -> ForceDepth:
+    """Read a table with the columns depth_UNIT and normal_force_UNIT, depths in rising order.
+
+    Units of depth are mm, m, um and in, of force N, mN, kN, g and kg (the weight of a mass).
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: a column that is missing, there twice or without a known unit, a row that is no
+            pair of numbers, no row, or depths that do not rise.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise FileNotFoundError(f"no table of force against depth at {path}")
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        reader = csv.DictReader(stream)
+        columns = [name.strip() for name in reader.fieldnames or ()]
+        reader.fieldnames = columns
+        depth, metres = _column(columns, "depth", DEPTH_UNITS_M, path)
+        force, newtons = _column(columns, "normal_force", FORCE_UNITS_N, path)
+        rows = []
+        for row in reader:
+            try:
+                rows.append((float(row[depth]) * metres, float(row[force]) * newtons))
+            except (TypeError, ValueError) as error:
+                raise ValueError(
+                    f"{path}, line {reader.line_num}: {depth} is {value_text(row[depth])} and "
+                    f"{force} is {value_text(row[force])}, expected two numbers"
+                ) from error
+    points = np.array(rows, dtype=np.float64).reshape(-1, 2)
+    if not len(points) or not np.isfinite(points).all():
+        raise ValueError(f"{path}: expected rows of finite numbers, got {len(points)} rows")
+    falls = np.flatnonzero(np.diff(points[:, 0]) <= 0.0)
+    if falls.size:
+        raise ValueError(
+            f"{path}: row {falls[0] + 2} is at {1e3 * points[falls[0] + 1, 0]:g} mm after "
+            f"{1e3 * points[falls[0], 0]:g} mm, expected depths that rise; sort the rows, and give "
+            "each press its own table"
+        )
+    return ForceDepth(points[:, 0], points[:, 1])
+
+
+def _column(
+    columns: list[str], quantity: str, units: dict[str, float], path: Path
+) -> tuple[str, float]:
+    """Return the name of a quantity's column and its unit in SI."""
+    named = [name for name in columns if name == quantity or name.startswith(f"{quantity}_")]
+    expected = ", ".join(f"{quantity}_{unit}" for unit in units)
+    if len(named) != 1:
+        raise ValueError(
+            f"{path}: {len(named) or 'no'} column{'s' if len(named) > 1 else ''} of {quantity} "
+            f"among {', '.join(columns) or 'none'}; expected one of {expected}"
+        )
+    unit = named[0].removeprefix(quantity).removeprefix("_")
+    if unit not in units:
+        raise ValueError(
+            f"{path}: the column {named[0]} has no unit that is known; rename it to one of "
+            f"{expected}"
+        )
+    return named[0], units[unit]
+
+
+def check_stiffness(place: str, modulus_pa: float) -> None:
+    """Refuse a force and a depth that together are no gel's.
+
+    Args:
+        place: where they stand, for the message.
+        modulus_pa: Young's modulus that they give, to a factor of some.
+
+    Raises:
+        ValueError: it is not between 1 kPa and 10 MPa.
+    """
+    if not SOFTEST_PA <= modulus_pa <= STIFFEST_PA:
+        raise ValueError(
+            f"{place}: force and depth are those of a Young's modulus of {modulus_pa:.3g} Pa, "
+            f"expected {SOFTEST_PA:g} to {STIFFEST_PA:g} Pa as gels have; check the units: grams "
+            "for newtons are 102 times too large, inches for millimetres 25 times too small"
+        )
+
+
+def check_within(place: str, depth_m: float, thickness_m: float) -> None:
+    """Refuse a depth that the gel has not.
+
+    Raises:
+        ValueError: it is not below the gel's thickness.
+    """
+    if not depth_m < thickness_m:
+        raise ValueError(
+            f"{place}: a depth of {1e3 * depth_m:g} mm in a gel of {1e3 * thickness_m:g} mm; check "
+            "the unit of depth (mm, m, um, in)"
+        )
+
+
+def check_in_step(place: str, time_s: FloatArray, curve: ForceDepth) -> None:
+    """Refuse a force that runs late behind its depth.
+
+    A gel's force peaks with the depth, or before it where it relaxes, never after it; and it is
+    there as soon as the gel is touched, which must be at a depth of 0.
+
+    Args:
+        place: where it stands, for the message.
+        time_s: (N,) increasing.
+        curve: at those times.
+
+    Raises:
+        ValueError: it does.
+    """
+    depth, force = curve.depth_m, curve.force_n
+    deepest, strongest = int(depth.argmax()), int(force.argmax())
+    falls_back = depth[deepest] - depth[-1] > NOISE_SHARE * np.ptp(depth)
+    if falls_back and depth[deepest] - depth[strongest] > NOISE_SHARE * np.ptp(depth):
+        late = time_s[strongest] - time_s[deepest]
+        if late > 0.0:
+            raise ValueError(
+                f"{place}: the force is largest {late:.3g} s after the depth, expected at the same "
+                "time or before; the force runs late: shift its stamps by so much, or record both "
+                "on one clock"
+            )
+    early = depth <= EARLIEST_SHARE * depth[deepest]
+    early[deepest:] = False
+    answered = force[early].max(initial=-np.inf) > SILENT_SHARE * force.max()
+    if early.sum() >= 2 and not answered:
+        first = int(np.flatnonzero(force > SILENT_SHARE * force.max())[0])
+        raise ValueError(
+            f"{place}: no force until {1e3 * depth[first]:.2f} mm, {time_s[first] - time_s[0]:.3g} "
+            "s after the start, expected it from first contact at 0 on; the force runs late, or "
+            "depth does not count from contact: shift the one or subtract from the other"
+        )

@@ -1,0 +1,172 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Importers of published recordings: what they write is read back, and bad files are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dotsim_ros.cli.main import main
+from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.importers.densetact import import_densetact
+from dotsim_ros.measured.importers.ecoflex_compression import (
+    HEIGHT_M,
+    import_ecoflex_compression,
+    read_compression_tests,
+)
+from dotsim_ros.measured.importers.force_depth import ForceDepth, check_in_step, read_force_table
+from dotsim_ros.measured.importers.gelsight_mini_force import (
+    PAD_SIZE_M,
+    import_gelsight_mini_force,
+    read_gelsight_mini_force,
+)
+
+REAL = Path(__file__).parents[3] / "shared" / "real"
+needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="the published sets are not here")
+PRESS = "depth_mm,normal_force_N\n0.5,1.6\n1.0,5.9\n"
+
+
+def table(folder: Path, text: str) -> Path:
+    (folder / "force_depth.csv").write_text(text, encoding="utf-8")
+    return folder
+
+
+def loading(late_s: float = 0.0, force_per_n: float = 1.0) -> NDArray[np.float32]:
+    """Return a test of a gel of 0.1 MPa to 18 mm at 10 mm/min, rows of s, mm and N."""
+    time_s = np.arange(0.0, 108.0, 0.4)
+    stretch = 1.0 - np.maximum(time_s - late_s, 0.0) / 6.0 / (1e3 * HEIGHT_M)
+    force_n = 65.4 * (stretch**-2 - stretch) * force_per_n
+    return np.stack([time_s, time_s / 6.0, force_n], axis=1).astype(np.float32)
+
+
+def saved(folder: Path, **arrays: NDArray[np.float32]) -> Path:
+    np.savez(folder / "compression.npz", **arrays)
+    return folder
+
+
+def test_a_press_becomes_poses_and_a_wrench(tmp_path: Path) -> None:
+    made = import_gelsight_mini_force(table(tmp_path, PRESS), tmp_path / "set")
+    (entry,) = read_data_set(made.directory).entries
+    press = entry.read()
+    assert press.pose is not None
+    assert press.wrench is not None
+    assert press.image is None
+    depth = PAD_SIZE_M[2] - press.pose.position_m[:, 2]
+    np.testing.assert_allclose(depth, [-0.5e-3, 0.5e-3, 1.0e-3], atol=1e-12)
+    np.testing.assert_allclose(press.wrench.force_n[:, 2], [0.0, 1.6, 5.9])
+
+
+@pytest.mark.parametrize(
+    ("column", "scale"), [("normal_force_g", 1e3 / 9.80665), ("normal_force_mN", 1e3)]
+)
+def test_a_unit_that_the_column_names_is_taken(tmp_path: Path, column: str, scale: float) -> None:
+    path = table(tmp_path, f"depth_in,{column}\n{0.5 / 25.4},{1.6 * scale}\n")
+    read = read_force_table(path / "force_depth.csv")
+    np.testing.assert_allclose([read.depth_m[0], read.force_n[0]], [0.5e-3, 1.6])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("depth_mm,normal_force\n0.5,1.6\n", "normal_force has no unit that is known"),
+        ("depth_mm,load_N\n0.5,1.6\n", "no column of normal_force among depth_mm, load_N"),
+        ("depth_mm,normal_force_N\n1.0,5.9\n0.5,1.6\n", "row 2 is at 0.5 mm after 1 mm"),
+        ("depth_mm,normal_force_N\n0.5,heavy\n", "line 2: .*'heavy', expected two numbers"),
+        ("depth_mm,normal_force_N\n0.5,163\n", "Young's modulus of .*grams"),
+        ("depth_mm,normal_force_N\n0.0197,1.6\n", "Young's modulus of .*inches"),
+        ("depth_m,normal_force_N\n0.5,1.6\n", "a depth of 500 mm in a gel of 4 mm"),
+        ("depth_mm,normal_force_N\n", "got 0 rows"),
+        ("", "no column of depth among none"),
+    ],
+)
+def test_a_bad_table_is_refused_with_the_reason(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(ValueError, match=reason):
+        import_gelsight_mini_force(table(tmp_path, text), tmp_path / "set")
+    assert not (tmp_path / "set").exists()
+
+
+def test_tests_of_cylinders_become_trajectories(tmp_path: Path) -> None:
+    source = saved(tmp_path, EF30_25T_A1=loading(), EF30_25T_B2=loading(force_per_n=1.1))
+    made = import_ecoflex_compression(source, tmp_path / "set")
+    assert [entry.name for entry in made.entries] == ["EF30_25T_A1", "EF30_25T_B2"]
+    press = made.entries[1].read()
+    assert press.pose is not None
+    assert press.wrench is not None
+    assert press.pose.position_m[0, 2] == pytest.approx(HEIGHT_M)
+    assert press.wrench.force_n[-1, 2] == pytest.approx(loading()[-1, 2] * 1.1, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "reason"),
+    [
+        ("first", loading(), "no name of a test"),
+        ("EF30_A1", loading()[:, :2], r"expected numbers of shape \(N, 3\)"),
+        ("EF30_A1", loading(force_per_n=0.102e3), "Young's modulus of .*grams"),
+        ("EF30_A1", loading() / [1.0, 25.4, 1.0], "at least 6 mm .*inches"),
+        ("EF30_A1", loading() * [1.0, 1e3, 1.0], "a depth of .* in a gel of 30 mm"),
+        ("EF30_A1", loading(late_s=15.0), "no force until 2.*runs late"),
+        ("EF30_A1", np.concatenate([loading(), loading()]), "not later than the one before"),
+        ("EF30_A1", loading() * np.where(np.arange(270) < 200, 1, np.nan)[:, None], "not finite"),
+    ],
+)
+def test_a_bad_test_is_refused_with_the_reason(
+    tmp_path: Path, name: str, rows: NDArray[np.float32], reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        read_compression_tests(saved(tmp_path, **{name: rows}))
+
+
+def test_a_compression_that_goes_back_is_refused(tmp_path: Path) -> None:
+    rows = loading()
+    rows[135:, 1:] = rows[135:0:-1, 1:]
+    with pytest.raises(ValueError, match=r"goes back by .* expected loading only"):
+        read_compression_tests(saved(tmp_path, EF30_A1=rows))
+
+
+def test_a_force_behind_its_depth_is_refused() -> None:
+    time_s = np.linspace(0.0, 2.0, 41)
+    depth = 1e-3 * np.sin(0.5 * np.pi * time_s)
+    check_in_step("press", time_s, ForceDepth(depth, 1e3 * depth))
+    late = np.interp(time_s - 0.3, time_s, 1e3 * depth)
+    with pytest.raises(ValueError, match=r"largest 0.3 s after the depth.*runs late"):
+        check_in_step("press", time_s, ForceDepth(depth, late))
+
+
+def test_presses_of_a_stage_become_poses_alone(tmp_path: Path) -> None:
+    first = np.array([-22.38, 7.80 + 20.1, -22.85])
+    np.savez(
+        tmp_path / "presses.npz",
+        position_mm=first - np.outer(np.arange(3), [0.0, 0.1, 0.0]),
+        offset=np.array([0, 3]),
+        sensor=np.array(["hard_gel_sensor_2_auto"]),
+    )
+    made = import_densetact(tmp_path, tmp_path / "set")
+    press = made.entries[0].read()
+    assert press.pose is not None
+    assert set(press.channels()) == {"pose"}
+    np.testing.assert_allclose(press.pose.position_m[:, 2], [0.0161, 0.0160, 0.0159], atol=1e-9)
+
+
+def test_the_command_says_what_it_wrote_or_why_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    call = ["import-data", "gelsight_mini_force", "--from", str(tmp_path), "--out"]
+    assert main([*call, str(tmp_path / "set")]) == 1
+    assert "no table of force against depth" in capsys.readouterr().err
+    table(tmp_path, PRESS)
+    assert main([*call, str(tmp_path / "set")]) == 0
+    assert "1 trajectories, 3 frames" in capsys.readouterr().out
+
+
+@needs_real
+def test_the_published_sets_are_taken() -> None:
+    press = read_gelsight_mini_force(REAL / "gelsight_mini_force")
+    np.testing.assert_allclose(press.depth_m, [0.5e-3, 1.0e-3, 2.0e-3])
+    tests = read_compression_tests(REAL / "ecoflex_compression")
+    assert len(tests) == 140
+    assert {test.specimen for test in tests} == {"A", "B"}
