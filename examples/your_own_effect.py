@@ -27,7 +27,7 @@ def with_crosstalk(frame: Frame) -> Frame:
 def main(folder: Path) -> None:
     sensor = TactileSensor.load(TWIN)
     data = dotsim_ros.DataSetWriter(folder / "measured", sensor.skin)
-    for x_m in (0.0, 0.004, -0.004, 0.002):
+    for x_m in (0.0, 0.004, -0.004):
         sensor.reset()
         way = [Pose.above_apex(depth, x_m=x_m) for depth in (0.0, 0.0006, 0.0012, 0.0018, 0.0006)]
         frames = [with_crosstalk(sensor.step(pose)) for pose in way]

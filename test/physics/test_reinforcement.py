@@ -26,7 +26,7 @@ from dotsim_ros.tasks.environments.reinforcement import (
 )
 
 SMALL = PpoSettings(
-    options={"observation": "depth", "image_size_px": [32, 32]},
+    options={"observation": "depth", "image_size_px": [16, 16]},
     world_count=1,
     rollout=8,
     epochs=1,

@@ -27,12 +27,6 @@ REFUSED: dict[str, dict[str, object]] = {
 """Parameters that cannot work, by words of the reason."""
 
 
-def test_sigint_ends_it_with_status_0() -> None:
-    with running() as node:
-        assert node.interrupt(2) == 0, node.log
-        assert "Traceback" not in node.log
-
-
 @pytest.fixture(scope="module")
 def refusals() -> dict[str, str]:
     """Return the log of each start that must be refused, by words of the reason."""
@@ -48,10 +42,12 @@ def test_a_start_that_cannot_work_is_refused_with_the_reason(
     assert "Traceback" not in refusals[reason]
 
 
-def test_simulated_time_without_a_clock_is_told() -> None:
+def test_simulated_time_without_a_clock_is_told_and_two_sigints_end_it() -> None:
     with running(parameters={"use_sim_time": True}) as node:
         node.wait_for_line("/clock is silent")
-        assert node.interrupt() == 0
+        # test_in_the_middle.py interrupts a node that is at work.
+        assert node.interrupt(2) == 0, node.log
+        assert "Traceback" not in node.log
 
 
 def test_a_velocity_is_integrated_and_a_pose_beside_it_refused() -> None:
