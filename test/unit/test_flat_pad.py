@@ -290,3 +290,12 @@ def test_a_camera_that_looks_away_from_a_pad_is_refused() -> None:
             quaternion_xyzw=[1.0, 0.0, 0.0, 0.0],
             rim_angle_deg=60.0,
         )
+
+
+def test_the_pad_is_pressed_until_it_gives_a_force(pad: TactileSensor) -> None:
+    pad.reset()
+    gel, pose = pad.press_to_force(tip(pad, -0.0002), 0.5, 0.04)
+    assert gel.wrench.force_n[2] == pytest.approx(0.5, rel=2e-3)
+    assert gel.time_s == pytest.approx(0.04)
+    again = pad.press(pose, 0.04)
+    assert again.wrench.force_n[2] == pytest.approx(0.5, rel=0.02)
