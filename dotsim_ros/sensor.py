@@ -30,6 +30,7 @@ from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
+from dotsim_ros.twin.force_control import pose_at_force
 
 FRAME_S = 0.04
 """Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""
@@ -420,6 +421,39 @@ class TactileSensor:
             ) from error
         self._time_s += dt_s
         return replace(gel, time_s=self._time_s)
+
+    def press_to_force(
+        self, start: Pose | ApexPose, force_n: float, dt_s: float = FRAME_S
+    ) -> tuple[GelFrame, Pose]:
+        """Press along the indenter's axis until the gel's normal force is the one that is asked
+        for; for recordings that have a force and no depth. Return the gel and the pose.
+
+        Time passes once, by `dt_s`; the trials on the way take as much of it as a step takes.
+
+        Args:
+            start: where the search begins, in contact or outside of the gel; its tilt and its place
+                across the axis are kept.
+            force_n: along the indenter's +z, above 0.
+            dt_s: seconds since the last step.
+
+        Raises:
+            ForceNotReachedError: the gel does not give this force.
+            ValueError: the force is not above 0, or as `press`.
+            GelFailureError: as `press`.
+        """
+        placed = self._placed(start)
+        assert placed is not None
+        begun_s, last = self._time_s, None
+
+        def press(pose: Pose) -> FloatArray:
+            nonlocal last
+            last = self.press(pose, dt_s)
+            return last.wrench.force_n
+
+        found = pose_at_force(press, placed, force_n)
+        assert last is not None
+        self._time_s = begun_s + dt_s
+        return replace(last, time_s=self._time_s), found.pose
 
     def see(self, gel: GelFrame, pose: Pose | ApexPose | None) -> Frame:
         """Return the frame that shows a gel.

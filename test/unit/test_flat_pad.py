@@ -314,3 +314,12 @@ def test_a_grey_camera_sees_three_equal_channels_that_white_rows_of_leds_shade()
     # Seen from behind the dent is a bump, whose right flank faces the LEDs.
     gain = image[..., 0].astype(float) - grey.idle_image[..., 0]
     assert gain[40:56, 52:62].mean() > gain[40:56, 34:44].mean() + 10.0
+
+
+def test_the_pad_is_pressed_until_it_gives_a_force(pad: TactileSensor) -> None:
+    pad.reset()
+    gel, pose = pad.press_to_force(tip(pad, -0.0002), 0.5, 0.04)
+    assert gel.wrench.force_n[2] == pytest.approx(0.5, rel=2e-3)
+    assert gel.time_s == pytest.approx(0.04)
+    again = pad.press(pose, 0.04)
+    assert again.wrench.force_n[2] == pytest.approx(0.5, rel=0.02)

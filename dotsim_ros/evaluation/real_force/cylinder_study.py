@@ -127,8 +127,8 @@ def cylinders_page(figures: dict[str, Any]) -> str:
         f"{FITTED_SPECIMEN} ({fitted_tests} tests in all) and judged on the other one "
         f"({judged_tests} tests), which the rule never saw, from {100 * SHARE[0]:.0f} % of",
         "compression to the one in the column *to*. The law is the one with the least error on",
-        f"repeats 4 and 5 of specimen {FITTED_SPECIMEN}, fitted on 1 to 3. *Within*: judged tests "
-        "whose force is within",
+        f"repeats 4 and 5 of specimen {FITTED_SPECIMEN}, fitted on 1 to 3. *Within*: "
+        "judged tests whose force is within",
         f"{100 * TARGET:.0f} % all the way. *Other/own*: force of the judged specimen over",
         "the fitted one's at 30 %, which no law can make up for.",
         "",
