@@ -18,13 +18,13 @@ from dotsim_ros.files import write_image, write_json, write_text
 
 PAGE, FIGURES = "guided.md", "guided.json"
 CIRCLES, IMAGES = "circles.jpg", "images.jpg"
-TILE_WIDTH_PX = 200
-COLUMNS = 6
+TILE_WIDTH_PX = 150
+COLUMNS = 8
 SHOWN = 4
 WHITE = (255, 255, 255)
 IDENTIFIED = """| what | from these photographs |
 | --- | --- |
-| idle image, noise of the camera | yes |
+| idle image | yes |
 | colour by slope and place (shading, light from around) | yes, within slopes and places pressed |
 | circle of contact, in pixels | yes |
 | pixels a millimetre | {scale} |
@@ -98,7 +98,7 @@ def write_guided_report(folder: Path, found: GuidedCalibration) -> None:
 
 def circle_sheet(found: GuidedCalibration) -> ImageArray:
     """Return all photographs with the circles that were found, in rows."""
-    tiles = []
+    tiles: list[ImageArray] = []
     for press in found.photographs.presses:
         factor = TILE_WIDTH_PX / press.image.shape[1]
         centre = np.rint(factor * press.centre_px).astype(int)
