@@ -53,6 +53,8 @@ LARGEST_DISTANCE_M = 0.1
 """Of the camera from the gel's box: tactile sensors look at it from a few centimetres at most."""
 LARGEST_MEMORY_BYTES = 16e9
 """What one sensor may take: the default dome on a grid of 1.2 mm, unrefined, still does."""
+FILES = ("idle_image", "residual")
+"""Fields of a camera that name a file or a folder."""
 WHOLE_CORE_RAD = (0.0, 0.0, math.pi)
 """A patch that is all of the core."""
 GRAIN_SHARE = 0.6
@@ -432,13 +434,13 @@ class CameraSpecification:
     )
     idle_image: str = quantity(
         "images/densetact2_idle.png",
-        help="File of the image without contact, below `params/` or absolute; empty: the image is "
-        "drawn from the sections lighting, vignetting and pattern.",
+        help="File of the image without contact, beside this file, below `params/` or absolute; "
+        "empty: the image is drawn from the sections lighting, vignetting and pattern.",
     )
     residual: str = quantity(
         "",
-        help="Folder of the network that completes the image, below `params/` or absolute; empty "
-        "for none.",
+        help="Folder of the network that completes the image, beside this file, below `params/` or "
+        "absolute; empty for none.",
     )
 
     @property
@@ -882,12 +884,26 @@ def shipped_sensors() -> list[str]:
 def load_sensor(source: str | Path) -> SensorSpecification:
     """Read a sensor from a YAML file, or by name from `params/sensors/`.
 
+    An idle image or a network that lies beside the file is found there, wherever the folder is.
+
     Raises:
         FileNotFoundError: no such file or name.
         ValueError: an entry is unknown, of the wrong type or out of range; the message names it.
     """
     path = sensor_path(source)
-    return sensor_from(read_yaml(path), str(path), name=path.stem)
+    sensor = sensor_from(read_yaml(path), str(path), name=path.stem)
+    folder = path.resolve().parent
+    found: dict[str, Any] = {
+        name: str(folder / value)
+        for name, value in _files_of(sensor.camera)
+        if not Path(value).is_absolute() and (folder / value).exists()
+    }
+    return dataclasses.replace(sensor, camera=dataclasses.replace(sensor.camera, **found))
+
+
+def _files_of(camera: CameraSpecification) -> list[tuple[str, str]]:
+    """Return the fields of a camera that name a file, with their values, where they do."""
+    return [(name, getattr(camera, name)) for name in FILES if getattr(camera, name)]
 
 
 def given_sensor(sensor: str | Path | SensorSpecification) -> SensorSpecification:
@@ -940,6 +956,10 @@ def write_sensor(path: Path, specification: SensorSpecification, comment: str) -
         values = getattr(specification, section)
         if section not in WRITTEN_BY_NEED or values != kind():
             document[section] = _plain(dataclasses.asdict(values))
+    folder = path.resolve().parent
+    for name, value in _files_of(specification.camera):
+        if Path(value).is_relative_to(folder):
+            document["camera"][name] = str(Path(value).relative_to(folder))
     head = "".join(f"# {printable(line)}\n" for line in comment.splitlines())
     with whole_file(path) as part:
         part.write_text(head + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,6 +16,7 @@ import numpy as np
 import pytest
 import yaml
 
+from dotsim_ros.files import parameter_path
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.make import body_of, skin_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
@@ -357,6 +359,17 @@ def test_a_written_sensor_has_what_differs_and_loads_as_the_same(tmp_path: Path,
     write_sensor(path, noisy, "a comment")
     assert yaml.safe_load(path.read_text())["noise"] == {"deviation_levels": 2.0, "seed": 5}
     assert load_sensor(path) == noisy
+
+
+def test_an_image_beside_the_file_is_found_wherever_the_folder_is(tmp_path: Path) -> None:
+    (folder := tmp_path / "made").mkdir()
+    shutil.copy(parameter_path("images/densetact2_idle.png"), folder / "idle.png")
+    sensor = load_sensor("densetact2")
+    own = replace(sensor, camera=replace(sensor.camera, idle_image=str(folder / "idle.png")))
+    write_sensor(folder / "own.yaml", own, "")
+    assert load_sensor(folder / "own.yaml") == own
+    moved = folder.rename(tmp_path / "moved")
+    assert load_sensor(moved / "own.yaml").camera.idle_image == str(moved / "idle.png")
 
 
 def test_lights_have_one_set_of_defaults() -> None:
