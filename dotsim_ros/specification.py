@@ -891,8 +891,12 @@ def load_sensor(source: str | Path) -> SensorSpecification:
         ValueError: an entry is unknown, of the wrong type or out of range; the message names it.
     """
     path = sensor_path(source)
+    return _read_beside(path.resolve().parent, path)
+
+
+def _read_beside(folder: Path, path: Path) -> SensorSpecification:
+    """Return the sensor of a file, whose image and network may lie in a folder."""
     sensor = sensor_from(read_yaml(path), str(path), name=path.stem)
-    folder = path.resolve().parent
     found: dict[str, Any] = {
         name: str(folder / value)
         for name, value in _files_of(sensor.camera)
@@ -963,7 +967,7 @@ def write_sensor(path: Path, specification: SensorSpecification, comment: str) -
     head = "".join(f"# {printable(line)}\n" for line in comment.splitlines())
     with whole_file(path) as part:
         part.write_text(head + yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-        if load_sensor(part) != specification:
+        if _read_beside(folder, part) != specification:
             raise ValueError(f"{path} does not give the sensor back that was written")
 
 
