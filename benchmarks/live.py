@@ -8,12 +8,14 @@ python benchmarks/live.py --json FILE
 Starts `dotsim_ros live`, opens its page in headless Chromium without a graphics card, drags the
 indenter 2 mm into the apex and along the skin, and asks the page for the times from each event of
 the mouse to the drawing of the first skin that shows it. Browser, sensor and rendering share the
-machine's cores, as they do for a user without a graphics card.
+machine's cores, as they do for a user without a graphics card. Before, a reader that draws nothing
+sends the same motion, a pose after the answer to the last: what the sensor and its server take.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import re
 import shutil
@@ -26,10 +28,12 @@ from typing import Any
 
 import numpy as np
 from playwright.sync_api import Page, sync_playwright
+from websockets.sync.client import ClientConnection, connect
 
 from dotsim_ros.cores import available_core_count
 from dotsim_ros.files import write_json
 from dotsim_ros.provenance import provenance
+from dotsim_ros.specification import load_sensor
 
 BROWSERS = ("chromium", "google-chrome")
 WINDOW = {"width": 1280, "height": 800}
@@ -37,6 +41,9 @@ START_S = 300.0
 MOVE_S = 1.0 / 60.0
 DEEP_MM = 2.0
 GOAL_MS = 100.0
+STEP_M = 0.2e-3
+"""How far the reader that draws nothing moves the indenter from pose to pose."""
+SLIDE_STEPS = 20
 
 
 def opened_address(server: subprocess.Popen[str]) -> str:
@@ -46,6 +53,39 @@ def opened_address(server: subprocess.Popen[str]) -> str:
         if found := re.search(r"http://\S+", line):
             return found[0]
     raise RuntimeError("dotsim_ros live ended without a page")
+
+
+def received(socket: ClientConnection) -> dict[str, Any]:
+    """Return what the server's next message says, without its arrays, and ask for the next."""
+    payload = socket.recv(timeout=START_S)
+    assert isinstance(payload, bytes)
+    socket.send("")
+    length = int.from_bytes(payload[:4], "little")
+    message: dict[str, Any] = json.loads(payload[4 : 4 + length])
+    return message
+
+
+def answered(address: str, seconds: float) -> list[float]:
+    """Return the times in milliseconds from a pose to the skin that shows it, without a browser."""
+    apex_m = load_sensor("densetact2").gel.bounds_m[1][2]
+    lags_ms: list[float] = []
+    with connect(f"{address.replace('http', 'ws', 1).rstrip('/')}/socket") as socket:
+        while (state := received(socket))["kind"] != "state" or state["busy"]:
+            pass
+        end_s = time.perf_counter() + seconds
+        number = 0
+        while time.perf_counter() < end_s:
+            number += 1
+            deep_m = min(number * STEP_M, 1e-3 * DEEP_MM)
+            along_m = STEP_M * abs(number % (2 * SLIDE_STEPS) - SLIDE_STEPS)
+            place = {"position_m": [along_m, 0.0, apex_m - deep_m], "quaternion_xyzw": [0, 0, 0, 1]}
+            begun_s = time.perf_counter()
+            socket.send(json.dumps({"do": "pose", "number": number, **place}))
+            while (skin := received(socket))["kind"] != "skin" or skin["number"] != number:
+                pass
+            lags_ms.append(1e3 * (time.perf_counter() - begun_s))
+        socket.send(json.dumps({"do": "reset"}))
+    return lags_ms
 
 
 def taken(page: Page) -> tuple[float, float]:
@@ -98,14 +138,17 @@ def main() -> None:
             text=True,
         )
         try:
-            rate, lags_ms = _measured(opened_address(server), browser, arguments)
+            address = opened_address(server)
+            alone_ms = float(np.median(answered(address, arguments.seconds)))
+            rate, lags_ms = _measured(address, browser, arguments)
         finally:
             server.terminate()
             server.wait()
     p50, p95, p99 = (float(np.percentile(lags_ms, share)) for share in (50, 95, 99))
     print(
         f"drag to skin: {p50:.0f} ms at the median, {p95:.0f} at the 95th percentile, {p99:.0f} at "
-        f"the 99th (goal {GOAL_MS:.0f}), {len(lags_ms)} drags, {rate:.1f} frames/s"
+        f"the 99th (goal {GOAL_MS:.0f}), {len(lags_ms)} drags, {rate:.1f} frames/s; without a "
+        f"browser {alone_ms:.0f} ms"
     )
     if arguments.json is not None:
         figures: dict[str, Any] = {
@@ -116,6 +159,7 @@ def main() -> None:
             "drag_to_skin_p50_ms": round(p50, 1),
             "drag_to_skin_p95_ms": round(p95, 1),
             "drag_to_skin_p99_ms": round(p99, 1),
+            "without_a_browser_p50_ms": round(alone_ms, 1),
             "goal_ms": GOAL_MS,
         }
         write_json(arguments.json, {**provenance(), **figures})
