@@ -60,6 +60,24 @@ def no_room_named(path: Path) -> Iterator[None]:
         ) from error
 
 
+def read_image(path: str | Path) -> NDArray[np.uint8]:
+    """Return an image (H, W, 3), red, green, blue.
+
+    Raises:
+        FileNotFoundError: no such file.
+        ValueError: it is no image.
+    """
+    # As in `write_image`.
+    import cv2
+
+    if not Path(path).is_file():
+        raise FileNotFoundError(f"no image {path}")
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise ValueError(f"{path} is no image that OpenCV can read; expected a PNG or JPEG file")
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+
+
 def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
     """Write an image (H, W, 3), red, green, blue, in the format that the suffix names.
 

@@ -24,7 +24,7 @@ from dotsim_ros.learning.training import (
     TrainingProgress,
     TrainingRecipe,
 )
-from dotsim_ros.optics.network.card import BASES
+from dotsim_ros.optics.network.card import BASES, FORMAT, NetworkCard, camera_hash
 from dotsim_ros.optics.network.input import CompletionInput, resized
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
@@ -55,6 +55,12 @@ class FittedNetwork:
     def name(self) -> str:
         """How tables call it."""
         return self.kind
+
+    def card(self, sensor_name: str) -> NetworkCard:
+        """Return the card of a sensor's network, without what it was trained on and by."""
+        width, height = self.size
+        camera = camera_hash(self.camera)
+        return NetworkCard(FORMAT, self.kind, sensor_name, camera, width, height, "", "")
 
     def predict(self, press: OpticalPress, rest: Rest) -> ImageArray:
         """Return the images (F, H, W, 3) of a press; its measured images are not read."""

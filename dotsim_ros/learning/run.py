@@ -25,7 +25,7 @@ from dotsim_ros.learning.preview import write_preview
 from dotsim_ros.learning.training import TrainingProgress
 from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle import description_of, fine_path, lights_of
-from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
+from dotsim_ros.optics.network.card import NetworkCard
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, write_sensor
 from dotsim_ros.twin.footage import (
@@ -174,15 +174,8 @@ def _card(
     metrics: Mapping[str, float],
     origin: Mapping[str, str],
 ) -> NetworkCard:
-    return NetworkCard(
-        version=FORMAT,
-        kind=request.kind,
-        sensor=request.sensor.name,
-        camera=camera_hash(network.camera),
-        width=network.size[0],
-        height=network.size[1],
-        weights_sha256="",
-        graph_sha256="",
+    return replace(
+        network.card(request.sensor.name),
         data={
             "name": request.data.resolve().name,
             "train": list(request.train),

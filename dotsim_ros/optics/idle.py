@@ -14,7 +14,7 @@ import numpy as np
 
 from dotsim_ros.arrays import BoolArray, ImageArray
 from dotsim_ros.documents import read_yaml
-from dotsim_ros.files import given_path
+from dotsim_ros.files import given_path, read_image
 from dotsim_ros.geometry.camera import Camera, camera_of_disc
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.quantity import section_from
@@ -280,10 +280,7 @@ def read_idle_frame(
 def _read_image(path: Path) -> ImageArray:
     if not path.exists():
         raise FileNotFoundError(f"no idle image {path}")
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if pixels is None:
-        raise ValueError(f"{path} is no image that OpenCV can read; expected a PNG or JPEG file")
-    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+    return read_image(path)
 
 
 def _numbers(section: dict[str, Any]) -> dict[str, Any]:

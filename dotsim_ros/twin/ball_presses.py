@@ -21,7 +21,7 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.gel.make import make_gel, skin_of
-from dotsim_ros.geometry.camera import Camera, FisheyeCamera
+from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -34,8 +34,6 @@ from dotsim_ros.twin.footage import OpticalPress, Rest
 
 CAMERA_DISTANCE_M = 0.03
 """Distance of the camera from the pad's face; such sensors are about as large."""
-PINHOLE = (1.0 / 3.0, 2.0 / 15.0, 17.0 / 315.0, 62.0 / 2835.0)
-"""Coefficients of the tangent's series: an equidistant lens with them is a pinhole."""
 FIRST_DEPTH, LAST_DEPTH, DEPTH_COUNT = 0.4 / 2.35, 2.4 / 2.35, 21
 """Depths of the presses that are solved, over the ball's radius."""
 STEP_S = 0.05
@@ -47,12 +45,12 @@ UNCHANGING = Lighting(ambient_fraction=1e9)
 
 def flat_camera(width: int, height: int, thickness_m: float, pixels_per_metre: float) -> Camera:
     """Return the camera that looks up at a pad's face from below."""
-    return FisheyeCamera(
+    return PinholeCamera(
         width=width,
         height=height,
         focal_px=pixels_per_metre * CAMERA_DISTANCE_M,
         principal_point_px=np.array([0.5 * (width - 1), 0.5 * (height - 1)]),
-        distortion=np.array(PINHOLE),
+        distortion=np.zeros(4),
         pose=Pose(np.array([0.0, 0.0, thickness_m - CAMERA_DISTANCE_M])),
     )
 

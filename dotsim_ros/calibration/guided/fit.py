@@ -21,12 +21,11 @@ from dotsim_ros.arrays import ImageArray
 from dotsim_ros.calibration.calibrate import report_folder
 from dotsim_ros.calibration.guided.photographs import GuidedPhotographs, read_guided_photographs
 from dotsim_ros.files import check_output_file, check_output_folder, write_image
-from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork
 from dotsim_ros.learning.neighbourhood import NeighbourhoodRecipe, fit_neighbourhood
 from dotsim_ros.metrics.images import image_psnr_db
-from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import (
     CameraSpecification,
@@ -38,7 +37,6 @@ from dotsim_ros.specification import (
 )
 from dotsim_ros.twin.ball_presses import (
     CAMERA_DISTANCE_M,
-    PINHOLE,
     UNCHANGING,
     flat_scene,
     gel_presses,
@@ -191,9 +189,9 @@ def guided_sensor(
             width=width,
             height=height,
             position_m=(0.0, 0.0, pad[2] - CAMERA_DISTANCE_M),
-            half_height_angle_deg=float(np.degrees(0.5 * height / focal_px)),
+            projection=PinholeCamera.projection,
+            half_height_angle_deg=float(np.degrees(np.arctan(0.5 * height / focal_px))),
             principal_point_px=(0.5 * (width - 1), 0.5 * (height - 1)),
-            distortion=PINHOLE,
             idle_image=str(folder / "idle.png"),
             residual=str(folder / "network"),
         ),
@@ -288,21 +286,15 @@ def _write(request: GuidedRequest, found: GuidedCalibration, network: FittedNetw
     folder = report_folder(request.out)
     folder.mkdir(parents=True, exist_ok=True)
     write_image(folder / "idle.png", found.photographs.idle)
-    card = NetworkCard(
-        version=FORMAT,
-        kind=network.kind,
-        sensor=found.sensor.name,
-        camera=camera_hash(network.camera),
-        width=network.size[0],
-        height=network.size[1],
-        weights_sha256="",
-        graph_sha256="",
-        data={
-            "name": request.folder.resolve().name,
-            "train": list(found.fitted_on),
-            "held_out": list(found.judged_on),
-            "seed": request.seed,
-        },
+    data = {
+        "name": request.folder.resolve().name,
+        "train": list(found.fitted_on),
+        "held_out": list(found.judged_on),
+        "seed": request.seed,
+    }
+    card = replace(
+        network.card(found.sensor.name),
+        data=data,
         commit=found.origin["commit"],
         date=found.origin["date"],
         command=found.origin["command"],

@@ -13,11 +13,11 @@ import cv2
 import numpy as np
 
 from dotsim_ros.arrays import ImageArray
+from dotsim_ros.files import read_image
 from dotsim_ros.measured.contact_circle import find_contact_circles
 from dotsim_ros.measured.importers.ball_photographs import (
     BallPress,
     one_contact,
-    read_photograph,
 )
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
@@ -65,7 +65,7 @@ def read_guided_photographs(folder: Path) -> GuidedPhotographs:
         if path.suffix.lower() not in SUFFIXES:
             continue
         try:
-            photographs[path.name] = read_photograph(path)
+            photographs[path.name] = read_image(path)
         except ValueError as error:
             left_out[path.name] = str(error)
     if len(photographs) <= LEAST_PRESSES:

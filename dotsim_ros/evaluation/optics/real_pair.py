@@ -25,6 +25,7 @@ from scipy.optimize import minimize
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
+from dotsim_ros.files import read_image
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera, camera_of_disc
 from dotsim_ros.geometry.indenter import sphere
@@ -95,10 +96,7 @@ def read_real_pair(directory: Path) -> RealPair:
         path = directory / f"{name}.png"
         if not path.is_file():
             raise FileNotFoundError(f"no {path}; expected idle.png, pressed.png and mask.png")
-        pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
-        if pixels is None:
-            raise ValueError(f"{path} is no image that OpenCV can read")
-        images[name] = np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        images[name] = read_image(path)
     idle, pressed = images["idle"], images["pressed"]
     if idle.shape != pressed.shape:
         raise ValueError(f"idle.png has shape {idle.shape}, pressed.png {pressed.shape}")

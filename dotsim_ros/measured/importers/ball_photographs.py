@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
+from dotsim_ros.files import read_image
 from dotsim_ros.measured.contact_circle import ContactCircle, find_contact_circles
 
 CONTACT_REACH = 1.5
@@ -87,21 +87,6 @@ class CircleColumns:
         return ", ".join((self.file, self.x, self.y, self.radius))
 
 
-def read_photograph(path: Path) -> ImageArray:
-    """Return a photograph (H, W, 3), red, green, blue.
-
-    Raises:
-        FileNotFoundError: no such file.
-        ValueError: it is no image.
-    """
-    if not path.is_file():
-        raise FileNotFoundError(f"no image {path}")
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if pixels is None:
-        raise ValueError(f"{path} is no image that OpenCV can read")
-    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), dtype=np.uint8)
-
-
 def read_marked_photographs(
     idle: Path, table: Path, columns: CircleColumns, folder: Path
 ) -> tuple[ImageArray, tuple[BallPress, ...]]:
@@ -121,11 +106,11 @@ def read_marked_photographs(
         ValueError: a file that is no image or of another size, a row that is no circle or one that
             leaves the frame, a photograph without a contact there, or with two.
     """
-    untouched = read_photograph(idle)
+    untouched = read_image(idle)
     presses = []
     for name, circle, where in _circles(table, columns, folder):
         path = folder / name
-        image = read_photograph(path)
+        image = read_image(path)
         if image.shape != untouched.shape:
             raise ValueError(
                 f"{path} has shape {image.shape}, expected that of {idle.name}, {untouched.shape}"

@@ -31,8 +31,9 @@ from dotsim_ros.measured.importers.force_depth import (
     check_in_step,
     check_stiffness,
     check_within,
+    upright_press,
 )
-from dotsim_ros.measured.trajectory import PoseChannel, Trajectory, WrenchChannel
+from dotsim_ros.measured.trajectory import Trajectory
 
 TESTS = "compression.npz"
 RADIUS_M, HEIGHT_M = 0.025, 0.030
@@ -136,19 +137,9 @@ def plate() -> Indenter:
 def _trajectories(tests: tuple[CompressionTest, ...]) -> Iterator[tuple[Trajectory, Indenter]]:
     upper = plate()
     for test in tests:
-        count = len(test.time_s)
         stamp_ns = np.round(1e9 * (1.0 + test.time_s)).astype(np.int64)
-        position, force, turn = (np.zeros((count, width)) for width in (3, 3, 4))
-        position[:, 2], force[:, 2] = HEIGHT_M - test.curve.depth_m, test.curve.force_n
-        turn[:, 3] = 1.0
-        yield (
-            Trajectory(
-                pose=PoseChannel(stamp_ns, position, turn),
-                wrench=WrenchChannel(stamp_ns, force, np.zeros((count, 3))),
-                name=test.name,
-            ),
-            upper,
-        )
+        height_m = HEIGHT_M - test.curve.depth_m
+        yield upright_press(stamp_ns, height_m, test.curve.force_n, test.name), upper
 
 
 def import_ecoflex_compression(source: Path, out: Path) -> DataSet:

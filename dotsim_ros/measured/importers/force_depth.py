@@ -16,9 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.documents import value_text
 from dotsim_ros.measured.data_set import STANDARD_GRAVITY_M_S2
+from dotsim_ros.measured.trajectory import PoseChannel, Trajectory, WrenchChannel
 
 DEPTH_UNITS_M = {"mm": 1e-3, "m": 1.0, "um": 1e-6, "in": 0.0254}
 FORCE_UNITS_N = {
@@ -49,6 +50,27 @@ class ForceDepth:
 
     depth_m: FloatArray
     force_n: FloatArray
+
+
+def upright_press(
+    stamp_ns: IntArray, height_m: FloatArray, force_n: FloatArray, name: str
+) -> Trajectory:
+    """Return a press along the base frame's z axis, by an indenter that is not turned.
+
+    Args:
+        stamp_ns: (N,) of its frames.
+        height_m: (N,) of the indenter's frame over the base.
+        force_n: (N,) along z.
+        name: of the trajectory.
+    """
+    count = len(stamp_ns)
+    position, force, turn = (np.zeros((count, width)) for width in (3, 3, 4))
+    position[:, 2], force[:, 2], turn[:, 3] = height_m, force_n, 1.0
+    return Trajectory(
+        pose=PoseChannel(stamp_ns, position, turn),
+        wrench=WrenchChannel(stamp_ns, force, np.zeros((count, 3))),
+        name=name,
+    )
 
 
 def read_force_table(path: str | Path) -> ForceDepth:

@@ -23,8 +23,9 @@ from dotsim_ros.measured.importers.force_depth import (
     check_stiffness,
     check_within,
     read_force_table,
+    upright_press,
 )
-from dotsim_ros.measured.trajectory import PoseChannel, Trajectory, WrenchChannel
+from dotsim_ros.measured.trajectory import Trajectory
 
 TABLE = "force_depth.csv"
 PAD_SIZE_M = (0.02075, 0.02525, 0.004)
@@ -77,13 +78,7 @@ def trajectory_of(depth_m: FloatArray, force_n: FloatArray, name: str) -> Trajec
     heights = PAD_SIZE_M[2] - np.array([-CLEARANCE_M, *depth_m])
     count = len(heights)
     stamp_ns = np.round(1e9 * STEP_S * np.arange(1, count + 1)).astype(np.int64)
-    position, force, turn = (np.zeros((count, width)) for width in (3, 3, 4))
-    position[:, 2], force[1:, 2], turn[:, 3] = heights, force_n, 1.0
-    return Trajectory(
-        pose=PoseChannel(stamp_ns, position, turn),
-        wrench=WrenchChannel(stamp_ns, force, np.zeros((count, 3))),
-        name=name,
-    )
+    return upright_press(stamp_ns, heights, np.concatenate([[0.0], force_n]), name)
 
 
 def import_gelsight_mini_force(source: Path, out: Path) -> DataSet:
