@@ -16,6 +16,7 @@ import argparse
 import dataclasses
 import itertools
 import math
+import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -900,7 +901,8 @@ def _read_beside(folder: Path, path: Path) -> SensorSpecification:
     found: dict[str, Any] = {
         name: str(folder / value)
         for name, value in _files_of(sensor.camera)
-        if not Path(value).is_absolute() and (folder / value).exists()
+        # A name that no file can have is looked for, and refused, where it is used.
+        if not Path(value).is_absolute() and os.path.exists(folder / value)
     }
     return dataclasses.replace(sensor, camera=dataclasses.replace(sensor.camera, **found))
 

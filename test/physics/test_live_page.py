@@ -11,6 +11,7 @@ import re
 import shutil
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
@@ -26,7 +27,7 @@ pytest.importorskip("websockets", reason="needs pip install '.[live]'")
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from dotsim_ros import load_indenter, load_sensor
+from dotsim_ros import Pose, load_indenter, load_sensor
 from dotsim_ros.cli.main import main
 from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.server import PageServer
@@ -41,6 +42,19 @@ PRESSED_MM = 0.5
 APEX_M = 0.01575
 
 
+def coarse_subject(desk: LiveDesk) -> SimulatedSubject:
+    sensor = load_sensor("densetact2")
+    sensor = replace(sensor, solver=replace(sensor.solver, refined=False, grid_spacing_m=4.8e-3))
+    own = {"sphere_4mm": load_indenter("sphere_4mm")}
+    return SimulatedSubject(desk, sensor, own, indenters=["cone", "sphere_4mm"])
+
+
+def head_of(payload: bytes) -> tuple[dict[str, Any], bytes]:
+    """Return what a payload says, and the arrays behind it."""
+    length = int.from_bytes(payload[:4], "little")
+    return json.loads(payload[4 : 4 + length]), payload[4 + length :]
+
+
 class Live:
     """A sensor on a page, as `dotsim_ros live` makes it, of a coarse gel."""
 
@@ -48,16 +62,7 @@ class Live:
         self.recordings = recordings
         self.server = PageServer(0)
         self.desk = LiveDesk(recordings, lambda kind, payload: self.server.publish(kind, payload))
-        sensor = load_sensor("densetact2")
-        sensor = replace(
-            sensor, solver=replace(sensor.solver, refined=False, grid_spacing_m=4.8e-3)
-        )
-        self.subject = SimulatedSubject(
-            self.desk,
-            sensor,
-            {"sphere_4mm": load_indenter("sphere_4mm")},
-            indenters=["cone", "sphere_4mm"],
-        )
+        self.subject = coarse_subject(self.desk)
         self.desk.attend(self.subject)
         self.server.start(self.desk)
         self.subject.start()
@@ -101,10 +106,9 @@ class Client:
             payload = self._socket.recv(timeout=end_s - time.monotonic())
             assert isinstance(payload, bytes)
             self._socket.send("")
-            length = int.from_bytes(payload[:4], "little")
-            message = json.loads(payload[4 : 4 + length])
+            message, arrays = head_of(payload)
             for name, offset, size, form in message["parts"]:
-                content = payload[4 + length + offset :][:size]
+                content = arrays[offset:][:size]
                 message[name] = content if form == "jpeg" else np.frombuffer(content, form)
             self.newest[message["kind"]] = message
         return self.newest[kind]
@@ -146,6 +150,26 @@ def test_a_pose_moves_the_skin_and_a_pose_beyond_the_gel_leaves_it(client: Clien
     assert "deep" in client.notice(before)
     assert np.array_equal(client.newest["skin"]["skin"], skin["skin"])
     assert client.press(-0.001, 3)["force_n"] == [0.0, 0.0, 0.0]
+
+
+def test_an_order_at_the_very_first_moment_is_followed(tmp_path: Path) -> None:
+    followed = threading.Event()
+
+    def publish(_kind: str, payload: bytes) -> None:
+        message, _ = head_of(payload)
+        if message.get("can_press"):
+            subject.move(Pose(np.array([0.0, 0.0, APEX_M])), 7)
+        elif message.get("number") == 7:
+            followed.set()
+
+    desk = LiveDesk(tmp_path, publish)
+    subject = coarse_subject(desk)
+    subject.start()
+    try:
+        assert followed.wait(PATIENCE_S)
+    finally:
+        subject.stop()
+        desk.close()
 
 
 def test_another_indenter_and_profile_are_taken_up(client: Client) -> None:
@@ -265,6 +289,9 @@ class Tab:
             assert time.monotonic() < end_s, f"waited for {what}"
             self.page.wait_for_timeout(50)
 
+    def image_width_px(self) -> int:
+        return int(self.page.locator("#image").evaluate("image => image.naturalWidth"))
+
     def drag_down(self, pixels: int) -> None:
         """Drag the indenter, which is found by the shape of the pointer, onto the skin."""
         box = self.page.locator("#scene").bounding_box()
@@ -292,7 +319,8 @@ def test_a_drag_moves_the_skin_in_every_tab_and_a_tab_comes_back(
     tab.drag_down(60)
     for each in (tab, other):
         each.wait(lambda each=each: each.motion_mm() > PRESSED_MM, "a skin that has moved")
-        assert each.page.locator("#image").evaluate("image => image.naturalWidth") == 640
+        # The picture follows the skin, and a browser unpacks it in its own time.
+        each.wait(lambda each=each: each.image_width_px() == 640, "a picture of 640 pixels")
     assert tab.page.evaluate("lagsMs.length") > 0
     assert tab.complaints == other.complaints == []
     # A tab that slept or lost the network has no connection any more when it comes back.

@@ -175,14 +175,15 @@ class SimulatedSubject:
         self._session.warm_up()
         self._rest_depth_m = pressed_depth_range_of(self._session.moment.render().depth_m)
         self._show_scene()
+        # Before a page may press: its first order must not be overwritten.
+        start_m = self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])
+        self.move(Pose(start_m), 0)
         self._desk.tell_state(
             busy="",
             can_press=True,
             indenter=self._indenter.name,
             profile=self._profile,
         )
-        start_m = self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])
-        self.move(Pose(start_m), 0)
 
     def _show_scene(self) -> None:
         skin = self._sensor.skin
