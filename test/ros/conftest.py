@@ -23,6 +23,7 @@ stay_local()
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="dotsim_ros_log_"))
 TIMED = {
     "test_closed_loop",
+    "test_drop_in",
     "test_realtime",
     "test_tactile_policy",
     "test_tactile_policy_loop",
