@@ -25,7 +25,7 @@ from dotsim_ros.view.timeline import Forces
 TITLES = {
     "image": "Image",
     "change": f"Change x{CHANGE_GAIN:g}",
-    "depth": "Depth along the ray, mm",
+    "depth": "Depth, mm",
     "skin": "Motion of the skin, mm",
 }
 
