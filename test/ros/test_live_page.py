@@ -52,10 +52,14 @@ def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Pat
         found = re.search(r"http://127.0.0.1:(\d+)/", page.log)
         assert found is not None
         with connect(f"ws://127.0.0.1:{found[1]}/socket") as socket:
-            # The shape and the profile are asked of the node.
-            state = heard(socket, "state", lambda state: bool(state["profile"]))
+            # The profile is told by the node's diagnostics, the rest by its frames: in any order,
+            # and a state that is heard is not sent again.
+            state = heard(
+                socket,
+                "state",
+                lambda state: state["profile"] and state["can_press"] and not state["busy"],
+            )
             assert state["title"] == f"{NAMESPACE}/tactile_sim"
-            heard(socket, "state", lambda state: state["can_press"] and not state["busy"])
             position_m = [0.0, 0.0, APEX_M - 0.001]
             pose = {"do": "pose", "position_m": position_m, "quaternion_xyzw": [0, 0, 0, 1]}
             socket.send(json.dumps(pose))
