@@ -17,8 +17,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.evaluation.gap.solved_score import outcome_of
 from dotsim_ros.documents import read_json
+from dotsim_ros.evaluation.gap.solved_score import outcome_of
 from dotsim_ros.files import write_json
 from dotsim_ros.gap.find import find_gap
 from dotsim_ros.progress import PrintedProgress
