@@ -1,0 +1,101 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Whether the calibration's 95 % intervals hold the constants of units that another solver made.
+
+    python benchmarks/coverage_units.py --sets data/hidden_17 --json FILE
+
+Each set in which nothing is missing is one unit with constants of its own, eight trajectories that
+CalculiX solved, and noise. It is calibrated as `dotsim_ros calibrate --hold-out 0` does, from the
+sensor as its maker states it; its truth is read after the fit. Young's modulus is compared as the
+unit's gauge shows it: times the gauge's gain, from which no calibration can tell it.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from dotsim_ros.calibration.calibrate import calibrate
+from dotsim_ros.calibration.report import figures
+from dotsim_ros.evaluation.gap.hidden.solved_draw import NULL
+from dotsim_ros.evaluation.gap.hidden.solved_sets import SetRecord, read_series
+from dotsim_ros.evaluation.gap.rates import rate
+from dotsim_ros.evaluation.gap.solved_score import opened_truth
+from dotsim_ros.files import write_json
+from dotsim_ros.provenance import provenance
+
+SEED = 0
+COMBINATIONS = ("joint", "median")
+
+
+def main() -> None:
+    """Calibrate the units and print a line for each constant."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--sets", type=Path, required=True, help="folder of a series of sets")
+    parser.add_argument("--sensor", default="densetact2", help="before the fit")
+    parser.add_argument("--workers", type=int, default=2, help="processes")
+    parser.add_argument("--json", type=Path, help="file to write the figures to")
+    arguments = parser.parse_args()
+    _, records = read_series(arguments.sets)
+    # The kind alone says which sets are units without an effect; no constant is read before a fit.
+    nulls = [r for r in records if opened_truth(arguments.sets, r)["kind"] == NULL]
+    rows = [row for record in nulls for row in _rows(record, arguments)]
+    names = list(dict.fromkeys(row["parameter"] for row in rows))
+    shares = {
+        name: {
+            kind: rate([row[kind]["covers"] for row in rows if row["parameter"] == name])
+            for kind in COMBINATIONS
+        }
+        for name in names
+    }
+    for name, by_kind in shares.items():
+        print(name, *(f"{kind}: {found['share']:.0%}" for kind, found in by_kind.items()))
+    if arguments.json is not None:
+        write_json(
+            arguments.json,
+            {"units": len(nulls), "coverage": shares, "rows": rows, "provenance": provenance()},
+        )
+
+
+def _rows(record: SetRecord, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    calibration = calibrate(
+        arguments.sets / record.name,
+        sensor=arguments.sensor,
+        hold_out=0,
+        workers=arguments.workers,
+        seed=SEED,
+    )
+    found = figures(calibration, seed=SEED)["parameters"]
+    unit = opened_truth(arguments.sets, record)["unit"]
+    true = {
+        "E": unit["youngs_modulus_pa"] * unit["force_gain"],
+        "nu": unit["poisson_ratio"],
+        "friction": unit["friction"],
+    }
+    rows = []
+    for name, value in true.items():
+        row: dict[str, Any] = {"set": record.name, "parameter": name, "true": value}
+        if name not in found:
+            continue
+        for kind in COMBINATIONS:
+            estimate = found[name][kind]
+            row[kind] = {
+                **{key: estimate[key] for key in ("value", "low", "high")},
+                "covers": bool(estimate["low"] <= value <= estimate["high"]),
+            }
+        rows.append(row)
+        joint = row["joint"]
+        print(
+            f"{record.name} {name}: true {value:.4g}, found {joint['value']:.4g} "
+            f"[{joint['low']:.4g}, {joint['high']:.4g}]",
+            flush=True,
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    main()
