@@ -78,6 +78,8 @@ IMAGE_MODELS = (
     "difftactile",
     "paper",
     "paper_direct",
+    "paper_mobile",
+    "paper_mobile_warped",
     "unet",
     "carried",
     "tacto_warped",
@@ -85,7 +87,7 @@ IMAGE_MODELS = (
     "difftactile_warped",
     "ours",
 )
-OPTIONAL_MODELS = ("unet",)
+OPTIONAL_MODELS = ("paper_mobile", "paper_mobile_warped", "unet")
 LEVELS = ("easy", "medium", "hard")
 CLASSIFIED_BY = (
     "bound",

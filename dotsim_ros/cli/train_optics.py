@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from dotsim_ros.learning.training import TrainingProgress
 
-NETWORKS = ("ours", "paper", "paper_direct", "unet")
+NETWORKS = ("ours", "paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -31,7 +31,7 @@ from dotsim_ros.twin.footage import OpticalPress, Rest
 PREDICTED_TOGETHER = 4
 """Frames in one pass of a network that is not trained."""
 
-CPU_WIDTH = {"ours": 320, "paper": 160, "paper_direct": 160, "unet": 160, "neighbourhood": 320}
+CPU_WIDTH = dict.fromkeys(BASES, 160) | {"ours": 320, "neighbourhood": 320}
 """Largest width of a network's images, in pixels, where there is no CUDA."""
 
 
@@ -181,7 +181,7 @@ def fit_network(
         network = make_network(kind)
     pixels = network_size(kind, camera, size, device)
     examples = make_examples(kind, train, rest, camera, pixels)
-    if BASES[kind] == "warped":
+    if kind == "ours":
         # Its output is zero at rest whatever its weights are.
         examples = examples.only_touched()
         if not len(examples.frame):

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Networks from what the camera sees of the gel to an image: one interface, four kinds.
+"""Networks from what the camera sees of the gel to an image: one interface for all kinds.
 
 Every network maps `frame` (N, 7, h, w), `rest` (N or 1, 10, h, w) and `image` (N, 3, f h, f w),
 laid out as in `dotsim_ros.optics.network.input`, to what is to be added to its base: an image
@@ -12,6 +12,9 @@ or to nothing. The factor f is 2 for ours and 1 for the others.
   Image Segmentation", 2017) from normals and depth, added to the idle frame, as
   DOT-Sim publishes it, but from random weights: the backbone's pretrained ones are not used.
 - `paper_direct`: the same network giving the image itself, its ablation.
+- `paper_mobile`: the same input and base by DeepLabV3 with a MobileNetV3 (Howard et al., "Searching
+  for MobileNetV3", 2019), a tenth of the work: what can be trained to its end without CUDA.
+- `paper_mobile_warped`: the same network added to the warped image.
 - `unet`: the same input and base by a U-Net (Ronneberger et al., 2015), which DOT-Sim's text names.
 - `ours`: `LocalModel`, below, added to the warped image.
 """
@@ -36,6 +39,21 @@ class DeepLab(nn.Module):
 
         self.body = deeplabv3_resnet50(weights=None, weights_backbone=None, num_classes=3)
         self.body.backbone["conv1"] = nn.Conv2d(4, 64, 7, stride=2, padding=3, bias=False)
+
+    def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
+        """Return what is to be added to the base; of the frame only the geometry plays a part."""
+        return self.body(frame[:, GEOMETRY])["out"]
+
+
+class MobileDeepLab(nn.Module):
+    """DeepLabV3-MobileNetV3-Large of torchvision with four channels in and three out."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        from torchvision.models.segmentation import deeplabv3_mobilenet_v3_large
+
+        self.body = deeplabv3_mobilenet_v3_large(weights=None, weights_backbone=None, num_classes=3)
+        self.body.backbone["0"][0] = nn.Conv2d(4, 16, 3, stride=2, padding=1, bias=False)
 
     def forward(self, frame: Tensor, rest: Tensor, image: Tensor) -> Tensor:
         """Return what is to be added to the base; of the frame only the geometry plays a part."""
@@ -200,6 +218,8 @@ KINDS: dict[str, Callable[[], nn.Module]] = {
     "ours": LocalModel,
     "paper": DeepLab,
     "paper_direct": DeepLab,
+    "paper_mobile": MobileDeepLab,
+    "paper_mobile_warped": MobileDeepLab,
     "unet": UNet,
 }
 

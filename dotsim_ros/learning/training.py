@@ -62,9 +62,9 @@ RECIPES: dict[str, TrainingRecipe] = {
         decoupled=True,
         averaging=0.98,
     ),
-    "paper": PUBLISHED,
-    "paper_direct": PUBLISHED,
-    "unet": PUBLISHED,
+    **dict.fromkeys(
+        ("paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet"), PUBLISHED
+    ),
 }
 
 

@@ -111,7 +111,7 @@ def open_network(directory, camera, sensor=SENSOR.name):
     return CompletionNetwork(directory, sensor=sensor, camera=camera)
 
 
-@pytest.mark.parametrize("kind", ["ours", "unet"])
+@pytest.mark.parametrize("kind", ["ours", "paper_mobile", "paper_mobile_warped", "unet"])
 def test_results_are_those_of_torch(kind, camera, made, tmp_path):
     torch = pytest.importorskip("torch")
     size = SIZE if kind == "ours" else (96, 72)

@@ -17,7 +17,10 @@ from dotsim_ros.evaluation.optics.judge import Factory, Idle, ImageModel, Warped
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
-PUBLISHED = ("paper", "paper_direct", "unet")
+MOBILE = ("paper_mobile", "paper_mobile_warped")
+"""The paper's network with a backbone that can be trained to its end without CUDA, added to the
+idle image as published, and to the warped one."""
+PUBLISHED = ("paper", "paper_direct", *MOBILE, "unet")
 """Published networks, which take hours without CUDA unless their images are small."""
 NETWORKS = (*PUBLISHED, "ours")
 """Kinds of networks of `dotsim_ros.learning`."""
@@ -30,6 +33,7 @@ NAMES = (
     "difftactile",
     "paper",
     "paper_direct",
+    *MOBILE,
     "unet",
     "carried",
     "tacto_warped",
@@ -41,7 +45,7 @@ CLIPPED = ("tacto", "tacto_refined", "tacto_warped")
 """Models that get the clipped skin instead of the gel's."""
 WARPED = ("tacto_warped", "taxim_warped", "difftactile_warped")
 """Published models that complete the warped image, in place of our network."""
-REFINED = ("idle_refined", "tacto_refined", "carried", *WARPED, "ours")
+REFINED = ("idle_refined", "tacto_refined", "carried", *WARPED, "paper_mobile_warped", "ours")
 """Models that get an idle image refined by the frames that they are fitted on, with samples between
 its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is
 what they would gain."""
@@ -59,6 +63,7 @@ _MADE_BY = {
     "taxim_warped": (f"{_BASELINES}.taxim", _PATTERN),
     "difftactile_warped": (f"{_BASELINES}.per_pixel", _PATTERN),
     **dict.fromkeys(PUBLISHED, (_NETWORK,)),
+    "paper_mobile_warped": (_NETWORK, _PATTERN),
     "ours": (_NETWORK, _PATTERN),
 }
 

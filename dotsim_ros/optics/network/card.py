@@ -28,11 +28,13 @@ BASES = {
     "ours": "warped",
     "paper": "idle",
     "paper_direct": "none",
+    "paper_mobile": "idle",
+    "paper_mobile_warped": "warped",
     "unet": "idle",
     "neighbourhood": "warped",
 }
 """What each kind of network's output is added to."""
-FINENESS = {"ours": 2, "paper": 1, "paper_direct": 1, "unet": 1, "neighbourhood": 1}
+FINENESS = dict.fromkeys(BASES, 1) | {"ours": 2}
 """How often wider and higher each kind's images are than the geometry that it is given."""
 
 
