@@ -146,7 +146,8 @@ def test_base_and_core_bear_what_the_indenter_presses(indenter: str, profile: Pr
 @pytest.mark.parametrize("indenter", ["sphere_4mm", "box_edge"])
 def test_only_what_the_refinement_adds_leaves_a_torque(indenter: str) -> None:
     """Settled to rounding, forces balance; torques lack that of the forces at the displacement that
-    the refinement adds, which the grid does not see."""
+    the refinement adds, which the grid does not see. What the indenter answers is worked out in
+    single precision: processors differ by some millionths of the load."""
     gel = shipped_under(EXACT, indenter)
     recorder = Recorder(gel)
     for x, depth in ((1.0e-3, -0.1e-3), (1.0e-3, 0.4e-3), (1.4e-3, 0.6e-3)):
@@ -158,8 +159,8 @@ def test_only_what_the_refinement_adds_leaves_a_torque(indenter: str) -> None:
     force = world.response.force_n
     left = np.cross(world.patch.added_displacement(force), force).sum(axis=0)
     held, load = borne(gel, state.displacement_m), np.linalg.norm(state.wrench.force_n)
-    assert held.force_n == pytest.approx(-state.wrench.force_n, abs=1e-6 * load)
-    assert held.torque_nm + left == pytest.approx(-state.wrench.torque_nm, abs=1e-7 * load)
+    assert held.force_n == pytest.approx(-state.wrench.force_n, abs=1e-5 * load)
+    assert held.torque_nm + left == pytest.approx(-state.wrench.torque_nm, abs=2e-7 * load)
     # Measured: up to 0.11 mm times the force, in presses of 1.5 mm.
     assert 0.0 < np.linalg.norm(left) < 0.15e-3 * load
 
