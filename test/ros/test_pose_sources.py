@@ -384,7 +384,7 @@ def test_odometry_moves_the_indenter_on_between_its_messages() -> None:
                 break
         assert next_height_m(below_m=0.0499) > 0.03
         # Not for ever: a simulator that has stopped must not move it on.
-        assert client.set_parameters(input_timeout_s=0.05).successful
+        assert client.set_parameters(input_timeout_s=0.15).successful
         # Frames from before the change may still be on their way.
         heights_m = [next_height_m() for _ in range(20)]
         assert heights_m[-2] == heights_m[-1]
