@@ -1,16 +1,20 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gels that are made once for all tests."""
+"""Gels and worker processes that are made once for all tests."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 from gel_cases import FRICTIONLESS, YOUNGS_PA, pad_gel, pad_skin
+from warm_workers import WarmWorkers
 
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.worker_pool import pool
 
 
 def _refined_pad(poisson_ratio: float) -> ImplicitGel:
@@ -30,3 +34,13 @@ def refined_pads(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Implic
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DOTSIM_ROS_CACHE", str(tmp_path_factory.mktemp("cache")))
         return {ratio: _refined_pad(ratio) for ratio in (0.3, 0.49)}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def warm_workers() -> Iterator[None]:
+    """Give one worker after the other to the pools of all tests."""
+    workers = WarmWorkers()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "open_worker_pool", workers.open_pool)
+        yield
+    workers.close()

@@ -287,6 +287,7 @@ class Client:
         self.frames: dict[int, TactileFrame] = {}
         self.compressed: list[CompressedImage] = []
         self.diagnostics: dict[str, msg_adapters.Status] = {}
+        self._diagnosed_ns: dict[str, int] = {}
         self._changed = threading.Condition()
         self._poses = self.node.create_publisher(
             PoseStamped, "indenter/pose", QoSProfile(history=HistoryPolicy.KEEP_ALL)
@@ -351,9 +352,11 @@ class Client:
             f"a whole frame stamped {stamp_ns}",
         )
 
-    def next_frame(self, is_wanted: Callable[[TactileFrame], bool]) -> TactileFrame:
-        """Wait for a whole frame, newer than those at hand, that is wanted."""
-        newest_ns = max(self.frames, default=0)
+    def next_frame(
+        self, is_wanted: Callable[[TactileFrame], bool], *, after: TactileFrame | None = None
+    ) -> TactileFrame:
+        """Wait for a whole frame that is wanted, newer than another or than those at hand."""
+        newest_ns = max(self.frames, default=0) if after is None else after.stamp_ns
 
         def find() -> TactileFrame | None:
             for stamp_ns in sorted(stamp for stamp in self.frames if stamp > newest_ns):
@@ -368,12 +371,21 @@ class Client:
         """Return the newest diagnostic of a part: frames, input or gel."""
         return self.wait(lambda: self.diagnostics.get(f"tactile_sim: {part}"), part)
 
+    def state_from_now(self, part: str) -> msg_adapters.Status:
+        """Wait for a diagnostic of a part that is written from now on, and return it."""
+        name, now_ns = f"tactile_sim: {part}", self.node.get_clock().now().nanoseconds
+        self.wait(lambda: self._diagnosed_ns.get(name, 0) > now_ns, f"a new state of {part}")
+        return self.diagnostics[name]
+
     def wait_for_state(
         self, part: str, is_wanted: Callable[[msg_adapters.Status], bool]
     ) -> msg_adapters.Status:
-        """Wait for a diagnostic that is wanted."""
-        self.wait(lambda: is_wanted(self.state(part)), f"a state of {part}")
-        return self.state(part)
+        """Wait for a diagnostic that is wanted and return it; the newest may be another by then."""
+        name = f"tactile_sim: {part}"
+        return self.wait(
+            lambda: (found := self.diagnostics.get(name)) and is_wanted(found) and found,
+            f"a state of {part}",
+        )
 
     def call(self, kind: type, name: str, **fields: Any) -> Any:
         """Call a service and return its response."""
@@ -409,6 +421,7 @@ class Client:
         with self._changed:
             for status in msg_adapters.decode_diagnostics(message):
                 self.diagnostics[status.name] = status
+                self._diagnosed_ns[status.name] = msg_adapters.message_stamp_ns(message)
             self._changed.notify_all()
 
 

@@ -216,14 +216,15 @@ class Observer:
         return self.wait(lambda: self.diagnostics.get(name), f"the diagnostic {name}")
 
     def wait_for_reason(self, state: str, reason: str) -> msg_adapters.Status:
-        """Wait for a state of the loop."""
-        self.wait(
-            lambda: (
-                (values := self.state().values).get("state") == state and values["reason"] == reason
-            ),
-            f"the state {state} for {reason}",
-        )
-        return self.state()
+        """Wait for a state of the loop, and return it: the newest may be another by then."""
+
+        def found() -> msg_adapters.Status | None:
+            newest = self.state()
+            values = newest.values
+            is_wanted = values.get("state") == state and values["reason"] == reason
+            return newest if is_wanted else None
+
+        return self.wait(found, f"the state {state} for {reason}")
 
     def _on_command(self, message: TwistStamped) -> None:
         twist = np.concatenate(msg_adapters.decode_twist_stamped(message))

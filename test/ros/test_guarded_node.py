@@ -64,6 +64,7 @@ def test_a_message_that_breaks_a_callback_is_counted_and_the_next_one_heard(
     fragile: Fragile, answered
 ) -> None:
     assert fragile.failure_status() == []
+    wait(lambda: fragile.words.get_subscription_count() > 0)
     for word in ("ill", "ill", "well"):
         fragile.words.publish(String(data=word))
     wait(lambda: fragile.heard)

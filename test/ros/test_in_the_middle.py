@@ -80,14 +80,14 @@ def start_sliding(client: Client) -> None:
     client.send((0.0, 0.0, APEX_M + 0.05))
     client.next_frame(is_at_rest)
     client.send(START_M)
-    client.next_frame(lambda frame: frame.indenter_m() == list(START_M))
+    begun = client.next_frame(lambda frame: frame.indenter_m() == list(START_M))
     client.send(END_M)
 
     def is_under_way(frame: TactileFrame) -> bool:
         place = frame.indenter_m()
         return place is not None and START_M[0] < place[0] < END_M[0]
 
-    client.next_frame(is_under_way)
+    client.next_frame(is_under_way, after=begun)
 
 
 def answer_of(client: Client, caller: Any, request: Any) -> tuple[Any, int]:

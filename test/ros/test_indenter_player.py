@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import rclpy
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running, spin_in_background
+from harness import PATIENCE_S, refused_starts, running, spin_in_background, with_parameters
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
@@ -18,6 +18,7 @@ import msg_adapters
 from dotsim_ros.files import parameter_path
 from dotsim_ros.measured.shipped_presses import read_presses
 from dotsim_ros.measured.trajectory import PoseChannel, Topics, Trajectory, write_trajectory
+from dotsim_ros.nodes.indenter_player.node import IndenterPlayer
 
 MODULE = "dotsim_ros.nodes.indenter_player.node"
 RADIUS_M = 0.01575
@@ -225,12 +226,6 @@ def test_interrupt_while_it_waits_for_a_subscriber():
         assert player.interrupt(2) == 0, player.log
 
 
-def test_time_that_never_comes_is_told():
-    with running(MODULE, ready="ready:", parameters={"use_sim_time": "true"}) as player:
-        player.wait_for_line("no /clock comes")
-        assert player.interrupt() == 0, player.log
-
-
 def test_a_clock_that_stands_still_does_not_hold_the_end_up():
     """Simulated time that is stopped: a pause, or a simulation that has died."""
     with listening() as listener:
@@ -254,22 +249,28 @@ def test_a_clock_that_stands_still_does_not_hold_the_end_up():
     assert stamps_ns[-1] < 10**11
 
 
-@pytest.mark.parametrize(
-    ("parameters", "reason"),
-    [
-        ({"source": "dance"}, "expected one of press, slide, twist"),
-        ({"source": "bag"}, "needs path"),
-        ({"source": "bag", "path": "/nowhere"}, "no bag at /nowhere"),
-        ({"source": "presses", "path": "/nowhere"}, "no recording of presses"),
-        ({"source": "presses", "press_numbers": "[99]"}, "presses 0 to 11"),
-        ({"depth_m": -0.001}, "depth_m"),
-        ({"depth_m": 0.05}, "below the dome's radius"),
-        ({"source": "slide", "slide_distance_m": 0.05}, "leaves the dome"),
-        ({"loop": "true", "exit_at_end": "true"}, "exclude each other"),
-    ],
-)
-def test_bad_parameters_are_refused_with_the_reason(parameters, reason):
-    player = Executable(MODULE, parameters)
-    assert player.exit_status() == 2
-    assert reason in player.log
-    assert "Traceback" not in player.log
+REFUSED = {
+    "expected one of press, slide, twist": {"source": "dance"},
+    "needs path": {"source": "bag"},
+    "no bag at /nowhere": {"source": "bag", "path": "/nowhere"},
+    "no recording of presses": {"source": "presses", "path": "/nowhere"},
+    "presses 0 to 11": {"source": "presses", "press_numbers": "[99]"},
+    "depth_m": {"depth_m": -0.001},
+    "below the dome's radius": {"depth_m": 0.05},
+    "leaves the dome": {"source": "slide", "slide_distance_m": 0.05},
+    "exclude each other": {"loop": "true", "exit_at_end": "true"},
+}
+"""Parameters that cannot work, by words of the reason."""
+
+
+@pytest.fixture(scope="module")
+def refusals():
+    """Return the log of each start that must be refused, by words of the reason."""
+    starts = {reason: with_parameters(given) for reason, given in REFUSED.items()}
+    return refused_starts(IndenterPlayer, starts)
+
+
+@pytest.mark.parametrize("reason", REFUSED)
+def test_bad_parameters_are_refused_with_the_reason(refusals, reason):
+    assert reason in refusals[reason]
+    assert "Traceback" not in refusals[reason]

@@ -35,7 +35,7 @@ def assert_same(frames: list[TactileFrame], reference: list[TactileFrame]) -> No
 
 
 def count_of(client: Client, fault: str) -> int:
-    return int(client.state("input").values[fault])
+    return int(client.state_from_now("input").values[fault])
 
 
 def test_the_press_shows_in_the_reference(reference: list[TactileFrame]) -> None:

@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from harness import refused_starts
+from harness import refused_starts, with_parameters
 from hostile import BOMB
 
 from dotsim_ros.nodes.common.arguments import check_start
+from dotsim_ros.nodes.tactile_policy.node import TactilePolicy
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
 from dotsim_ros.nodes.xarm_sim.node import XarmSim
 from msg_adapters import message_class
@@ -49,12 +50,54 @@ ARGUMENTS: dict[str, list[str]] = {
     "a namespace with a space": ["--ros-args", "-r", "__ns:=/bad ns"],
     "a file of parameters that is not there": ["--ros-args", "--params-file", "nowhere.yaml"],
 }
+ARM_PARAMETERS: dict[str, dict[str, Any]] = {
+    "start_pose: the arm does not reach": {"start_pose": [1.3, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]},
+    "start_pose needs 7 numbers": {"start_pose": [0.35, 0.0, 0.3]},
+    "indenter_pose: quaternion": {"indenter_pose": [0.35, 0.0, 0.3, 1.0, 1.0, 0.0, 0.0]},
+    "fail_delay_s": {"fail_delay_s": -1.0},
+    "must differ": {"sensor_frame": "link_base"},
+}
+"""Of `xarm_sim`, by words of the reason."""
+SHIPPED = {"policy": "densetact2_sphere"}
+POLICY_PARAMETERS: dict[str, dict[str, Any]] = {
+    "parameter policy is empty": {},
+    "no policy folder": {"policy": "/no/such/policy"},
+    "choose one of": {**SHIPPED, "path": "spiral"},
+    "no idle image": {**SHIPPED, "idle_image": "/no/such.png"},
+    "expected 25 or 100": {**SHIPPED, "command_rate_hz": 60.0},
+    "brakes for": {**SHIPPED, "maximum_linear_m_s2": 0.1},
+}
+"""Of `tactile_policy`, by words of the reason."""
 
 
 @pytest.fixture(scope="module")
 def refusals() -> dict[str, str]:
     """Return the log of each start that must be refused."""
-    return refused_starts(XarmSim, ARGUMENTS)
+    parameters = {reason: with_parameters(given) for reason, given in ARM_PARAMETERS.items()}
+    return refused_starts(XarmSim, ARGUMENTS | parameters)
+
+
+@pytest.mark.parametrize("reason", ARM_PARAMETERS)
+def test_an_arm_that_cannot_work_is_refused_with_the_reason(
+    refusals: dict[str, str], reason: str
+) -> None:
+    assert reason in refusals[reason]
+    assert "Traceback" not in refusals[reason]
+
+
+@pytest.fixture(scope="module")
+def policy_refusals() -> dict[str, str]:
+    """Return the log of each start of `tactile_policy` that must be refused."""
+    starts = {reason: with_parameters(given) for reason, given in POLICY_PARAMETERS.items()}
+    return refused_starts(TactilePolicy, starts)
+
+
+@pytest.mark.parametrize("reason", POLICY_PARAMETERS)
+def test_a_policy_that_cannot_work_is_refused_with_the_reason(
+    policy_refusals: dict[str, str], reason: str
+) -> None:
+    assert reason in policy_refusals[reason]
+    assert "Traceback" not in policy_refusals[reason]
 
 
 @pytest.mark.fault("node parameters", "a command line that makes no sense")

@@ -29,7 +29,7 @@ def test_exact_takes_any_motion_in_one_frame() -> None:
         client.next_frame(lambda frame: frame.indenter_m() == end_m)
         shown = {
             tuple(frame.indenter_m())
-            for stamp_ns, frame in client.frames.items()
+            for stamp_ns, frame in list(client.frames.items())
             if stamp_ns > begun.stamp_ns and frame.indenter_m() is not None
         }
         assert shown <= {tuple(start_m), tuple(end_m)}

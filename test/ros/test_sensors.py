@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from harness import APEX_M, Client, Executable, LockstepPress, sensor
+from harness import APEX_M, Client, LockstepPress, refused_starts, sensor, with_parameters
 from sensor_msgs.msg import PointCloud2
 
 import msg_adapters
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.nodes.tactile_sim.node import TactileSim
 from dotsim_ros.specification import load_sensor, sensor_path
 
 LOCKSTEP = {"clock": "lockstep", "diagnostics_period_s": 0.1}
-MODULE = "dotsim_ros.nodes.tactile_sim.node"
 
 
 def test_a_pad_with_markers_is_pressed_and_seen_by_a_pinhole() -> None:
@@ -95,23 +95,23 @@ def test_the_sensors_noise_is_published_unless_the_parameter_is_set(noisy_sensor
         assert (idle_image(client, 10**10 + 5 * 10**9) - clean)[lit].std() > 2.0
 
 
-def test_a_sensor_in_millimetres_is_refused_with_what_was_meant(tmp_path: Path) -> None:
-    path = tmp_path / "millimetres.yaml"
+@pytest.fixture(scope="module")
+def refusals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Return the log of each start that must be refused."""
+    path = tmp_path_factory.mktemp("sensor") / "millimetres.yaml"
     path.write_text("gel: {outer_radius_m: 15.75}\n")
-    node = Executable(MODULE, {"sensor": path})
-    try:
-        assert node.exit_status() != 0
-        assert "gel.outer_radius_m is 15.75, expected a number from 0.001 to 0.2 m" in node.log
-        assert "did you mean 0.01575 (metres)?" in node.log
-        assert "Traceback" not in node.log
-    finally:
-        node.end()
+    starts = {"millimetres": {"sensor": path}, "grid": {"grid_spacing_m": 0.0005}}
+    return refused_starts(
+        TactileSim, {name: with_parameters(given) for name, given in starts.items()}
+    )
 
 
-def test_a_grid_that_no_machine_holds_is_refused() -> None:
-    node = Executable(MODULE, {"grid_spacing_m": 0.0005})
-    try:
-        assert node.exit_status() != 0
-        assert "GB of memory, expected at most 16 GB" in node.log
-    finally:
-        node.end()
+def test_a_sensor_in_millimetres_is_refused_with_what_was_meant(refusals: dict[str, str]) -> None:
+    log = refusals["millimetres"]
+    assert "gel.outer_radius_m is 15.75, expected a number from 0.001 to 0.2 m" in log
+    assert "did you mean 0.01575 (metres)?" in log
+    assert "Traceback" not in log
+
+
+def test_a_grid_that_no_machine_holds_is_refused(refusals: dict[str, str]) -> None:
+    assert "GB of memory, expected at most 16 GB" in refusals["grid"]

@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+
 import pytest
 from geometry_msgs.msg import TwistStamped
-from harness import APEX_M, refused_starts, running, sensor, with_parameters
+from harness import APEX_M, Executable, refused_starts, sensor, with_parameters
 
 import msg_adapters
 from dotsim_ros.nodes.tactile_sim.node import TactileSim
@@ -43,11 +45,24 @@ def test_a_start_that_cannot_work_is_refused_with_the_reason(
 
 
 def test_simulated_time_without_a_clock_is_told_and_two_sigints_end_it() -> None:
-    with running(parameters={"use_sim_time": True}) as node:
-        node.wait_for_line("/clock is silent")
-        # test_in_the_middle.py interrupts a node that is at work.
-        assert node.interrupt(2) == 0, node.log
-        assert "Traceback" not in node.log
+    told = {
+        "tactile_sim": "/clock is silent",
+        "xarm_sim": "/clock is silent",
+        "indenter_player": "no /clock comes",
+    }
+    with ExitStack() as stack:
+        # All at once: each is silent for seconds before it says so.
+        nodes = {
+            name: Executable(f"dotsim_ros.nodes.{name}.node", {"use_sim_time": True})
+            for name in told
+        }
+        for node in nodes.values():
+            stack.callback(node.end)
+        for name, node in nodes.items():
+            node.wait_for_line(told[name])
+            # test_in_the_middle.py interrupts a node that is at work.
+            assert node.interrupt(2) == 0, node.log
+            assert "Traceback" not in node.log
 
 
 def test_a_velocity_is_integrated_and_a_pose_beside_it_refused() -> None:

@@ -501,30 +501,6 @@ def test_sigint_ends_it_with_status_0(network: Path, count: int) -> None:
         assert "Traceback" not in executable.log
 
 
-@pytest.mark.parametrize(
-    ("parameters", "reason"),
-    [
-        ({"policy": "/no/such/policy"}, "no policy folder"),
-        ({}, "parameter policy is empty"),
-        ({"path": "spiral"}, "choose one of line"),
-        ({"idle_image": "/no/such.png"}, "no idle image"),
-        ({"command_rate_hz": 60.0}, "expected 25 or 100"),
-        ({"maximum_linear_m_s2": 0.1}, "brakes for"),
-    ],
-)
-def test_a_start_that_cannot_work_is_refused_with_the_reason(
-    network: Path, parameters: dict[str, object], reason: str
-) -> None:
-    given = {"policy": network, **parameters} if parameters else {}
-    node = Executable(MODULE, given)
-    try:
-        assert node.exit_status() == 2
-        assert reason in node.log
-        assert "Traceback" not in node.log
-    finally:
-        node.end()
-
-
 def test_the_limits_do_not_change_while_it_runs(rig: Rig) -> None:
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter

@@ -14,7 +14,14 @@ import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running, spin_in_background
+from harness import (
+    PATIENCE_S,
+    Executable,
+    refused_starts,
+    running,
+    spin_in_background,
+    with_parameters,
+)
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
@@ -22,6 +29,7 @@ import msg_adapters
 from dotsim_ros.cli.main import main
 from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
+from dotsim_ros.nodes.tactile_record.node import TactileRecord
 
 MODULE = "dotsim_ros.nodes.tactile_record.node"
 KEEP_ALL = QoSProfile(history=HistoryPolicy.KEEP_ALL)
@@ -209,29 +217,37 @@ def test_nothing_to_record_leaves_no_bag(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_existing_bag_is_not_overwritten(tmp_path):
-    recorder = Executable(MODULE, {"output": tmp_path})
-    assert recorder.exit_status() == 2
-    assert "exists already" in recorder.log
+REFUSED = {
+    "give its type": "['sound']",
+    "only stamped messages": "['text=std_msgs/msg/String']",
+    "nowhere_msgs": "['a=nowhere_msgs/msg/Nothing']",
+    "expected NAME=PACKAGE/msg/TYPE": "['a=std_srvs/srv/Trigger']",
+    "names /wrench twice": "['wrench', '/wrench=geometry_msgs/msg/PoseStamped']",
+    "topics is given without a value": "[]",
+}
+"""Topics that cannot be recorded, by words of the reason."""
+OVERWRITES = "exists already"
 
 
-@pytest.mark.parametrize(
-    ("topics", "reason"),
-    [
-        ("['sound']", "give its type"),
-        ("['text=std_msgs/msg/String']", "only stamped messages"),
-        ("['a=nowhere_msgs/msg/Nothing']", "nowhere_msgs"),
-        ("['a=std_srvs/srv/Trigger']", "expected NAME=PACKAGE/msg/TYPE"),
-        ("['wrench', '/wrench=geometry_msgs/msg/PoseStamped']", "names /wrench twice"),
-        ("[]", "topics is given without a value"),
-    ],
-)
-def test_topics_that_cannot_be_recorded_are_refused(tmp_path, topics, reason):
-    recorder = Executable(MODULE, {"output": tmp_path / "bag", "topics": topics})
-    assert recorder.exit_status() == 2, recorder.log
-    assert reason in recorder.log
-    assert "Traceback" not in recorder.log
-    assert list(tmp_path.iterdir()) == []
+@pytest.fixture(scope="module")
+def refusals(tmp_path_factory):
+    """Return the folder of bags and the log of each start that must be refused, by words of the
+    reason."""
+    folder = tmp_path_factory.mktemp("refused")
+    starts = {
+        reason: with_parameters({"output": folder / "bag", "topics": topics})
+        for reason, topics in REFUSED.items()
+    }
+    starts[OVERWRITES] = with_parameters({"output": folder})
+    return folder, refused_starts(TactileRecord, starts)
+
+
+@pytest.mark.parametrize("reason", [*REFUSED, OVERWRITES])
+def test_what_cannot_be_recorded_is_refused_and_leaves_nothing(refusals, reason):
+    folder, logs = refusals
+    assert reason in logs[reason]
+    assert "Traceback" not in logs[reason]
+    assert list(folder.iterdir()) == []
 
 
 def forces_of(path):

@@ -81,34 +81,6 @@ def test_sigint_ends_it_with_status_0() -> None:
         assert "Traceback" not in node.log
 
 
-@pytest.mark.parametrize(
-    ("parameters", "reason"),
-    [
-        ({"start_pose": [1.3, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]}, "start_pose: the arm does not reach"),
-        ({"start_pose": [0.35, 0.0, 0.3]}, "start_pose needs 7 numbers"),
-        ({"indenter_pose": [0.35, 0.0, 0.3, 1.0, 1.0, 0.0, 0.0]}, "indenter_pose: quaternion"),
-        ({"fail_delay_s": -1.0}, "fail_delay_s"),
-        ({"sensor_frame": "link_base"}, "must differ"),
-    ],
-)
-def test_a_start_that_cannot_work_is_refused_with_the_reason(
-    parameters: dict[str, Any], reason: str
-) -> None:
-    node = Executable(MODULE, parameters)
-    try:
-        assert node.exit_status() == 2
-        assert reason in node.log
-        assert "Traceback" not in node.log
-    finally:
-        node.end()
-
-
-def test_simulated_time_without_a_clock_is_told() -> None:
-    with running(MODULE, parameters={"use_sim_time": True}) as node:
-        node.wait_for_line("/clock is silent")
-        assert node.interrupt() == 0
-
-
 def test_poses_carry_the_times_of_their_states_100_a_second(client: ArmClient) -> None:
     since_s = time.monotonic()
     time.sleep(3.0)
