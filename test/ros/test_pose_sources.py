@@ -390,6 +390,25 @@ def test_odometry_moves_the_indenter_on_between_its_messages() -> None:
         assert heights_m[-2] == heights_m[-1]
 
 
+def test_with_the_parameters_and_remaps_of_a_launch_file_it_reads_the_simulators_topic() -> None:
+    topic = "/simulator/floating_base_state"
+    shipped = ("--params-file", "simulators/mujoco_ros2_control.yaml")
+    given = {"pose_source": "odometry", "base_frame": "odom", "indenter_frame": "peg"}
+    remap = ("-r", f"indenter/odometry:={topic}")
+    with running(parameters=given, arguments=(*shipped, *remap)):
+        client = Client()
+        try:
+            (reader,) = client.wait(
+                lambda: client.node.get_subscriptions_info_by_topic(topic), "the reader"
+            )
+            assert (reader.node_name, reader.topic_type) == (
+                "tactile_sim",
+                "nav_msgs/msg/Odometry",
+            )
+        finally:
+            client.close()
+
+
 REFUSED = {
     "pose_source:=tf": ("tf2_msgs", "message package 'tf2_msgs' is not installed"),
     "entity_sensor:='arm::tool'": (
