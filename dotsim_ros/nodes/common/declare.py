@@ -81,7 +81,8 @@ def follow(
         settings = current()
         if settings is None:
             return
-        known = {field.name: option_of(field) for field in dataclasses.fields(settings)}  # type: ignore[arg-type]
+        fields = dataclasses.fields(settings)  # type: ignore[arg-type]
+        known = {field.name: option_of(field) for field in fields}
         changed = {each.name: _plain(each.value) for each in changes if each.name in known}
         for name in changed:
             if known[name].fixed_while_configured:

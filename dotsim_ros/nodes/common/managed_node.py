@@ -45,7 +45,8 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
         LifecycleNodeMixin.__init__(self)
         self._starts_itself = bool(self.declare_parameter("autostart", True, AUTOSTART).value)
         self._last_error: Exception | None = None
-        self._own: set[int] | None = None
+        # What it had made in ROS before it was configured; None while it is not.
+        self._kept: set[int] | None = None
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._on_change_state
 
@@ -86,7 +87,7 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
 
     def on_configure(self, _state: LifecycleState) -> TransitionCallbackReturn:
         """See `configure`."""
-        self._own = {id(each) for each, _ in self._entities()}
+        self._kept = {id(each) for each, _ in self._entities()}
         outcome = self._attempt(self.configure)
         if outcome != SUCCESS:
             self._release()
@@ -129,15 +130,15 @@ class ManagedNode(LifecycleNodeMixin, WorkingNode):
             raise self._last_error
 
     def _release(self) -> None:
-        if self._own is None:
+        if self._kept is None:
             return
         self.clean_up()
         self.drop_scheduled()
         self.leave_topics()
         for entity, destroy in self._entities():
-            if id(entity) not in self._own:
+            if id(entity) not in self._kept:
                 destroy(entity)
-        self._own = None
+        self._kept = None
 
     def _entities(self) -> list[tuple[Any, Callable[[Any], bool]]]:
         """Return what the node has made in ROS, each with what destroys it."""
