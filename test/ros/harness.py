@@ -303,12 +303,14 @@ class Client:
             self._thread.join(10.0)
         self.node.destroy_node()
 
-    def wait(self, is_reached: Callable[[], Any], what: str) -> Any:
+    def wait(
+        self, is_reached: Callable[[], Any], what: str, *, patience_s: float = PATIENCE_S
+    ) -> Any:
         """Wait until something holds; looks again at each message, and each 50 ms."""
-        end_s = time.monotonic() + PATIENCE_S
+        end_s = time.monotonic() + patience_s
         with self._changed:
             while not (reached := is_reached()):
-                assert time.monotonic() < end_s, f"waited {PATIENCE_S} s for {what}"
+                assert time.monotonic() < end_s, f"waited {patience_s} s for {what}"
                 self._changed.wait(0.05)
         return reached
 
@@ -375,12 +377,12 @@ class Client:
         self.wait(lambda: is_wanted(self.state(part)), f"a state of {part}")
         return self.state(part)
 
-    def call(self, kind: type, name: str, **fields: Any) -> Any:
+    def call(self, kind: type, name: str, *, patience_s: float = PATIENCE_S, **fields: Any) -> Any:
         """Call a service and return its response."""
         client = self.node.create_client(kind, name)
         assert client.wait_for_service(PATIENCE_S), name
         future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
-        self.wait(future.done, f"an answer of {name}")
+        self.wait(future.done, f"an answer of {name}", patience_s=patience_s)
         self.node.destroy_client(client)
         return future.result()
 

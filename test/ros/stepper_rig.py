@@ -76,6 +76,49 @@ raise SystemExit(run_node(Worker))
 """
 """Publishes every 20 ms how many ticks it has sent, and how many replies and beats it has heard."""
 
+MANAGED_WORKER = """
+from geometry_msgs.msg import PoseStamped
+import msg_adapters
+from dotsim_ros.nodes.common.managed_node import ManagedNode
+from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.spin import run_node
+
+
+class Worker(ManagedNode):
+    def __init__(self):
+        super().__init__("worker")
+        self.start()
+
+    def configure(self):
+        self.count = 0
+        self.ticks = self.create_publisher(PoseStamped, "ticks", 5)
+
+    def activate(self):
+        pace = FramePace(rate_hz=50.0, start_s=self.now_s())
+        self.end = self.start_paced("ticks", lambda: pace, self.tick, "ticking failed")
+
+    def deactivate(self):
+        self.end()
+
+    def clean_up(self):
+        self.ticks = None
+
+    def tick(self):
+        self.count += 1
+        self.ticks.publish(
+            msg_adapters.encode_pose_stamped(
+                (float(self.count), 0.0, 0.0),
+                (0.0, 0.0, 0.0, 1.0),
+                stamp_ns=self.time_ns(),
+                frame_id="base",
+            )
+        )
+
+
+raise SystemExit(run_node(Worker))
+"""
+"""The same as a managed node, which hears nothing."""
+
 CONTROLLER = """
 import time
 import rclpy
@@ -218,9 +261,9 @@ class Session:
             f"the state {state}",
         )
 
-    def call(self, kind: type, name: str, **fields: Any) -> Any:
-        """Call a service of the stepper and return its response."""
-        client = self.node.create_client(kind, f"time_stepper/{name}")
+    def call(self, kind: type, name: str, *, of: str = "time_stepper", **fields: Any) -> Any:
+        """Call a service of a node, by default of the stepper, and return its response."""
+        client = self.node.create_client(kind, f"{of}/{name}")
         assert client.wait_for_service(PATIENCE_S), name
         future = client.call_async(kind.Request(**fields))  # type: ignore[attr-defined]
         self.wait(future.done, f"an answer of {name}")

@@ -194,18 +194,19 @@ def test_a_signal_in_the_middle_of_a_slide_ends_it_with_status_0(count: int) -> 
 BREAKS = """
 import sys
 from threading import current_thread
-from dotsim_ros.nodes.tactile_sim import node as tactile_sim
+from dotsim_ros.nodes.tactile_sim import configured_sensor
+from dotsim_ros.nodes.tactile_sim.node import TactileSim
 from dotsim_ros.nodes.common.spin import run_node
 
-class BreakingSensor(tactile_sim.TactileSensor):
+class BreakingSensor(configured_sensor.TactileSensor):
     def {method}(self, *arguments):
         # The session of the gel answers a ValueError by itself: a bug is something else.
         if current_thread().name == "frames":
             raise RuntimeError("a bug in {method}")
         return super().{method}(*arguments)
 
-tactile_sim.TactileSensor = BreakingSensor
-sys.exit(run_node(tactile_sim.TactileSim))
+configured_sensor.TactileSensor = BreakingSensor
+sys.exit(run_node(TactileSim))
 """
 
 

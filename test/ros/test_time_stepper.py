@@ -13,12 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lifecycle_msgs.msg import Transition
+from lifecycle_msgs.srv import ChangeState
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 from stepper_rig import (
     BEAT_S,
     CONTROLLER,
     CONTROLLER_ENTRY,
+    MANAGED_WORKER,
     REPLYING,
     TICK_S,
     WORKER,
@@ -65,6 +68,30 @@ def test_all_go_together(steps: Session) -> None:
     assert float(running.values["speed_factor"]) > 0.0
     assert float(running.values["time_s"]) > 1.0
     assert int(running.values["steps"]) > 0
+
+
+def test_a_managed_node_may_rest_but_not_be_configured_anew(steps: Session) -> None:
+    def change(label: str) -> None:
+        asked = Transition(label=label)
+        assert steps.call(ChangeState, "change_state", of="worker", transition=asked).success
+
+    steps.start(MANAGED_WORKER, **STEPPED)
+    stepper = steps.begin()
+    steps.wait(lambda: len(steps.ticks) > 20, "ticks")
+    change("deactivate")
+    rests_s = 1e-9 * steps.clock_ns[-1]
+    steps.wait_for_time(rests_s + 1.0)
+    count = len(steps.ticks)
+    steps.wait_for_time(rests_s + 2.0)
+    assert len(steps.ticks) == count
+    change("activate")
+    steps.wait(lambda: len(steps.ticks) > count + 20, "ticks again")
+    _, counts, _, _ = np.array(steps.ticks).T
+    np.testing.assert_array_equal(np.diff(counts), 1)
+    change("deactivate")
+    change("cleanup")
+    assert "worker left at" in (reason := steps.reason(stepper))
+    assert "started anew: start all participants together" in reason
 
 
 def test_pause_step_and_reset(steps: Session) -> None:

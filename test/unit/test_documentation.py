@@ -141,7 +141,7 @@ def test_the_table_of_parameters_is_that_of_the_node() -> None:
         if isinstance(default, tuple):
             default = ", ".join(f"{number:g}" for number in default)
         shown = str(default).lower() if isinstance(default, bool) else str(default)
-        known[field.name] = (not option_of(field).read_only, shown or "empty")
+        known[field.name] = (not option_of(field).is_fixed, shown or "empty")
     assert written == known
 
 

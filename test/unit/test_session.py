@@ -52,6 +52,7 @@ def motion(depth_mm, stamp_ns):
 
 def statuses_of(counter, gel, now_s):
     condition = Condition(
+        is_active=True,
         is_enabled=True,
         silence_s=None,
         missing_input="",

@@ -73,6 +73,31 @@ def test_after_a_jump_what_was_due_on_the_way_is_done_once() -> None:
     assert len(seen) == 3
 
 
+def test_a_pace_is_over_when_it_is_ended_and_another_may_begin() -> None:
+    schedule, seen = SimulatedSchedule(), []
+    pace = FramePace(rate_hz=100.0, start_s=0.0)
+    end = schedule.pace(PeriodicWork(lambda: pace, lambda: seen.append("first")))
+    schedule.advance(0.015)
+    end()
+    pace = FramePace(rate_hz=100.0, start_s=schedule.now_s)
+    schedule.pace(PeriodicWork(lambda: pace, lambda: seen.append("second")))
+    schedule.advance(0.03)
+    assert seen == ["first", "first", "second", "second"]
+
+
+def test_cleared_it_does_nothing_of_what_was_asked_for_and_goes_on() -> None:
+    schedule, seen, is_done = SimulatedSchedule(), [], threading.Event()
+    schedule.every(0.01, lambda: seen.append("every"))
+    schedule.compute(0.01, lambda: (time.sleep(0.05), is_done.set()), seen.append)
+    schedule.clear()
+    assert is_done.is_set()
+    schedule.at(0.02, lambda: seen.append("later"))
+    schedule.compute(0.02, lambda: "computed", seen.append)
+    schedule.advance(0.1)
+    assert seen == ["later", "computed"]
+    schedule.close()
+
+
 def test_every_comes_first_after_one_period() -> None:
     schedule, seen = SimulatedSchedule(), []
     schedule.advance(0.3)

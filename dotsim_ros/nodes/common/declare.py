@@ -31,11 +31,31 @@ def declare(node: GuardedNode, kind: type[Parameters]) -> Parameters:
         ValueError: the class's own checks refuse the values, or one is none at all.
         ParameterException: ROS refuses a value, by type or range.
     """
-    values = {}
-    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+    declare_fields(node, kind)
+    return read(node, kind)
+
+
+def declare_fields(node: GuardedNode, kind: type[Any]) -> None:
+    """Declare every field of a parameter class.
+
+    Raises:
+        ParameterException: ROS refuses a value, by type or range.
+    """
+    for field in dataclasses.fields(kind):
         default = list(field.default) if isinstance(field.default, tuple) else field.default
         descriptor = _descriptor(field.name, option_of(field), field.default)
-        value = node.declare_parameter(field.name, default, descriptor).value
+        node.declare_parameter(field.name, default, descriptor)
+
+
+def read(node: GuardedNode, kind: type[Parameters]) -> Parameters:
+    """Return what the parameters declared of a class are now.
+
+    Raises:
+        ValueError: the class's own checks refuse the values, or one is none at all.
+    """
+    values = {}
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
+        value = node.get_parameter(field.name).value
         if value is None:
             raise ValueError(f"{field.name} is given without a value, such as an empty list")
         values[field.name] = _plain(value)
@@ -43,22 +63,34 @@ def declare(node: GuardedNode, kind: type[Parameters]) -> Parameters:
 
 
 def follow(
-    node: GuardedNode, current: Callable[[], Parameters], apply: Callable[[Parameters], None]
+    node: GuardedNode,
+    current: Callable[[], Parameters | None],
+    apply: Callable[[Parameters], None],
 ) -> None:
     """Let a running node's parameters be changed, all of one call together or none.
 
     Args:
-        node: whose parameters were declared with `declare`.
-        current: returns the parameters in force.
+        node: whose parameters were declared with `declare` or `declare_fields`.
+        current: returns the parameters in force; None while there are none, since the node is not
+            configured: what is set then is checked when it is.
         apply: takes the changed parameters, all or none; refuses them by ValueError or OSError.
             What else it raises is refused as well, and logged as a fault of ours.
     """
 
     def change(changes: Sequence[Parameter]) -> None:
-        names = {field.name for field in dataclasses.fields(current())}  # type: ignore[arg-type]
-        changed = {each.name: _plain(each.value) for each in changes if each.name in names}
+        settings = current()
+        if settings is None:
+            return
+        fields = dataclasses.fields(settings)  # type: ignore[arg-type]
+        known = {field.name: option_of(field) for field in fields}
+        changed = {each.name: _plain(each.value) for each in changes if each.name in known}
+        for name in changed:
+            if known[name].fixed_while_configured:
+                raise ValueError(
+                    f"{name} is read-only while the node is configured: clean it up first"
+                )
         if changed:
-            apply(dataclasses.replace(current(), **changed))  # type: ignore[type-var]
+            apply(dataclasses.replace(settings, **changed))  # type: ignore[type-var]
 
     def on_set(changes: Sequence[Parameter]) -> SetParametersResult:
         try:
@@ -83,8 +115,10 @@ def _descriptor(name: str, known: Option, default: Any) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(
         name=name, description=known.description, read_only=known.read_only
     )
-    if known.choices:
-        descriptor.additional_constraints = f"one of {', '.join(known.choices)}"
+    constraints = [f"one of {', '.join(known.choices)}"] if known.choices else []
+    if known.fixed_while_configured:
+        constraints.append("read-only while the node is configured")
+    descriptor.additional_constraints = "; ".join(constraints)
     if known.minimum is None or known.maximum is None:
         return descriptor
     # ROS knows ranges of scalars only; those of lists are checked by the class itself.

@@ -253,6 +253,14 @@ class GuardedNode(Node):
             options.setdefault("callback_group", ReentrantCallbackGroup())
         return super().create_service(srv_type, srv_name, hear, **options)
 
+    def leave_topics(self) -> None:
+        """Have no part any more in what passes on topics within the process or in steps, before all
+        publishers and subscriptions that may have one are destroyed."""
+        if self._local is not None:
+            self._local.leave(self)
+        if self.participant is not None:
+            self.participant.begin_anew()
+
     def before_request(self) -> None:
         """Called before a service is answered."""
 

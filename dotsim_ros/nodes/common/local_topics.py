@@ -44,6 +44,13 @@ class LocalTopics:
         if subscription.publishers:
             subscription.leave_dds()
 
+    def leave(self, node: Any) -> None:
+        """Forget the publishers and subscriptions of a node, which are to be destroyed."""
+        for publishers in self.publishers.values():
+            publishers[:] = [each for each in publishers if each not in node.publishers]
+        for subscriptions in self.subscriptions.values():
+            subscriptions[:] = [each for each in subscriptions if not each.is_of(node)]
+
 
 class LocalPublisher(Publisher):
     """A publisher that sends within its process, and over DDS where somebody else reads.
@@ -101,6 +108,10 @@ class LocalSubscription:
         self._waiting: deque[tuple[Any, int]] = deque(maxlen=None if keeps_all else quality.depth)
         # Never within the publisher's call: that holds locks, and runs on another thread.
         self._came = node.create_guard_condition(self._take)
+
+    def is_of(self, node: Any) -> bool:
+        """Return whether this is a subscription of a node."""
+        return self._node is node
 
     def leave_dds(self) -> None:
         """Hear this process alone from now on."""

@@ -26,6 +26,8 @@ class Option:
         maximum: largest number allowed, or None.
         choices: the closed set of texts allowed; empty: any.
         read_only: fixed once the node runs.
+        fixed_while_configured: of a `ManagedNode`: taken when it is configured, and free to be set
+            while it is not.
     """
 
     description: str
@@ -33,6 +35,12 @@ class Option:
     maximum: float | None = None
     choices: tuple[str, ...] = ()
     read_only: bool = False
+    fixed_while_configured: bool = False
+
+    @property
+    def is_fixed(self) -> bool:
+        """Whether it is fixed while the node does its work."""
+        return self.read_only or self.fixed_while_configured
 
 
 def option(default: Any, description: str, **known: Any) -> Any:

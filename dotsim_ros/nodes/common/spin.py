@@ -51,6 +51,15 @@ STEPPED = ParameterDescriptor(
 )
 BROKEN = 1
 """Exit status of a node that could not start, or go on, for a fault of its own."""
+FORESEEN = (
+    ValueError,
+    OSError,
+    ParameterException,
+    NameValidationException,
+    RCLError,
+    UnknownROSArgsError,
+)
+"""What is raised where a node cannot do its work with what its user gave it."""
 
 
 class WorkingNode(GuardedNode):
@@ -95,6 +104,7 @@ class WorkingNode(GuardedNode):
             self._follow_clock()
         self.add_on_set_parameters_callback(partial(_refuse_other_clock, is_simulated))
         self._threads: list[Thread] = []
+        self._ends: list[Event] = []
         # A signal between the executor's look at the context and its wait wakes nothing: of a node
         # without a timer, one SIGINT in 20 was lost.
         self.create_timer(WAKE_PERIOD_S, _wake, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -131,13 +141,15 @@ class WorkingNode(GuardedNode):
     def destroy_node(self) -> None:
         """Wait until the threads have returned, and take the node down."""
         self.stopping.set()
+        for end in self._ends:
+            end.set()
         if self._schedule is not None:
             self._schedule.close()
         for thread in self._threads:
             thread.join()
         super().destroy_node()
 
-    def start_thread(self, name: str, run: Callable[[], None], broken: str) -> None:
+    def start_thread(self, name: str, run: Callable[[], None], broken: str) -> Thread:
         """Start a thread without which the node must not live on; it returns once it is `stopping`.
 
         Args:
@@ -150,35 +162,58 @@ class WorkingNode(GuardedNode):
         thread = Thread(target=self._watch, args=(run, broken), name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
+        return thread
 
     def start_paced(
         self, name: str, pace: Callable[[], FramePace], tick: Callable[[], None], broken: str
-    ) -> None:
+    ) -> Callable[[], None]:
         """Call `tick` at each deadline until the node stops.
 
         Args:
             name, broken: as of `start_thread`.
             pace: gives the deadlines; asked each time, since a parameter may change the rate.
             tick: the work of one period.
-        """
-        self.start_work(name, PeriodicWork(pace, tick), broken)
 
-    def start_work(self, name: str, work: PacedWork, broken: str) -> None:
+        Returns:
+            What ends it before; see `start_work`.
+        """
+        return self.start_work(name, PeriodicWork(pace, tick), broken)
+
+    def start_work(self, name: str, work: PacedWork, broken: str) -> Callable[[], None]:
         """Do work at each of its deadlines until the node stops.
 
         Args:
             name, broken: as of `start_thread`.
             work: and its deadlines.
+
+        Returns:
+            What ends it before, and waits until nothing of it is being done; not for the work
+            itself to call.
         """
         if self._schedule is not None:
-            self._schedule.pace(_Watched(self, work, broken))
-            return
+            return self._schedule.pace(_Watched(self, work, broken))
+        is_over = Event()
 
         def run() -> None:
-            while not self.stopping.wait(max(0.0, work.deadline_s() - time.monotonic())):
+            while not is_over.wait(max(0.0, work.deadline_s() - time.monotonic())):
                 work.run(time.monotonic())
 
-        self.start_thread(name, run, broken)
+        self._ends.append(is_over)
+        thread = self.start_thread(name, run, broken)
+
+        def end() -> None:
+            is_over.set()
+            thread.join()
+            self._ends.remove(is_over)
+            self._threads.remove(thread)
+
+        return end
+
+    def drop_scheduled(self) -> None:
+        """Let nothing be done any more that simulated time would bring: frames that are being
+        computed, reports of health."""
+        if self._schedule is not None:
+            self._schedule.clear()
 
     def compute(
         self,
@@ -415,15 +450,7 @@ def run_nodes(
 def _refused(error: Exception) -> int:
     """Log why a node cannot start; return its exit status."""
     logger = get_logger("dotsim_ros")
-    foreseen = (
-        ValueError,
-        OSError,
-        ParameterException,
-        NameValidationException,
-        RCLError,
-        UnknownROSArgsError,
-    )
-    if isinstance(error, foreseen):
+    if isinstance(error, FORESEEN):
         logger.fatal(f"cannot start: {reason_of(error)}")
         return REFUSED
     logger.fatal(

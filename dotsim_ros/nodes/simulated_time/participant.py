@@ -82,6 +82,14 @@ class StepParticipant:
         """Wait, before each step, for what was sent on the topic of this subscription."""
         self._subscriptions[subscription.topic_name] = subscription
 
+    def begin_anew(self) -> None:
+        """Take part as a node that has just started, without publishers and subscriptions: those
+        so far are destroyed, and the numbers of others of their topics begin anew."""
+        self._life = uuid.uuid4().hex
+        for known in (self._publishers, self._told, self._subscriptions, self._newest, self._sent):
+            known.clear()
+        self._held.clear()
+
     def hold(self, topic: str, number: int | None, stamp_ns: int, hear: Hear) -> None:
         """Keep a message until the next step.
 

@@ -78,14 +78,21 @@ class SimulatedSchedule:
         heapq.heappush(self._due, (due_s, self._number, act))
         self._number += 1
 
-    def pace(self, work: PacedWork) -> None:
-        """Do work at each of its deadlines."""
+    def pace(self, work: PacedWork) -> Callable[[], None]:
+        """Do work at each of its deadlines; return what ends that."""
+        is_over = False
 
         def act() -> None:
-            work.run(self.now_s)
-            self.at(work.deadline_s(), act)
+            if not is_over:
+                work.run(self.now_s)
+                self.at(work.deadline_s(), act)
+
+        def end() -> None:
+            nonlocal is_over
+            is_over = True
 
         self.at(work.deadline_s(), act)
+        return end
 
     def every(self, period_s: float, act: Callable[[], None]) -> None:
         """Do something again and again, first after one period."""
@@ -139,6 +146,12 @@ class SimulatedSchedule:
             self.now_s = max(self.now_s, due_s)
             act()
         self.now_s = max(self.now_s, to_s)
+
+    def clear(self) -> None:
+        """Let what is being computed end, and do nothing of what has been asked for so far."""
+        self.settle()
+        self._computing.clear()
+        self._due.clear()
 
     def close(self) -> None:
         """Let what is being computed end; nothing more is done."""

@@ -89,7 +89,8 @@ class Condition:
     """What the node knows at one moment, beside its counters.
 
     Attributes:
-        is_enabled: frames are made.
+        is_active: the node's state lets it make frames.
+        is_enabled: its service `set_enabled` does.
         silence_s: seconds since the last input, or None before the first.
         missing_input: why there can be no input, in words; empty where nothing is known.
         timeout_s: how long a silence is normal.
@@ -100,6 +101,7 @@ class Condition:
         rivals: who else publishes what this sensor does, in words; empty for nobody.
     """
 
+    is_active: bool
     is_enabled: bool
     silence_s: float | None
     missing_input: str
@@ -143,6 +145,8 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
         **condition.profile,
         **{f"{part}_p95_ms": f"{value:.2f}" for part, value in counter.p95_ms().items()},
     }
+    if not condition.is_active:
+        return Level.WARN, "inactive: activate the node to continue", values
     if not condition.is_enabled:
         return Level.WARN, "disabled: call set_enabled to continue", values
     if condition.rivals:

@@ -26,10 +26,12 @@ class OutputParameters:
     image_topic: str = option(
         "image_raw",
         "Topic of the images; compressed ones are published on its name with /compressed.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     camera_info_topic: str = option(
-        "", "Topic of the intrinsics; empty: camera_info beside the images.", read_only=True
+        "",
+        "Topic of the intrinsics; empty: camera_info beside the images.",
+        fixed_while_configured=True,
     )
     camera_info_url: str = option(
         "",
@@ -37,25 +39,25 @@ class OutputParameters:
         "set_camera_info writes: file:///PATH.yaml or package://PACKAGE/PATH.yaml.",
         read_only=True,
     )
-    wrench_topic: str = option("wrench", "Topic of the wrench.", read_only=True)
+    wrench_topic: str = option("wrench", "Topic of the wrench.", fixed_while_configured=True)
     difference_topic: str = option(
         "image_diff",
         "Topic of the images' difference to the reference, and with /compressed of the same as "
         "JPEG or PNG.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     reference_topic: str = option(
         "reset_dt",
         "Topic of std_msgs/Bool that makes what is seen now the reference.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     radius_topic: str = option(
         "depth/radius",
         "Topic of the skin's distance from the centre of the dome in 8 bits.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     radius_shown_topic: str = option(
-        "depth/radius_shown", "Topic of the same as a grey rgb8 image.", read_only=True
+        "depth/radius_shown", "Topic of the same as a grey rgb8 image.", fixed_while_configured=True
     )
     image_aspect: str = option(
         KEEP,
@@ -82,7 +84,7 @@ class OutputParameters:
         "",
         "Put before base_frame, optical_frame and indenter_frame, such as left_ for one of two "
         "sensors.",
-        read_only=True,
+        fixed_while_configured=True,
     )
 
     def __post_init__(self) -> None:

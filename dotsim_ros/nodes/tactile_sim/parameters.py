@@ -39,9 +39,11 @@ class TactileSimParameters(OutputParameters):
     sensor: str = option(
         "densetact2",
         "Sensor to simulate: a name below params/sensors, or the path of a YAML file.",
-        read_only=True,
+        fixed_while_configured=True,
     )
-    device: str = option("cpu", "Where the gel is computed: cpu, or cuda:0.", read_only=True)
+    device: str = option(
+        "cpu", "Where the gel is computed: cpu, or cuda:0.", fixed_while_configured=True
+    )
     indenter: str = option(
         "sphere_4mm",
         "What presses: a name below params/indenters, the path of an STL, OBJ, PLY or YAML file, "
@@ -53,7 +55,7 @@ class TactileSimParameters(OutputParameters):
         "realtime: frames at rate_hz from the newest pose; lockstep: one frame for each pose, "
         "with its stamp.",
         choices=(REALTIME, LOCKSTEP),
-        read_only=True,
+        fixed_while_configured=True,
     )
     profile: str = option(
         BY_CLOCK,
@@ -61,7 +63,7 @@ class TactileSimParameters(OutputParameters):
         "realtime, fast (a coarser grid), or auto (the finest that the machine affords); by_clock: "
         "realtime, and in lockstep, which takes no other, exact. docs/run.md tells the errors.",
         choices=NAMES,
-        read_only=True,
+        fixed_while_configured=True,
     )
     grid_spacing_m: float = option(
         0.0,
@@ -70,7 +72,7 @@ class TactileSimParameters(OutputParameters):
         "it costs.",
         minimum=0.0,
         maximum=LARGEST_GRID_M,
-        read_only=True,
+        fixed_while_configured=True,
     )
     rate_hz: float = option(
         25.0, "Frames per second of the real-time clock.", minimum=0.5, maximum=240.0
@@ -80,20 +82,20 @@ class TactileSimParameters(OutputParameters):
         "Which input moves the indenter; any: whichever speaks first, the other one is refused "
         "while it goes on.",
         choices=(POSE, TWIST, ANY),
-        read_only=True,
+        fixed_while_configured=True,
     )
     pose_source: str = option(
         TOPIC,
         "Where the pose comes from. topic: indenter/pose; odometry: indenter/odometry; tf: the "
         "place of indenter_frame in base_frame on /tf and /tf_static. docs/simulators.md.",
         choices=(TOPIC, TF, ODOMETRY),
-        read_only=True,
+        fixed_while_configured=True,
     )
     twist_message: str = option(
         TWIST_STAMPED,
         "Type of indenter/twist.",
         choices=(TWIST_STAMPED, TWIST_PLAIN),
-        read_only=True,
+        fixed_while_configured=True,
     )
     input_timeout_s: float = option(
         0.5,
@@ -125,44 +127,48 @@ class TactileSimParameters(OutputParameters):
     start_quaternion_xyzw: tuple[float, float, float, float] = option(
         (0.0, 0.0, 0.0, 1.0), "How it is turned there.", minimum=-1.0, maximum=1.0
     )
-    base_frame: str = option("densetact_base", "Frame of poses, skin and wrench.", read_only=True)
+    base_frame: str = option(
+        "densetact_base", "Frame of poses, skin and wrench.", fixed_while_configured=True
+    )
     optical_frame: str = option(
-        "densetact_optical_frame", "Frame of the images and the depth.", read_only=True
+        "densetact_optical_frame", "Frame of the images and the depth.", fixed_while_configured=True
     )
     indenter_frame: str = option(
         "indenter",
         "Frame of the indenter: of velocities along its axes, of pose_source tf and odometry, and "
         "of its external wrench.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     world_frame: str = option(
         "",
         "With pose_source tf: the frame of Gazebo's world, for entity_wrench. Empty: the axes of "
         "base_frame are the world's.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     entity_indenter: str = option(
         "",
         "Gazebo's name of the link that presses, such as peg::link; its wrench goes out on "
         "entity_wrench. Empty: none.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     entity_indenter_centre_m: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0),
         "Centre of mass of that link in indenter_frame: Gazebo lets forces act there.",
         minimum=-10.0,
         maximum=10.0,
-        read_only=True,
+        fixed_while_configured=True,
     )
     entity_sensor: str = option(
-        "", "The same of the link that carries the sensor. Empty: none.", read_only=True
+        "",
+        "The same of the link that carries the sensor. Empty: none.",
+        fixed_while_configured=True,
     )
     entity_sensor_centre_m: tuple[float, float, float] = option(
         (0.0, 0.0, 0.0),
         "Centre of mass of that link in base_frame.",
         minimum=-10.0,
         maximum=10.0,
-        read_only=True,
+        fixed_while_configured=True,
     )
     encoding: str = option("rgb8", "Encoding of image_raw.", choices=("rgb8", "bgr8", "mono8"))
     crop_px: tuple[int, int, int, int] = option(
@@ -181,7 +187,7 @@ class TactileSimParameters(OutputParameters):
         "",
         "Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
         "beside it may describe it. Empty: the sensor's own.",
-        read_only=True,
+        fixed_while_configured=True,
     )
     image_noise_levels: float = option(
         SENSORS_OWN,
@@ -207,7 +213,7 @@ class TactileSimParameters(OutputParameters):
         "that half of it is over before anything is read out.",
         minimum=0.0,
         maximum=0.5,
-        read_only=True,
+        fixed_while_configured=True,
     )
     image_latency_s: tuple[float, ...] = option(
         (0.0,),
@@ -215,10 +221,10 @@ class TactileSimParameters(OutputParameters):
         "evenly spaced quantiles of it, the smallest first.",
         minimum=0.0,
         maximum=LONGEST_S,
-        read_only=True,
+        fixed_while_configured=True,
     )
     latency_seed: int = option(
-        0, "Seed of image_latency_s.", minimum=0, maximum=2**31 - 1, read_only=True
+        0, "Seed of image_latency_s.", minimum=0, maximum=2**31 - 1, fixed_while_configured=True
     )
     fail_drop_images: bool = option(
         False, "Publish no images, as after a cut cable, to test what reads them."
@@ -226,12 +232,12 @@ class TactileSimParameters(OutputParameters):
     compression: str = option("jpeg", "Format of image_raw/compressed.", choices=("jpeg", "png"))
     jpeg_quality: int = option(95, "Quality of JPEG.", minimum=1, maximum=100)
     diagnostics_period_s: float = option(
-        1.0, "Time between diagnostics.", minimum=0.05, maximum=60.0, read_only=True
+        1.0, "Time between diagnostics.", minimum=0.05, maximum=60.0, fixed_while_configured=True
     )
     publish_tf: bool = option(
         True,
         "Publish the camera's place in the base frame on /tf_static, where tf2_ros is installed.",
-        read_only=True,
+        fixed_while_configured=True,
     )
 
     def __post_init__(self) -> None:

@@ -1,0 +1,381 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""What a configured `tactile_sim` holds: the simulated sensor, its topics and its services.
+
+The real-time clock has one thread that presses, renders and publishes. Two, one for the gel and one
+for the camera, were measured: on two cores, which the readers of the images need as well, they slow
+each other down, and every image comes later. Within a frame the camera uses the second core where
+it is free, see `optics.bands`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from threading import RLock
+from typing import Any
+
+import numpy as np
+from std_msgs.msg import Bool
+from std_srvs.srv import SetBool, Trigger
+
+from dotsim_ros.effects.effect import Active
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.effects.live import specification_with_effects
+from dotsim_ros.effects.overlay import active_effects, described, read_overlay
+from dotsim_ros.geometry.indenter import indenter_from_text
+from dotsim_ros.nodes.common.ingest import FaultLog
+from dotsim_ros.nodes.common.pace import FramePace
+from dotsim_ros.nodes.common.rivals import rivals_of
+from dotsim_ros.nodes.common.spin import WorkingNode
+from dotsim_ros.nodes.common.static_frame import publish_static_frame
+from dotsim_ros.nodes.simulated_time.latency import Latency
+from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
+from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
+from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
+from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
+from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
+from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TF, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of, make_profile_in_force
+from dotsim_ros.nodes.tactile_sim.profiles import resolve_profile
+from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
+from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
+from dotsim_ros.nodes.tactile_sim.transform_input import transform_message
+from dotsim_ros.sensor import TactileSensor
+from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor
+from msg_adapters import Status
+
+FRAMES_BROKEN = "the loop of frames failed"
+MISSING_INPUT_LOG_S = 5.0
+
+
+class ConfiguredSensor:
+    """Simulates the sensor that parameters describe, and publishes its frames while it is active.
+
+    Args:
+        node: owns the publishers, subscriptions and services.
+        settings: in force, with the names of frames as they are published.
+
+    Attributes:
+        settings: in force.
+
+    Raises:
+        ValueError, OSError: parameters, or files that they name, do not work.
+    """
+
+    def __init__(self, node: WorkingNode, settings: TactileSimParameters) -> None:
+        self._node, self.settings = node, settings
+        _check_messages(settings)
+        self._lock = RLock()
+        self._is_enabled = True
+        self._is_active = False
+        self._end_frames: Callable[[], None] | None = None
+        self._static_frame: Any = None
+        self._is_realtime = self.settings.clock == REALTIME
+        specification = load_sensor(self.settings.sensor)
+        effects = self._load_effects(specification.name)
+        self._effect_names = described(effects)
+        profile = resolve_profile(
+            self.settings.profile,
+            is_lockstep=not self._is_realtime,
+            is_simulated_time=self._node.get_parameter("use_sim_time").value,
+        )
+        specification = specification_with_effects(specification, effects)
+        ladder = ladder_of(profile, specification, grid_spacing_m=self.settings.grid_spacing_m)
+        sensor = self._make_sensor(replace(specification, solver=ladder[0].solver))
+        self._sensor = sensor
+        self._session = SensorSession(
+            sensor,
+            first_dt_s=1.0 / self.settings.rate_hz,
+            limit_m=ladder[0].profile.move_m,
+            effects=effects,
+        )
+        if self.settings.device != "cpu":
+            self._node.get_logger().warning(
+                f"device {self.settings.device} is experimental: nothing has been shown to run "
+                "there; benchmarks/device_check.py compares it with the CPU"
+            )
+        self._node.get_logger().info("warming up: the first start compiles the kernels")
+        self._warm_up_s = self._session.warm_up()
+        self._profile = make_profile_in_force(
+            ladder,
+            sensor,
+            self._session,
+            asked=self.settings.profile,
+            period_s=1.0 / self.settings.rate_hz,
+            tell=self._node.get_logger().info,
+        )
+        half_exposed_s = 0.5 * self.settings.exposure_s
+        self._latency = Latency(
+            [half_exposed_s + delay_s for delay_s in self.settings.image_latency_s],
+            seed=self.settings.latency_seed,
+        )
+        self._counter = FrameCounter()
+        self._faults = FaultLog()
+        self._newest = NewestMotion()
+        self._pace = self._new_pace()
+        self._outputs = FramePublishers(node, sensor, self.settings, noise=specification.noise)
+        self._calibration = CalibrationStore(
+            node,
+            self.settings.camera_info_url,
+            camera_name=self._node.label.replace("/", "_"),
+            on_change=self._outputs.take_calibration,
+        )
+        self._input = MotionInput(
+            node,
+            self.settings,
+            faults=self._faults,
+            on_motion=self._newest.put if self._is_realtime else self._lockstep_frame,
+        )
+        self._external_wrenches = ExternalWrenches(
+            node, self.settings, world_rotation=self._input.world_rotation
+        )
+        self._node.report_health(
+            self.settings.diagnostics_period_s,
+            self._health,
+            without_clock="frames cannot be stamped",
+        )
+        self._node.create_subscription(
+            Bool, self.settings.reference_topic, self._on_reset_reference, 10
+        )
+        self._node.create_service(Trigger, "~/reset", self._on_reset)
+        self._node.create_service(Trigger, "~/calibrate_idle", self._on_calibrate_idle)
+        self._node.create_service(SetBool, "~/set_enabled", self._on_set_enabled)
+
+    def activate(self) -> None:
+        """Start the frames."""
+        if self.settings.publish_tf and self._static_frame is None:
+            self._static_frame = publish_static_frame(
+                self._node,
+                self._sensor.camera.pose,
+                parent=self.settings.base_frame,
+                child=self.settings.optical_frame,
+            )
+        with self._lock:
+            self._is_active = True
+            self._pace = self._new_pace()
+        if self._is_realtime:
+            self._end_frames = self._node.start_paced(
+                "frames", lambda: self._pace, self._realtime_frame, FRAMES_BROKEN
+            )
+        self._node.get_logger().info(
+            f"ready: {self.settings.sensor}, {self.settings.indenter}, "
+            f"{self.settings.clock}, profile {self._profile.name}, "
+            f"warmed up in {self._warm_up_s:.1f} s"
+        )
+
+    def deactivate(self) -> None:
+        """Stop the frames; the next ones begin at rest."""
+        if self._end_frames is not None:
+            self._end_frames()
+            self._end_frames = None
+        with self._lock:
+            self._is_active = False
+            self._start_anew()
+
+    def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
+        if not self.settings.effects:
+            return ()
+        folder = self.settings.effects_folder
+        overlay = read_overlay(self.settings.effects)
+        library = load_effects(
+            (folder,) if folder else (),
+            names=[found.name for found in overlay.effects],
+            announce=self._node.get_logger().warning,
+        )
+        effects = active_effects(overlay, library, place=self.settings.effects)
+        if overlay.sensor != sensor_name:
+            self._node.get_logger().warning(
+                f"{self.settings.effects} was found on the sensor {overlay.sensor!r}, this one is "
+                f"{sensor_name!r}: search its own data"
+            )
+        self._node.get_logger().info(f"effects: {', '.join(described(effects)) or 'none'}")
+        return effects
+
+    def _make_sensor(self, specification: SensorSpecification) -> TactileSensor:
+        if self.settings.idle_image:
+            camera = replace(
+                specification.camera, idle_image=str(Path(self.settings.idle_image).absolute())
+            )
+            specification = replace(specification, camera=camera)
+        # Drawn by the stamp as an image is published, after the effects: an image that stands still
+        # has new noise, too.
+        specification = replace(specification, noise=NoiseSpecification())
+        sensor = TactileSensor(
+            specification,
+            indenter=indenter_from_text(self.settings.indenter),
+            device=self.settings.device,
+            progress=self._tell_progress,
+        )
+        return sensor
+
+    def _tell_progress(self, share: float) -> None:
+        self._node.get_logger().info(
+            f"computing the gel's tables, once for each sensor: {100.0 * share:.0f} %",
+            throttle_duration_sec=2.0,
+        )
+
+    def _makes_frames(self) -> bool:
+        return self._is_active and self._is_enabled
+
+    def _new_pace(self) -> FramePace:
+        return FramePace(rate_hz=self.settings.rate_hz, start_s=self._node.now_s())
+
+    def _realtime_frame(self) -> None:
+        stamp_ns = self._node.time_ns()
+        if stamp_ns == 0:
+            return
+        begun_s = time.monotonic()
+        with self._lock:
+            if not self._makes_frames():
+                return
+            self._input.integrate(stamp_ns, 1.0 / self.settings.rate_hz)
+            self._node.compute(
+                self._latency,
+                partial(self._simulated, self._newest.take()),
+                partial(self._publish, stamp_ns),
+                FRAMES_BROKEN,
+            )
+            self._profile.end_frame(begun_s, period_s=1.0 / self.settings.rate_hz)
+
+    def _simulated(self, motion: MotionOrder | None) -> SensorMoment:
+        """Return the next moment: of a motion, or of the gel that goes on."""
+        with self._lock:
+            if motion is not None:
+                self._input.guard(lambda: self._session.follow(motion))
+            else:
+                self._input.guard(self._session.catch_up)
+            return self._rendered(self._session.moment)
+
+    def _lockstep_frame(self, motion: MotionOrder) -> None:
+        with self._lock:
+            if self._makes_frames():
+                self._publish(motion.stamp_ns, self._rendered(self._session.follow(motion)))
+
+    def _rendered(self, moment: SensorMoment) -> SensorMoment:
+        if self._outputs.shows_image():
+            moment.render()
+        return moment
+
+    def _publish(self, stamp_ns: int, moment: SensorMoment) -> None:
+        with self._lock:
+            if not self._makes_frames():
+                return
+            begun_s = time.perf_counter()
+            self._outputs.publish(moment, stamp_ns)
+            self._external_wrenches.publish(moment.gel.wrench, moment.pose, stamp_ns)
+            self._counter.note(
+                self._node.now_s(),
+                {**moment.timings_s, "publish": time.perf_counter() - begun_s},
+                converged=moment.gel.converged,
+            )
+
+    def _health(self) -> list[Status]:
+        # Not under the lock: poses would wait here until a frame ends, and the next frame would
+        # begin with an old one.
+        missing = self._input.missing()
+        if missing:
+            self._node.get_logger().warning(
+                f"input: {missing}", throttle_duration_sec=MISSING_INPUT_LOG_S
+            )
+        return statuses(
+            self._node.label,
+            f"{self._node.get_namespace().strip('/')}/{self.settings.sensor}".strip("/"),
+            condition=Condition(
+                is_active=self._is_active,
+                is_enabled=self._is_enabled,
+                silence_s=self._input.silence_s(),
+                missing_input=missing,
+                timeout_s=self.settings.input_timeout_s if self._is_realtime else np.inf,
+                is_realtime=self._is_realtime,
+                late=self._pace.late + self._session.behind,
+                dropped=self._pace.dropped,
+                profile=self._profile.values(),
+                rivals=rivals_of(self._node, self._outputs.topics),
+            ),
+            counter=self._counter,
+            faults=self._faults,
+            gel=self._session.moment.gel,
+            effects=self._effect_names,
+            now_s=self._node.now_s(),
+        )
+
+    def _start_anew(self) -> None:
+        self._newest.take()
+        self._input.forget()
+        self._session.reset()
+
+    def _on_reset(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            self._start_anew()
+        response.success, response.message = True, "the gel is at rest"
+        return response
+
+    def _on_calibrate_idle(self, _request: Any, response: Any) -> Any:
+        with self._lock:
+            if not self._is_active:
+                response.success = False
+                response.message = "the node is inactive, and publishes nothing: activate it"
+                return response
+            if self._session.is_touched():
+                response.success = False
+                response.message = "the indenter touches the gel: lift it, then calibrate"
+                return response
+            self._session.reset()
+            self._outputs.publish_idle(self._session.moment.render(), self._node.time_ns())
+        response.success = True
+        response.message = (
+            f"the image at rest is on {self._node.get_fully_qualified_name()}/idle_image"
+        )
+        return response
+
+    def _on_reset_reference(self, message: Any) -> None:
+        if message.data:
+            with self._lock:
+                self._outputs.take_reference(self._session.moment.render().image)
+
+    def _on_set_enabled(self, request: Any, response: Any) -> Any:
+        with self._lock:
+            self._is_enabled = request.data
+            self._start_anew()
+        response.success = True
+        response.message = "enabled" if request.data else "disabled: no frames"
+        return response
+
+    def change(self, changed: TactileSimParameters) -> None:
+        """Take changed parameters, all or none.
+
+        Raises:
+            ValueError, OSError: one does not work; those before stay.
+        """
+        indenter = None
+        if changed.indenter != self.settings.indenter:
+            indenter = indenter_from_text(changed.indenter)
+        # All that may be refused comes before anything is changed, and what takes long (ten seconds
+        # for the largest mesh) before the frames have to wait for it.
+        self._outputs.framing_of(changed)
+        if indenter is not None and indenter.mesh is not None:
+            indenter.distance_grid()
+        with self._lock:
+            self._outputs.configure(changed)
+            if indenter is not None:
+                self._session.change_indenter(indenter)
+                self._input.forget()
+            self._input.configure(changed)
+            has_new_rate = changed.rate_hz != self.settings.rate_hz
+            self.settings = changed
+            if has_new_rate:
+                self._pace = self._new_pace()
+
+
+def _check_messages(settings: TactileSimParameters) -> None:
+    """Raise ValueError where messages are not installed, before the sensor is made, which takes
+    long."""
+    if settings.pose_source == TF:
+        transform_message()
+    if settings.entity_indenter or settings.entity_sensor:
+        entity_message()
