@@ -368,6 +368,29 @@ def test_odometry_moves_the_indenter_on_between_its_messages() -> None:
         assert heights_m[-2] == heights_m[-1]
 
 
+def test_with_the_parameters_and_remaps_of_a_launch_file_it_reads_the_simulators_topic() -> None:
+    topic = "/simulator/floating_base_state"
+    shipped = ("--params-file", "simulators/mujoco_ros2_control.yaml")
+    given = {"pose_source": "odometry", "base_frame": "odom", "indenter_frame": "peg"}
+    remap = ("-r", f"indenter/odometry:={topic}")
+    with running(parameters=given, arguments=(*shipped, *remap)):
+        client = Client()
+        try:
+            # The name of a node comes on its own way.
+            client.wait(
+                lambda: (
+                    [
+                        (reader.node_name, reader.topic_type)
+                        for reader in client.node.get_subscriptions_info_by_topic(topic)
+                    ]
+                    == [("tactile_sim", "nav_msgs/msg/Odometry")]
+                ),
+                "the one reader",
+            )
+        finally:
+            client.close()
+
+
 STARTS = """
 import sys
 from dotsim_ros.nodes.common.spin import run_node

@@ -73,6 +73,12 @@ NODE_PARAMETERS = {
     # Its parameters that the launch file sets are those of the policy.
     "closed_loop": TactilePolicyParameters,
 }
+FOREIGN_NODES = {
+    ("ros_gz_bridge", "parameter_bridge"),
+    ("tf2_ros", "static_transform_publisher"),
+}
+"""What launch files start of others: packages and executables as their documentation names them."""
+
 TIME_PARAMETERS = {"use_sim_time", "stepped"}
 """What every node takes, beside its own."""
 
@@ -227,6 +233,38 @@ def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
     return [read(text) for text in texts]
 
 
+def plain(value: Any) -> Any:
+    """Return a value of YAML as the data class of parameters holds it."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+def passed_names(node: str) -> set[Any]:
+    """Return the literals that the sources of a node pass to calls, its topics among them."""
+    return {
+        argument.value
+        for source in (ROOT / "dotsim_ros" / "nodes" / node).glob("*.py")
+        for call in ast.walk(tree_of(source))
+        if isinstance(call, ast.Call)
+        for argument in call.args
+        if isinstance(argument, ast.Constant)
+    }
+
+
+def shipped_parameters(tree: ast.Module) -> dict[str, Any]:
+    """Return the parameters for every node in the file that a launch file takes by default."""
+    found = [
+        division.right.value
+        for division in ast.walk(tree)
+        if isinstance(division, ast.BinOp)
+        and isinstance(division.op, ast.Div)
+        and isinstance(division.right, ast.Constant)
+        and str(division.right.value).endswith(".yaml")
+    ]
+    (name,) = found
+    content = yaml.safe_load((ROOT / "params" / str(name)).read_text())
+    return dict(content.get("/**", {}).get("ros__parameters", {}))
+
+
 def test_version_is_the_same_everywhere() -> None:
     manifest = ElementTree.parse(ROOT / "package.xml").getroot()
     assert manifest.findtext("version") == dotsim_ros.__version__
@@ -290,7 +328,13 @@ def test_rosdep_file_defines_only_what_the_manifest_uses() -> None:
 
 def test_there_is_a_launch_file() -> None:
     names = [path.name for path in LAUNCH_FILES]
-    assert names == ["closed_loop.launch.py", "gripper.launch.py", "tactile_sim.launch.py"]
+    assert names == [
+        "closed_loop.launch.py",
+        "gazebo.launch.py",
+        "gripper.launch.py",
+        "mujoco_ros2_control.launch.py",
+        "tactile_sim.launch.py",
+    ]
 
 
 @each_launch_file
@@ -323,10 +367,27 @@ def test_launch_file_uses_only_what_launch_documents(path: Path) -> None:
 @each_launch_file
 def test_launched_nodes_are_executables_of_this_package(path: Path) -> None:
     nodes = [keywords(call) for call in calls(tree_of(path), "Node")]
-    assert nodes
-    for node in nodes:
-        assert ast.literal_eval(node["package"]) == "dotsim_ros"
-        assert ast.literal_eval(node["executable"]) in executables()
+    named = [
+        (ast.literal_eval(node["package"]), ast.literal_eval(node["executable"])) for node in nodes
+    ]
+    own = [executable for package, executable in named if package == "dotsim_ros"]
+    assert own
+    assert set(own) <= set(executables())
+    assert {each for each in named if each[0] != "dotsim_ros"} <= FOREIGN_NODES
+
+
+@each_launch_file
+def test_remapped_topics_are_those_of_the_node(path: Path) -> None:
+    for node in map(keywords, calls(tree_of(path), "Node")):
+        if ast.literal_eval(node["package"]) != "dotsim_ros":
+            continue
+        rules = node.get("remappings", ast.List(elts=[]))
+        assert isinstance(rules, ast.List)
+        for rule in rules.elts:
+            assert isinstance(rule, ast.Tuple)
+            # Of several nodes in one process a rule names one.
+            which, _, topic = ast.literal_eval(rule.elts[0]).rpartition(":")
+            assert topic in passed_names(which or ast.literal_eval(node["executable"])), topic
 
 
 @each_launch_file
@@ -389,14 +450,24 @@ def test_launched_nodes_take_their_parameters(path: Path) -> None:
                 chosen = [parameter_values(tree, value) for value in entry.values]
                 assert chosen == [[True, False]] * len(TIME_PARAMETERS)
                 continue
-            defaults = NODE_PARAMETERS[ast.literal_eval(node["executable"])]()
+            kind = NODE_PARAMETERS[ast.literal_eval(node["executable"])]
+            fields = {field.name: field for field in dataclasses.fields(kind)}
+            choices: dict[str, list[Any]] = {}
             for key, value in zip(entry.keys, entry.values, strict=True):
                 assert key is not None
-                name = ast.literal_eval(key)
-                for chosen in parameter_values(tree, value):
+                choices[ast.literal_eval(key)] = list(map(plain, parameter_values(tree, value)))
+            # Some fit together only: those of a file, and those that are given here.
+            beside = {
+                name: plain(value)
+                for name, value in shipped_parameters(tree).items()
+                if name in fields
+            }
+            firsts = {name: values[0] for name, values in choices.items()}
+            for name, values in choices.items():
+                for chosen in values:
                     # ROS refuses an int for a float, which the class itself would take.
-                    assert type(chosen) is type(getattr(defaults, name)), name
-                    dataclasses.replace(defaults, **{name: chosen})
+                    assert type(chosen) is type(fields[name].default), name
+                    kind(**{**beside, **firsts, name: chosen})
 
 
 @each_launch_file
