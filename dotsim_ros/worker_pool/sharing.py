@@ -113,6 +113,8 @@ class _Packer(cloudpickle.Pickler):
 
 
 class _Unpacker(pickle.Unpickler):
+    """Takes arrays from where they lie, not from the stream."""
+
     def __init__(self, data: io.BytesIO, arrays: Sequence[Any]) -> None:
         super().__init__(data)
         self._arrays = arrays
