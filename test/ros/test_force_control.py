@@ -8,16 +8,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import WrenchStamped
-from harness import APEX_M, BASE_FRAME, Client, Executable, TactileFrame, sensor
+from harness import APEX_M, BASE_FRAME, Client, Executable, TactileFrame, running, sensor
 from rclpy.qos import HistoryPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 import msg_adapters
+from dotsim_ros.measured.trajectory import PoseChannel, Trajectory, WrenchChannel, write_trajectory
 
 FORCE = {"control": "force", "diagnostics_period_s": 0.1, "grid_spacing_m": 0.0048}
 LOCKSTEP = {**FORCE, "clock": "lockstep"}
@@ -27,6 +29,7 @@ SETTLING_FRAMES = 5
 LARGEST_TRAVEL_M = 0.6e-3
 CLEAR_M = 0.2e-3
 ABOVE = (0.0, 0.0, APEX_M + 0.004)
+UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 class ForceClient(Client):
@@ -246,3 +249,57 @@ def test_in_real_time_the_newest_force_is_followed_under_a_single_pose() -> None
             )
             assert (found.indenter_m()[2] > APEX_M) == (asked_n == 0.0)
         client.wait_for_state("input", lambda state: "the last one holds" in state.message)
+
+
+PLAYER = "dotsim_ros.nodes.indenter_player.node"
+
+
+def test_a_recording_of_forces_is_played_into_the_sensor(
+    client: ForceClient, tmp_path: Path
+) -> None:
+    asked_n = np.repeat(np.linspace(0.3, 1.0, 4), 4)
+    stamps_ns = 10**9 + PERIOD_NS * np.arange(len(asked_n))
+    forces_n = np.column_stack([np.zeros((len(asked_n), 2)), asked_n])
+    recording = Trajectory(
+        pose=PoseChannel(
+            stamps_ns, np.tile(ABOVE, (len(asked_n), 1)), np.tile(UPRIGHT, (len(asked_n), 1))
+        ),
+        wrench=WrenchChannel(stamps_ns, forces_n, np.zeros_like(forces_n)),
+    )
+    write_trajectory(tmp_path / "bag", recording)
+    client.frames.clear()
+    parameters = {
+        "source": "bag",
+        "path": tmp_path / "bag",
+        "bag_force_topic": "/indenter/wrench",
+        "wait_for_answer": "true",
+        "exit_at_end": "true",
+    }
+    with running(PLAYER, parameters=parameters) as player:
+        assert player.exit_status() == 0, player.log
+    client.wait(
+        lambda: sum(frame.is_whole() for frame in client.frames.values()) == len(asked_n),
+        "the frames of the recording",
+    )
+    found_n = [normal_n(client.frames[stamp_ns]) for stamp_ns in sorted(client.frames)]
+    assert found_n[3::4] == pytest.approx(asked_n[3::4], rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("given", "reason"),
+    [
+        ({"source": "press"}, "source is 'press', which has no recorded forces"),
+        ({"source": "bag"}, "holds no message on /no/force"),
+    ],
+)
+def test_a_player_of_forces_that_are_not_there_does_not_start(
+    given: dict[str, str], reason: str, tmp_path: Path
+) -> None:
+    pose = PoseChannel(np.array([1, 2]), np.tile(ABOVE, (2, 1)), np.tile(UPRIGHT, (2, 1)))
+    write_trajectory(tmp_path / "bag", Trajectory(pose=pose))
+    player = Executable(PLAYER, {"path": tmp_path / "bag", "bag_force_topic": "/no/force", **given})
+    try:
+        assert player.exit_status() == 2
+        assert reason in player.log
+    finally:
+        player.end()
