@@ -179,7 +179,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "(development)",
     )
     add_worker_arguments(gap)
-    gap.add_argument("--run", type=Path, help="folder of the solves (the user's cache)")
+    for subject in (gap, real_force):
+        subject.add_argument("--run", type=Path, help="folder of the solves (the user's cache)")
     gap.add_argument(
         "--fit-discrepancy",
         type=Path,
@@ -697,9 +698,14 @@ def _gap_sets(arguments: argparse.Namespace) -> int:
 
 def _real_force(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.real_force.pad_study import evaluate_pad, pad_page
+    from dotsim_ros.files import cache_directory
 
     figures = evaluate_pad(
-        arguments.data, seed=arguments.seed, at_mm=arguments.at_mm, progress=_say
+        arguments.data,
+        run=arguments.run or cache_directory() / "real_force",
+        seed=arguments.seed,
+        at_mm=arguments.at_mm,
+        progress=_say,
     )
     return _write(arguments, figures, {"seed": str(arguments.seed)}, pad_page)
 

@@ -14,8 +14,14 @@ import pytest
 from numpy.typing import NDArray
 
 from dotsim_ros.cli.evaluate import BALL_MODELS
-from dotsim_ros.evaluation.optics.gelsight import MODELS, SENSOR, cap_presses, with_gains_of
-from dotsim_ros.measured.importers.ball_photographs import BallPress
+from dotsim_ros.evaluation.optics.gelsight import (
+    MODELS,
+    SENSOR,
+    BallStudy,
+    cap_presses,
+    with_gains_of,
+)
+from dotsim_ros.measured.importers.ball_photographs import BallPress, BallRecording
 from dotsim_ros.measured.importers.fots_balls import (
     BALL_RADIUS_M,
     PIXELS_PER_METRE,
@@ -208,3 +214,20 @@ def test_the_region_of_contact() -> None:
 
 def test_the_command_offers_what_there_is() -> None:
     assert BALL_MODELS == MODELS
+
+
+def test_a_training_is_kept_for_its_gel_and_its_presses() -> None:
+    presses = (ball_press(), ball_press((35.0, 40.0)))
+    recording = BallRecording(
+        "balls",
+        image(),
+        presses,
+        pixels_per_metre=PIXELS_PER_METRE,
+        scale_known=True,
+        ball_radius_m=BALL_RADIUS_M,
+    )
+    study = BallStudy.of(recording, sensor=COARSE)
+    thicker = replace(COARSE.gel, pad_size_m=(0.012, 0.012, 0.0041))
+    other = BallStudy.of(recording, sensor=replace(COARSE, gel=thicker))
+    assert study.training_key([0]) == BallStudy.of(recording, sensor=COARSE).training_key([0])
+    assert len({study.training_key([0]), study.training_key([1]), other.training_key([0])}) == 3

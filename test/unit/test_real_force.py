@@ -5,14 +5,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
+from dotsim_ros.evaluation.real_force import pad
 from dotsim_ros.evaluation.real_force.causes import all_explained
 from dotsim_ros.evaluation.real_force.cylinders import SHARE, chosen_law, fitted, slipping
 from dotsim_ros.evaluation.real_force.inference import Prior, each_left_out, weighted_draws
 from dotsim_ros.evaluation.real_force.pad import COMPRESSIBILITY, DEPTH_M, FRICTION, PadTable
 from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.importers.ecoflex_compression import HEIGHT_M, RADIUS_M, CompressionTest
 from dotsim_ros.measured.importers.force_depth import ForceDepth
@@ -112,3 +117,21 @@ def test_what_is_hidden_in_a_press_is_among_its_explanations() -> None:
     assert "slip of the ball" in holding
     assert "the makers' model" not in holding
     assert len(holding) > 1  # three depths do not name one cause
+
+
+def test_a_press_of_the_pad_is_solved_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    solver = replace(pad.SENSOR.solver, grid_spacing_m=0.002, refined=False)
+    monkeypatch.setattr(pad, "SENSOR", replace(pad.SENSOR, solver=solver))
+    poses, state = pad.poses_at(np.array([0.2e-3])), pad.PadState(friction=0.3)
+    solved_n = pad.PadSolves(tmp_path / "run").force_n(state, sphere(0.0075), poses)
+    assert solved_n[0, 2] == 0.0 < solved_n[1, 2]
+    another = pad.PadSolves(tmp_path / "run")
+    monkeypatch.delattr(pad.GelSimulator, "press")
+    np.testing.assert_array_equal(another.force_n(state, sphere(0.0075), poses), solved_n)
+    for changed in (
+        (pad.PadState(friction=0.4), sphere(0.0075), poses),
+        (state, sphere(0.0074), poses),
+        (state, sphere(0.0075), poses[1:]),
+    ):
+        with pytest.raises(AttributeError, match="press"):
+            another.force_n(*changed)

@@ -27,6 +27,7 @@ import numpy as np
 
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.baselines.optics import per_pixel
+from dotsim_ros.cache import content_key
 from dotsim_ros.evaluation.optics.judge import Factory, mean_score
 from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
 from dotsim_ros.evaluation.optics.sheet import write_optics_sheet
@@ -159,6 +160,11 @@ class BallStudy:
         by_cap = cap_presses(placed, by_gel, scene, recording.ball_radius_m)
         return cls(recording, scene, tuple(by_gel), tuple(by_cap))
 
+    def training_key(self, test: Sequence[int]) -> str:
+        """Return a key of what a network learns from with some presses held out: photographs, and
+        the gel's shapes under them, which another gel changes."""
+        return content_key((), self.by_gel, sorted(test))
+
     def judged(
         self, make: Factory, test: Sequence[int], *, cap: bool = False
     ) -> tuple[dict[str, Any], list[ImageArray]]:
@@ -221,7 +227,7 @@ def evaluate_recording(
             alike; None for the recording's own.
         models: names of `MODELS`.
         settings: how models are fitted.
-        state: folder of a network's training.
+        state: folder of the networks' trainings, one in it for each gel and choice of presses.
         sheets: folder of a sheet of images, named by the recording; None for none.
         progress: called with a line that says what is being done.
 
@@ -231,10 +237,11 @@ def evaluate_recording(
     presses = recording.presses
     progress(f"{recording.name}: pressing the ball into a pad, {len(presses)} images to explain")
     study = BallStudy.of(recording, placed)
+    training = state / f"{recording.name}-{study.training_key(test)}"
     rows, shown = {}, {}
     for model in models:
         progress(f"{recording.name}, {model}: fitting on {len(presses) - len(test)} presses")
-        make = _factory(model.removesuffix(CAP), settings, state / recording.name, progress)
+        make = _factory(model.removesuffix(CAP), settings, training, progress)
         rows[model], images = study.judged(make, test, cap=model.endswith(CAP))
         if model in SHOWN_MODELS:
             keys = [(presses[k].name, 0) for k in test[:SHOWN_PRESSES]]

@@ -22,16 +22,15 @@ from dotsim_ros.arrays import FloatArray
 from dotsim_ros.evaluation.real_force.inference import MODEL_ERROR, residuals
 from dotsim_ros.evaluation.real_force.pad import (
     PAD_SIZE_M,
+    PadSolves,
     PadState,
     PadTable,
     poses_at,
-    simulated_force_n,
 )
 from dotsim_ros.geometry.indenter import Indenter, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.importers.force_depth import ForceDepth
 from dotsim_ros.measured.importers.gelsight_mini_force import BALL_RADIUS_M
-from dotsim_ros.twin.simulator import GelSimulator
 
 MAKERS = PadState()
 SIZE_COUNT = 201
@@ -199,13 +198,13 @@ def proposals() -> tuple[Proposal, ...]:
     )
 
 
-def answer_to(simulator: GelSimulator, proposal: Proposal, explanation: Explained) -> float:
+def answer_to(solves: PadSolves, proposal: Proposal, explanation: Explained) -> float:
     """Return what a press would show if an explanation were right.
 
     A support that gives way and a zero that is off move the ball; how far is found by a few solves.
 
     Raises:
-        SolveError, ValueError: as `simulated_force_n`.
+        SolveError, ValueError: as `PadSolves.force_n`.
     """
     state = explanation.state
     scale = float(np.exp(explanation.log_scale))
@@ -219,7 +218,7 @@ def answer_to(simulator: GelSimulator, proposal: Proposal, explanation: Explaine
             for pose in proposal.poses
         ]
         inside = replace(state, zero_m=0.0, support_m_n=0.0)
-        force = scale * simulated_force_n(simulator, inside, proposal.indenter, poses)[-1]
+        force = scale * solves.force_n(inside, proposal.indenter, poses)[-1]
         given = float(state.support_m_n) * float(force[2])
     return proposal.measure(force)
 

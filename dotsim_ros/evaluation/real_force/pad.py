@@ -14,11 +14,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.documents import ArrayForm
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, values_of
 from dotsim_ros.geometry.indenter import Indenter
@@ -48,6 +51,7 @@ DEPTH_M = 1e-3 * np.array([0.3, 0.4, 0.5, 0.625, 0.75, 0.875, 1.0, 1.25, 1.5, 1.
 CLEARANCE_M = 0.1e-3
 STIFFENING_STEP = 0.03
 """C20 over C10 of the column of stiffening."""
+DECIDED_BY = (__name__,)
 FRAME_S = 0.1
 SUPPORT_ROUNDS = 30
 """Of the force on a support that gives way: each is closer by what the support takes of the depth,
@@ -143,44 +147,59 @@ def gel_values(state: PadState) -> GelValues:
     )
 
 
-def pad_simulator() -> GelSimulator:
-    """Return what simulates presses of the pad."""
-    return GelSimulator(SENSOR, skin_of(SENSOR.gel))
-
-
-def simulated_force_n(
-    simulator: GelSimulator, state: PadState, indenter: Indenter, poses: list[Pose]
-) -> FloatArray:
-    """Return the force (F, 3) at the poses, with the table's Young's modulus and a rigid base.
-
-    Raises:
-        SolveError: the gel cannot be solved there.
-        ValueError: a solve did not meet its tolerance.
-    """
-    stamp_s = FRAME_S * np.arange(len(poses), dtype=np.float64)
-    found = simulator.press(gel_values(state), indenter, poses, stamp_s)
-    if not found.converged:
-        raise ValueError(f"{indenter.name or indenter.kind}: the gel did not converge at {state}")
-    return found.force_n
-
-
-def pad_table(
-    simulator: GelSimulator, indenter: Indenter, progress: Callable[[str], None]
-) -> PadTable:
-    """Solve the table; minutes.
+class PadSolves:
+    """Presses of the pad, each solved once: one that the same code has solved before is read.
 
     Args:
-        simulator: of the pad.
+        folder: of the solves, which is made where it is missing.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._simulator = GelSimulator(SENSOR, skin_of(SENSOR.gel))
+
+    def force_n(self, state: PadState, indenter: Indenter, poses: list[Pose]) -> FloatArray:
+        """Return the force (F, 3) at the poses, with the table's Young's modulus and a rigid base.
+
+        Raises:
+            SolveError: the gel cannot be solved there.
+            ValueError: a solve did not meet its tolerance.
+        """
+        values = gel_values(state)
+        where = [(pose.position_m, pose.quaternion_xyzw) for pose in poses]
+        key = content_key(DECIDED_BY, replace(SENSOR, name=""), values, indenter, where)
+        path = self._folder / f"{key}.npz"
+        known = load_arrays(path, {"force_n": ArrayForm((len(poses), 3))})
+        if known is None:
+            known = {"force_n": self._solved(state, indenter, poses)}
+            self._folder.mkdir(parents=True, exist_ok=True)
+            store_arrays(path, known)
+        return known["force_n"]
+
+    def _solved(self, state: PadState, indenter: Indenter, poses: list[Pose]) -> FloatArray:
+        stamp_s = FRAME_S * np.arange(len(poses), dtype=np.float64)
+        found = self._simulator.press(gel_values(state), indenter, poses, stamp_s)
+        if not found.converged:
+            name = indenter.name or indenter.kind
+            raise ValueError(f"{name}: the gel did not converge at {state}")
+        return found.force_n
+
+
+def pad_table(solves: PadSolves, indenter: Indenter, progress: Callable[[str], None]) -> PadTable:
+    """Solve the table; minutes, where it was not solved before.
+
+    Args:
+        solves: of the pad.
         indenter: the ball.
         progress: told what is solved.
 
     Raises:
-        SolveError, ValueError: as `simulated_force_n`.
+        SolveError, ValueError: as `PadSolves.force_n`.
     """
     poses = poses_at(DEPTH_M)
 
     def column(state: PadState) -> FloatArray:
-        return np.log(simulated_force_n(simulator, state, indenter, poses)[1:, 2])
+        return np.log(solves.force_n(state, indenter, poses)[1:, 2])
 
     log_force = np.empty((len(COMPRESSIBILITY), len(FRICTION), len(DEPTH_M)))
     for i, compressibility in enumerate(COMPRESSIBILITY.tolist()):

@@ -31,12 +31,11 @@ from dotsim_ros.evaluation.real_force.inference import (
 )
 from dotsim_ros.evaluation.real_force.pad import (
     DEPTH_M,
+    PadSolves,
     PadState,
     PadTable,
-    pad_simulator,
     pad_table,
     poses_at,
-    simulated_force_n,
 )
 from dotsim_ros.evaluation.table import entry_list
 from dotsim_ros.gel.material import NeoHookean
@@ -50,7 +49,7 @@ from dotsim_ros.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSett
 from dotsim_ros.reference.deck import StepControl
 from dotsim_ros.reference.run import CalculixError, CalculixMissingError, solve_section
 from dotsim_ros.specification import ContactSpecification
-from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
+from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA
 
 CHECKED_FRICTION = 0.2
 CHECKED_DEPTH_M = 1e-3 * np.array([0.5, 1.0, 1.5, 2.0])
@@ -61,12 +60,18 @@ COMPARED = 4
 
 
 def evaluate_pad(
-    directory: Path, *, seed: int, at_mm: list[float], progress: Callable[[str], None]
+    directory: Path,
+    *,
+    run: Path,
+    seed: int,
+    at_mm: list[float],
+    progress: Callable[[str], None],
 ) -> dict[str, Any]:
     """Return the figures of one set.
 
     Args:
         directory: of the set, as published.
+        run: folder of the gel's solves, where those of an earlier run are taken from.
         seed: of the draws.
         at_mm: further depths to predict from all that were measured.
         progress: told what is done.
@@ -87,9 +92,9 @@ def evaluate_pad(
             f"depths to predict are {at_mm} mm, expected {lowest:g} to {highest:g} mm, where the "
             "pad is solved"
         )
-    simulator = pad_simulator()
-    finite_elements = _against_finite_elements(simulator, progress)
-    table = pad_table(simulator, ball(), progress)
+    solves = PadSolves(run)
+    finite_elements = _against_finite_elements(solves, progress)
+    table = pad_table(solves, ball(), progress)
     prior = Prior()
     draws = weighted_draws(table, press, prior=prior, seed=seed)
     explanations = all_explained(table, press)
@@ -120,7 +125,7 @@ def evaluate_pad(
             }
             for one in explanations
         ],
-        "proposals": _proposals(simulator, compared, progress),
+        "proposals": _proposals(solves, compared, progress),
         "finite_elements": finite_elements,
         "draws": DRAW_COUNT,
         "model_error": MODEL_ERROR,
@@ -152,15 +157,13 @@ def _posterior(draws: Weighted) -> dict[str, list[float]]:
     return {name: draws.quantiles(v, (0.025, 0.5, 0.975)).tolist() for name, v in values.items()}
 
 
-def _against_finite_elements(
-    simulator: GelSimulator, progress: Callable[[str], None]
-) -> dict[str, Any]:
+def _against_finite_elements(solves: PadSolves, progress: Callable[[str], None]) -> dict[str, Any]:
     """Return the gel's and CalculiX's forces of one press, on two meshes of a round pad as large.
 
     CalculiX's may be missing where it fails; all are where it is not installed.
     """
     state = PadState(friction=CHECKED_FRICTION)
-    own = simulated_force_n(simulator, state, ball(), poses_at(CHECKED_DEPTH_M))[1:, 2]
+    own = solves.force_n(state, ball(), poses_at(CHECKED_DEPTH_M))[1:, 2]
     rows = []
     for spacing in CHECKED_SPACING_M:
         progress(f"pad: CalculiX, elements of {1e3 * spacing:g} mm")
@@ -202,12 +205,12 @@ def _makers(table: PadTable, press: ForceDepth) -> dict[str, Any]:
 
 
 def _proposals(
-    simulator: GelSimulator, compared: list[Explained], progress: Callable[[str], None]
+    solves: PadSolves, compared: list[Explained], progress: Callable[[str], None]
 ) -> list[dict[str, Any]]:
     rows = []
     for proposal in proposals() if len(compared) > 1 else ():
         progress(f"pad: {proposal.name}")
-        answers = [answer_to(simulator, proposal, one) for one in compared]
+        answers = [answer_to(solves, proposal, one) for one in compared]
         nearest, farthest = separations(answers, relative=proposal.relative)
         rows.append(
             {

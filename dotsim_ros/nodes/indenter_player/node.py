@@ -13,14 +13,17 @@ import threading
 import time
 from collections.abc import Iterator
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
+from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
 import msg_adapters
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
@@ -47,12 +50,20 @@ class IndenterPlayer(WorkingNode):
             POSE_QOS,
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
+        self._forces: Publisher | None = None
+        if self._program.forces is not None:
+            self._forces = self.create_publisher(
+                WrenchStamped,
+                "indenter/wrench",
+                POSE_QOS,
+                qos_overriding_options=QoSOverridingOptions.with_default_policies(),
+            )
         self._answered = threading.Condition()
         self._answered_stamp_ns = self._sent_stamp_ns = -1
         if self._settings.wait_for_answer:
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
         self._poses = self._program_poses()
-        self._next: tuple[float, Pose] | None = None
+        self._next: tuple[float, Pose, FloatArray | None] | None = None
         self._start_s: float | None = None
         self._start_ns = 0
         self._look_s = self.now_s()
@@ -92,9 +103,9 @@ class IndenterPlayer(WorkingNode):
         if self._next is None:
             self._end()
             return
-        time_s, pose = self._next
+        time_s, pose, force_n = self._next
         if self._start_s + time_s <= now_s:
-            self._publish(self._start_ns + round(time_s * 1e9), pose)
+            self._publish(self._start_ns + round(time_s * 1e9), pose, force_n)
             self._count += 1
             self._asked_s = now_s if self._settings.wait_for_answer else None
             self._next = next(self._poses, None)
@@ -114,7 +125,7 @@ class IndenterPlayer(WorkingNode):
         if self._settings.exit_at_end:
             try_shutdown()
 
-    def _program_poses(self) -> Iterator[tuple[float, Pose]]:
+    def _program_poses(self) -> Iterator[tuple[float, Pose, FloatArray | None]]:
         program = self._program
         offset_s = 0.0
         while True:
@@ -126,7 +137,8 @@ class IndenterPlayer(WorkingNode):
             for time_s, pose in samples:
                 # The end of a loop is the start of the next.
                 if offset_s == 0.0 or time_s > 0.0:
-                    yield offset_s + time_s, pose
+                    force_n = None if program.forces is None else program.forces.at(time_s)
+                    yield offset_s + time_s, pose, force_n
             if not self._settings.loop:
                 return
             offset_s += program.motion.duration_s
@@ -143,9 +155,19 @@ class IndenterPlayer(WorkingNode):
             self._answered_stamp_ns = max(stamp_ns, self._answered_stamp_ns)
             self._answered.notify_all()
 
-    def _publish(self, stamp_ns: int, pose: Pose) -> None:
+    def _publish(self, stamp_ns: int, pose: Pose, force_n: FloatArray | None) -> None:
         with self._answered:
             self._sent_stamp_ns = stamp_ns
+        # Before the pose, so that a sensor in real time has it with the pose.
+        if self._forces is not None and self._program.forces is not None and force_n is not None:
+            self._forces.publish(
+                msg_adapters.encode_wrench_stamped(
+                    force_n,
+                    np.zeros(3),
+                    stamp_ns=stamp_ns,
+                    frame_id=self._program.forces.frame_id,
+                )
+            )
         self._publisher.publish(
             msg_adapters.encode_pose_stamped(
                 pose.position_m,
@@ -166,13 +188,15 @@ class IndenterPlayer(WorkingNode):
         if self.is_stepped:
             return False
         count, wanted = self._publisher.get_subscription_count(), self._settings.subscriber_count
-        if count >= wanted:
+        are_forces_heard = self._forces is None or self._forces.get_subscription_count() > 0
+        if count >= wanted and are_forces_heard:
             return False
         if time.monotonic() < self._patience_end_s:
             return True
+        unheard = "" if are_forces_heard else ", and none of its forces"
         self.get_logger().warning(
-            f"{count} subscribers of {self._publisher.topic_name} instead of {wanted}: playing "
-            "anyway"
+            f"{count} subscribers of {self._publisher.topic_name} instead of {wanted}{unheard}: "
+            "playing anyway"
         )
         return False
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from dotsim_ros.measured.scripted import (
 from dotsim_ros.measured.shipped_presses import ShippedPress, read_presses
 from dotsim_ros.measured.trajectory import BASE_FRAME, Topics, read_trajectory
 from dotsim_ros.nodes.common.options import check_options, option
+from dotsim_ros.nodes.indenter_player.forces import PlayedForces
 
 SHIPPED_PRESSES = "presses/densetact_presses.npz"
 DEFAULT_RATE_HZ = 100.0
@@ -49,6 +50,12 @@ class PlayerParameters:
     )
     bag_topic: str = option(
         "/indenter/pose", "topic of the bag to play (PoseStamped)", read_only=True
+    )
+    bag_force_topic: str = option(
+        "",
+        "topic of the bag (WrenchStamped) whose forces go out on indenter/wrench, one with the "
+        "stamp of each pose, for a sensor with control: force; empty: none",
+        read_only=True,
     )
     frame_id: str = option(
         BASE_FRAME, "frame of the published poses; those of a bag keep their own", read_only=True
@@ -174,6 +181,11 @@ class PlayerParameters:
             raise ValueError("loop and exit_at_end exclude each other: a loop has no end")
         if self.source == "bag" and not self.path:
             raise ValueError("source 'bag' needs path: the folder of a ROS 2 bag")
+        if self.bag_force_topic and self.source != "bag":
+            raise ValueError(
+                f"bag_force_topic is {self.bag_force_topic!r}, but source is {self.source!r}, "
+                "which has no recorded forces: set source to bag, or leave bag_force_topic empty"
+            )
 
 
 @dataclass(frozen=True)
@@ -184,11 +196,13 @@ class Program:
         motion: the poses of one pass, and of the way back to the start where it is looped.
         frame_id: of the published poses.
         rate_hz: steady rate, or 0 for the motion's own times.
+        forces: that go out with the poses; None for none.
     """
 
     motion: Motion
     frame_id: str
     rate_hz: float
+    forces: PlayedForces | None = None
 
 
 def _site(parameters: PlayerParameters) -> Site:
@@ -262,12 +276,22 @@ def _presses(parameters: PlayerParameters) -> Motion:
 SCRIPTS = {"press": _press, "slide": _slide, "twist": _twist, "presses": _presses}
 
 
-def _bag(parameters: PlayerParameters) -> tuple[Motion, str]:
-    topics = Topics(pose=parameters.bag_topic)
-    channel = read_trajectory(parameters.path, topics=topics, channels=["pose"]).pose
-    assert channel is not None  # read_trajectory refuses a bag with none of the topics asked for
+def _bag(parameters: PlayerParameters) -> Program:
+    force_topic = parameters.bag_force_topic
+    topics = Topics(pose=parameters.bag_topic, wrench=force_topic)
+    channels = ["pose", "wrench"] if force_topic else ["pose"]
+    recording = read_trajectory(parameters.path, topics=topics, channels=channels)
+    channel, wrench = recording.pose, recording.wrench
+    if channel is None or (force_topic and wrench is None):
+        absent = parameters.bag_topic if channel is None else force_topic
+        raise ValueError(f"{parameters.path} holds no message on {absent}: name the bag's topic")
     times_s = (channel.stamp_ns - channel.stamp_ns[0]) * 1e-9
-    return Motion(times_s, tuple(channel.poses())), channel.frame_id
+    return Program(
+        Motion(times_s, tuple(channel.poses())),
+        channel.frame_id,
+        parameters.rate_hz,
+        None if wrench is None else PlayedForces.recorded(wrench, int(channel.stamp_ns[0])),
+    )
 
 
 def program_of(parameters: PlayerParameters) -> Program:
@@ -278,11 +302,11 @@ def program_of(parameters: PlayerParameters) -> Program:
         ValueError: it cannot be read, or the motion is impossible.
     """
     if parameters.source == "bag":
-        motion, frame_id = _bag(parameters)
-        rate_hz = parameters.rate_hz
+        program = _bag(parameters)
     else:
-        motion, frame_id = SCRIPTS[parameters.source](parameters), parameters.frame_id
-        rate_hz = parameters.rate_hz or DEFAULT_RATE_HZ
+        motion = SCRIPTS[parameters.source](parameters)
+        program = Program(motion, parameters.frame_id, parameters.rate_hz or DEFAULT_RATE_HZ)
     if parameters.loop:
-        motion = joined(motion, travel(motion.poses[-1], motion.poses[0]))
-    return Program(motion, frame_id, rate_hz)
+        back = travel(program.motion.poses[-1], program.motion.poses[0])
+        program = replace(program, motion=joined(program.motion, back))
+    return program

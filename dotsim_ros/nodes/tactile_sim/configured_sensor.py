@@ -36,10 +36,11 @@ from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
+from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
 from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
-from dotsim_ros.nodes.tactile_sim.parameters import REALTIME, TF, TactileSimParameters
+from dotsim_ros.nodes.tactile_sim.parameters import BY_FORCE, REALTIME, TF, TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of, make_profile_in_force
 from dotsim_ros.nodes.tactile_sim.profiles import resolve_profile
 from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
@@ -47,7 +48,7 @@ from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
 from dotsim_ros.nodes.tactile_sim.transform_input import transform_message
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor
-from msg_adapters import Status
+from msg_adapters import Level, Status
 
 FRAMES_BROKEN = "the loop of frames failed"
 MISSING_INPUT_LOG_S = 5.0
@@ -88,11 +89,15 @@ class ConfiguredSensor:
         ladder = ladder_of(profile, specification, grid_spacing_m=self.settings.grid_spacing_m)
         sensor = self._make_sensor(replace(specification, solver=ladder[0].solver))
         self._sensor = sensor
+        self._drive: ForceDrive | None = None
+        if self.settings.control == BY_FORCE:
+            self._drive = ForceDrive(sensor, lambda pose: self._input.normal_force_n(pose))
         self._session = SensorSession(
             sensor,
             first_dt_s=1.0 / self.settings.rate_hz,
             limit_m=ladder[0].profile.move_m,
             effects=effects,
+            drive=self._drive,
         )
         if self.settings.device != "cpu":
             self._node.get_logger().warning(
@@ -282,6 +287,11 @@ class ConfiguredSensor:
             self._node.get_logger().warning(
                 f"input: {missing}", throttle_duration_sec=MISSING_INPUT_LOG_S
             )
+        force = None if self._drive is None else self._drive.report()
+        if force is not None and force[0] is Level.WARN:
+            self._node.get_logger().warning(
+                f"force: {force[1]}", throttle_duration_sec=MISSING_INPUT_LOG_S
+            )
         return statuses(
             self._node.label,
             f"{self._node.get_namespace().strip('/')}/{self.settings.sensor}".strip("/"),
@@ -301,6 +311,7 @@ class ConfiguredSensor:
             faults=self._faults,
             gel=self._session.moment.gel,
             effects=self._effect_names,
+            force=force,
             now_s=self._node.now_s(),
         )
 

@@ -122,18 +122,18 @@ def statuses(
     faults: FaultLog,
     gel: GelFrame,
     effects: Sequence[str],
+    force: Report | None = None,
     now_s: float,
 ) -> list[Status]:
-    """Return the states of the frames, the input and the gel."""
-    return statuses_of(
-        node_name,
-        hardware_id,
-        {
-            "frames": _frames(condition, counter, now_s),
-            "input": _input(condition, faults, now_s),
-            "gel": _gel(gel, effects, counter, now_s),
-        },
-    )
+    """Return the states of the frames, the input, the gel and, where it is followed, the force."""
+    reports = {
+        "frames": _frames(condition, counter, now_s),
+        "input": _input(condition, faults, now_s),
+        "gel": _gel(gel, effects, counter, now_s),
+    }
+    if force is not None:
+        reports["force"] = force
+    return statuses_of(node_name, hardware_id, reports)
 
 
 def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report:

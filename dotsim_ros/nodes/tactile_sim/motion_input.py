@@ -25,6 +25,7 @@ from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
 from dotsim_ros.nodes.common.reasons import LONGEST_REASON
+from dotsim_ros.nodes.tactile_sim.force_input import ForceInput
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
     MotionGate,
@@ -33,6 +34,7 @@ from dotsim_ros.nodes.tactile_sim.motion import (
     velocity_axes,
 )
 from dotsim_ros.nodes.tactile_sim.parameters import (
+    BY_FORCE,
     ODOMETRY,
     POSE,
     REALTIME,
@@ -106,6 +108,17 @@ class MotionInput:
         self._twist_stamp_ns: int | None = None
         self._is_realtime = parameters.clock == REALTIME
         self._started_s = node.now_s()
+        self._forces: ForceInput | None = None
+        if parameters.control == BY_FORCE:
+            self._forces = ForceInput(
+                node,
+                parameters,
+                self._quality(),
+                guard=self.guard,
+                on_motion=on_motion,
+            )
+            if not self._is_realtime:
+                self._on_motion = self._forces.hold
         self._transforms: TransformInput | None = None
         if parameters.pose_source == TF:
             self._transforms = TransformInput(
@@ -124,12 +137,23 @@ class MotionInput:
         return self._arbiter.silence_s(self._node.now_s())
 
     def missing(self) -> str:
-        """Return why there can be no pose, in words, once there should have been one; empty where
-        nothing is known to be wrong."""
+        """Return why there can be no pose, or which force has not come, in words, once there should
+        have been one; empty where nothing is known to be wrong."""
         waited_s = self._node.now_s() - self._started_s
-        if self._transforms is None or waited_s < self._parameters.input_timeout_s:
+        if waited_s < self._parameters.input_timeout_s:
             return ""
-        return self._transforms.missing()
+        missing = "" if self._transforms is None else self._transforms.missing()
+        if not missing and self._forces is not None:
+            missing = self._forces.missing()
+        return missing
+
+    def normal_force_n(self, pose: Pose) -> float:
+        """Return the normal force that the gel is to give on an indenter at a pose.
+
+        Only where `control` is `force`.
+        """
+        assert self._forces is not None
+        return self._forces.normal_n(pose)
 
     def world_rotation(self) -> FloatArray | None:
         """Return the (3, 3) rotation from the base to the world; None where it is not known yet."""
@@ -141,6 +165,8 @@ class MotionInput:
         """Start anew: the next pose may be anywhere, a velocity begins at the start pose."""
         if self._transforms is not None:
             self._transforms.forget()
+        if self._forces is not None:
+            self._forces.forget()
         with self._lock:
             self._gate.forget()
             self._velocity = None
@@ -157,6 +183,8 @@ class MotionInput:
             self._gate.maximum_step_s = parameters.maximum_step_s
         if self._transforms is not None:
             self._transforms.configure(parameters)
+        if self._forces is not None:
+            self._forces.configure(parameters)
 
     def guard(self, act: Callable[[], object]) -> None:
         """Do something with an input; count and log it where it is refused."""
@@ -188,9 +216,12 @@ class MotionInput:
             kind,
             topic,
             lambda message: self._hear(callback, message),
-            REALTIME_QOS if self._is_realtime else LOCKSTEP_QOS,
+            self._quality(),
             qos_overriding_options=QoSOverridingOptions.with_default_policies(),
         )
+
+    def _quality(self) -> QoSProfile:
+        return REALTIME_QOS if self._is_realtime else LOCKSTEP_QOS
 
     def _hear(
         self, callback: Callable[[msg_adapters.Message], None], message: msg_adapters.Message

@@ -21,6 +21,7 @@ from dotsim_ros.specification import NoiseSpecification, SolverSpecification
 
 REALTIME, LOCKSTEP = "realtime", "lockstep"
 POSE, TWIST, ANY = "pose", "twist", "any"
+BY_POSE, BY_FORCE = "pose", "force"
 TOPIC, TF, ODOMETRY = "topic", "tf", "odometry"
 TWIST_STAMPED, TWIST_PLAIN = "TwistStamped", "Twist"
 LARGEST_GRID_M = quantities_of(SolverSpecification)["grid_spacing_m"][1].high
@@ -83,6 +84,13 @@ class TactileSimParameters(OutputParameters):
         "while it goes on.",
         choices=(POSE, TWIST, ANY),
         fixed_while_configured=True,
+    )
+    control: str = option(
+        BY_POSE,
+        "What says how deep the indenter presses. pose: its pose; force: the normal force on "
+        "indenter/wrench, along the indenter's z axis, where the pose says all but the depth.",
+        choices=(BY_POSE, BY_FORCE),
+        read_only=True,
     )
     pose_source: str = option(
         TOPIC,

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from dotsim_ros.gel.make import GelFrame
     from dotsim_ros.geometry.camera import Camera
     from dotsim_ros.geometry.indenter import Indenter
+    from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
     from dotsim_ros.sensor import Frame, TactileSensor
     from dotsim_ros.specification import SolverSpecification
 
@@ -93,6 +94,7 @@ class SensorSession:
         limit_m: how far the indenter may move in contact in one frame; a longer motion takes
             several frames. Infinite for none.
         effects: at work between the commanded pose and what is measured; the sensor's gel has them.
+        drive: where to press for a force, in place of the depth that a pose has; None: the pose.
 
     Attributes:
         moment: the last valid one.
@@ -106,8 +108,10 @@ class SensorSession:
         first_dt_s: float,
         limit_m: float = np.inf,
         effects: Sequence[Active] = (),
+        drive: ForceDrive | None = None,
     ) -> None:
         self._sensor = sensor
+        self._drive = drive
         self._first_dt_s = first_dt_s
         self._limit_m = limit_m
         self._effects = LiveEffects(effects, sensor)
@@ -148,6 +152,7 @@ class SensorSession:
         if motion.new_start is not None or self._is_broken:
             self._sensor.reset()
             self._effects.begin()
+            self._forget_force()
             self._last_stamp_ns = None
             self._at = None
             self._force_n = np.zeros(3)
@@ -156,14 +161,17 @@ class SensorSession:
         return self._move(motion.pose, step_s)
 
     def catch_up(self) -> SensorMoment:
-        """Go on to the newest pose, which `follow` did not reach; where it did, let a gel that
-        remembers, or an effect, evolve under the held indenter.
+        """Go on to the newest pose, which `follow` did not reach, or the newest force; where both
+        are reached, let a gel that remembers, or an effect, evolve under the held indenter.
 
         Raises:
             RefusedInputError: as `follow`.
         """
         goes_on = self._is_behind or self._sensor.remembers or self._effects.act_in_time
-        if self._commanded is None or self._is_broken or not goes_on:
+        if self._commanded is None or self._is_broken:
+            return self.moment
+        is_followed = self._drive is None or self._drive.is_met(self._commanded)
+        if is_followed and not goes_on:
             return self.moment
         if self._last_stamp_ns is not None:
             self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
@@ -172,7 +180,8 @@ class SensorSession:
     def _move(self, commanded: Pose, step_s: float) -> SensorMoment:
         self._commanded, self._is_behind = commanded, False
         try:
-            pose = self._effects.moved(commanded, self._force_n, step_s)
+            wanted = commanded if self._drive is None else self._drive.pose(commanded)
+            pose = self._effects.moved(wanted, self._force_n, step_s)
             reached = self._within_reach(pose)
             self.moment = self._pressed(reached, step_s)
         except ValueError as error:
@@ -181,6 +190,9 @@ class SensorSession:
             raise RefusedInputError(fault, str(error)) from error
         self._is_broken = False
         self._at = reached
+        if self._drive is not None:
+            got = wanted if reached is pose else reached
+            self._drive.answer(got, self.moment.gel.wrench.force_n)
         if reached is not pose:
             self._is_behind = True
             self.behind += 1
@@ -225,11 +237,16 @@ class SensorSession:
         """Bring the gel to rest, with no indenter near it; a session of effects begins anew."""
         self._sensor.reset()
         self._effects.restart()
+        self._forget_force()
         self._last_stamp_ns = None
         self._is_broken = self._is_behind = False
         self._at = self._commanded = None
         self.moment = self._pressed(None, self._first_dt_s)
         self._sensor.reset()
+
+    def _forget_force(self) -> None:
+        if self._drive is not None:
+            self._drive.forget()
 
     def change_indenter(self, indenter: Indenter) -> None:
         """Press with another indenter from now on, from rest.
