@@ -14,16 +14,18 @@ unit's gauge shows it: times the gauge's gain, from which no calibration can tel
 from __future__ import annotations
 
 import argparse
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from dotsim_ros.calibration.calibrate import calibrate
 from dotsim_ros.calibration.report import figures
-from dotsim_ros.evaluation.gap.hidden.solved_draw import NULL
+from dotsim_ros.evaluation.gap.hidden.solved_draw import COMMISSIONING, NULL
 from dotsim_ros.evaluation.gap.hidden.solved_sets import SetRecord, read_series
 from dotsim_ros.evaluation.gap.rates import rate
 from dotsim_ros.evaluation.gap.solved_score import opened_truth
 from dotsim_ros.files import write_json
+from dotsim_ros.measured.data_set import INDEX, SKIN_MESH
 from dotsim_ros.provenance import provenance
 
 SEED = 0
@@ -62,13 +64,15 @@ def main() -> None:
 
 
 def _rows(record: SetRecord, arguments: argparse.Namespace) -> list[dict[str, Any]]:
-    calibration = calibrate(
-        arguments.sets / record.name,
-        sensor=arguments.sensor,
-        hold_out=0,
-        workers=arguments.workers,
-        seed=SEED,
-    )
+    with tempfile.TemporaryDirectory() as temporary:
+        data = Path(temporary)
+        for name in ("bags", INDEX, SKIN_MESH):
+            (data / name).symlink_to((arguments.sets / record.name / name).resolve())
+        # The series keeps the meshes once.
+        (data / "indenters").symlink_to((arguments.sets / COMMISSIONING / "indenters").resolve())
+        calibration = calibrate(
+            data, sensor=arguments.sensor, hold_out=0, workers=arguments.workers, seed=SEED
+        )
     found = figures(calibration, seed=SEED)["parameters"]
     unit = opened_truth(arguments.sets, record)["unit"]
     true = {

@@ -56,7 +56,7 @@ from dotsim_ros.metrics.presses import (
     summarize,
 )
 from dotsim_ros.specification import MaterialSpecification, SensorSpecification
-from dotsim_ros.twin.follow import steps
+from dotsim_ros.twin.follow import SolveError, steps
 
 FloatArray = NDArray[np.float64]
 
@@ -527,7 +527,9 @@ def test_difftactile_is_fitted_on_all_presses(
     assert answer.force_n[-1, 2] == pytest.approx(STIFFNESS_N_M * DEPTHS_M[-1], rel=0.5)
 
 
-def test_the_explicit_gels_modulus_is_that_of_the_forces() -> None:
+def test_the_explicit_gels_modulus_is_that_of_the_forces(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     sensor = SensorSpecification()
     truth = ExplicitModel(sensor, NeoHookean(1.0e5, 0.45), COARSE_SETTINGS)
     answer = truth.predict(press(), BALL, SKIN)
@@ -540,6 +542,20 @@ def test_the_explicit_gels_modulus_is_that_of_the_forces() -> None:
     assert fitted.material.youngs_modulus_pa == pytest.approx(1.0e5, rel=1e-3)
     as_published = fits.fit([measured], {"ball": BALL}, SKIN)
     assert as_published.material.youngs_modulus_pa == 27_575.0
+    # One in which it becomes unstable is not fitted on.
+    lost = replace(measured, name="lost", force_n=-measured.force_n)
+    follow = ExplicitModel.predict
+
+    def unstable_in_one(model: ExplicitModel, press: Press, *given: Any) -> Prediction:
+        if press is lost:
+            raise SolveError("frame 1 could not be solved")
+        return follow(model, press, *given)
+
+    monkeypatch.setattr(ExplicitModel, "predict", unstable_in_one)
+    with pytest.raises(SolveError, match="unstable in all presses"):
+        fits.fit([lost], {"ball": BALL}, SKIN)
+    again = fits.fit_with_force([measured, lost], {"ball": BALL}, SKIN)
+    assert again.material == fitted.material
 
 
 def test_the_runtime_tables_explicit_gel_has_the_moduli_of_the_sensors_law() -> None:

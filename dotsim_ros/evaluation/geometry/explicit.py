@@ -12,6 +12,7 @@ one run of each press tells which E the measured forces ask for.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Prediction, Press
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.twin.follow import follow
+from dotsim_ros.twin.follow import SolveError, follow
 
 PAPER_YOUNGS_MODULUS_PA = 27_575.0
 SEARCHED_POISSON_RATIOS = (0.303, 0.40, 0.45, 0.48)
@@ -126,14 +127,16 @@ def surface_error_m(predicted: Prediction, press: Press) -> float:
 
 def best_poisson_ratio(
     specification: SensorSpecification, press: Press, indenter: Indenter, skin: SkinMesh
-) -> float:
-    """Return the searched Poisson's ratio whose surfaces are nearest to a press's."""
-    errors = []
+) -> float | None:
+    """Return the searched Poisson's ratio whose surfaces are nearest to a press's; None where the
+    gel became unstable with each of them."""
+    errors: dict[float, float] = {}
     for ratio in SEARCHED_POISSON_RATIOS:
         material = NeoHookean(PAPER_YOUNGS_MODULUS_PA, ratio)
         model = ExplicitModel(specification, material, COARSE_SETTINGS)
-        errors.append(surface_error_m(model.predict(press, indenter, skin), press))
-    return SEARCHED_POISSON_RATIOS[int(np.argmin(errors))]
+        with suppress(SolveError):
+            errors[ratio] = surface_error_m(model.predict(press, indenter, skin), press)
+    return min(errors, key=errors.__getitem__, default=None)
 
 
 @dataclass(frozen=True)
@@ -166,6 +169,8 @@ def force_sums(model: ExplicitModel, press: Press, indenter: Indenter, skin: Ski
 class ExplicitFit:
     """Fits explicit gels; a press's own runs are done once, whatever splits it is in.
 
+    A press in which the gel becomes unstable is not fitted on.
+
     Args:
         specification: its body, density and friction are taken.
         settings: grid and substeps of what is fitted.
@@ -175,19 +180,26 @@ class ExplicitFit:
         self, specification: SensorSpecification, settings: ExplicitSettings = SETTINGS
     ) -> None:
         self._specification, self._settings = specification, settings
-        self._ratio: dict[str, float] = {}
-        self._force: dict[tuple[str, float], ForceSums] = {}
+        self._ratio: dict[str, float | None] = {}
+        self._force: dict[tuple[str, float], ForceSums | None] = {}
 
     def fit(
         self, train: Sequence[Press], indenters: Mapping[str, Indenter], skin: SkinMesh
     ) -> ExplicitModel:
-        """Return the gel with the median Poisson's ratio of the presses."""
+        """Return the gel with the median Poisson's ratio of the presses.
+
+        Raises:
+            SolveError: the gel became unstable in all of them.
+        """
         for press in train:
             if press.name not in self._ratio:
                 self._ratio[press.name] = best_poisson_ratio(
                     self._specification, press, indenters[press.indenter], skin
                 )
-        median = float(np.median([self._ratio[press.name] for press in train]))
+        ratios = [ratio for press in train if (ratio := self._ratio[press.name]) is not None]
+        if not ratios:
+            raise SolveError("the explicit gel became unstable in all presses to fit on")
+        median = float(np.median(ratios))
         material = NeoHookean(PAPER_YOUNGS_MODULUS_PA, median)
         return ExplicitModel(self._specification, material, self._settings)
 
@@ -198,15 +210,21 @@ class ExplicitFit:
 
         Raises:
             ValueError: a press without force, or no indenter touches the gel.
-            SolveError: the gel became unstable.
+            SolveError: the gel became unstable in all of the presses.
         """
         model = self.fit(train, indenters, skin)
         ratio = model.material.poisson_ratio
         for press in train:
             key = (press.name, ratio)
             if key not in self._force:
-                self._force[key] = force_sums(model, press, indenters[press.indenter], skin)
-        sums = [self._force[press.name, ratio] for press in train]
+                try:
+                    found = force_sums(model, press, indenters[press.indenter], skin)
+                except SolveError:
+                    found = None
+                self._force[key] = found
+        sums = [s for press in train if (s := self._force[press.name, ratio]) is not None]
+        if not sums:
+            raise SolveError("the explicit gel became unstable in all presses to fit on")
         predicted = sum(s.predicted_n2 for s in sums)
         factor = sum(s.product_n2 for s in sums) / predicted if predicted else 0.0
         if not factor > 0.0:
