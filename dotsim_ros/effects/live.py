@@ -40,7 +40,7 @@ def specification_with_effects(
 
     Raises:
         ValueError: an effect acts on a gel that has another law than neo-Hooke's or Yeoh's, or
-            gives it a value that it cannot have.
+            gives it a value that it cannot have, or makes a pad thicker or thinner.
     """
     if not any(active.effect.gel for active in effects):
         return specification
@@ -49,6 +49,12 @@ def specification_with_effects(
         effects, GelTerm(values_of(specification), own.prony_shares, own.prony_times_s), None
     )
     changed = specification_with(specification, term.values)
+    if specification.gel.shape != "dome" and changed.gel != specification.gel:
+        raise ValueError(
+            "an effect changes the thickness of a pad; its base would come up and its face stay, "
+            "which a sensor whose base is at z = 0 cannot show: set gel.pad_size_m in the sensor's "
+            "file, whose face is then at another height"
+        )
     material = replace(
         changed.material, prony_shares=term.prony_shares, prony_times_s=term.prony_times_s
     )

@@ -268,9 +268,11 @@ def discretize(body: Body, skin_position_m: FloatArray, spacing_m: float) -> Dis
         spacing_m: grid spacing h.
 
     Raises:
-        ValueError: the spacing is not positive or leaves fewer than two cells across the body.
+        ValueError: the spacing is not positive or leaves fewer than two cells across the body, or
+            across what it is stretched from: its grid stays, so that only the gel changes.
     """
-    extent = np.ptp(body.bounds_m(), axis=0).min()
+    own = body.reference if isinstance(body, ReshapedDome | ReshapedPad) else body
+    extent = np.ptp(own.bounds_m(), axis=0).min()
     if not 0.0 < spacing_m <= extent / 2.0:
         raise ValueError(
             f"grid spacing is {spacing_m} m, expected between 0 and half the smallest extent of "

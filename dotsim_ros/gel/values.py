@@ -71,12 +71,13 @@ def values_of(specification: SensorSpecification) -> GelValues:
 def specification_with(
     specification: SensorSpecification, values: GelValues
 ) -> SensorSpecification:
-    """Return a sensor with the given parameters; a dome keeps its outer radius.
+    """Return a sensor with the given parameters; a dome keeps its outer radius, and the grid of a
+    pad becomes as fine as its thickness asks for.
 
     Raises:
         ValueError: a value that the sensor cannot have.
     """
-    v, gel = values, specification.gel
+    v, gel, solver = values, specification.gel, specification.solver
     mu = shear_modulus_pa(v.youngs_modulus_pa, v.poisson_ratio)
     bulk = bulk_modulus_pa(v.youngs_modulus_pa, v.poisson_ratio)
     old = specification.material
@@ -110,9 +111,12 @@ def specification_with(
         )
     else:
         gel = replace(gel, pad_size_m=(*gel.pad_size_m[:2], v.thickness_m))
+        finest_m = min(solver.grid_spacing_m, 0.5 * v.thickness_m)
+        solver = replace(solver, grid_spacing_m=finest_m)
     return replace(
         specification,
         gel=gel,
+        solver=solver,
         material=material,
         contact=replace(
             specification.contact,

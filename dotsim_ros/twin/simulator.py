@@ -102,6 +102,9 @@ class GelSimulator:
     few ratios, `TABLE_SPACING` apart, and interpolate between them, so that the answer is smooth in
     nu; a changed thickness keeps the table of the sensor's own.
 
+    The free surface of a gel of another thickness stays where the sensor's own is, since that is
+    where presses are measured from: a dome's core grows, and a pad's base comes up.
+
     Args:
         specification: the sensor; its solver must be implicit and quasi-static.
         skin: the skin's markers.
@@ -156,9 +159,19 @@ class GelSimulator:
         """
         gel = self._gel(values, indenter, relaxation)
         moved = list(poses) if offset is None else [offset_pose(pose, offset) for pose in poses]
+        raised_m = self._raised_m(values)
+        if raised_m.any():
+            moved = [Pose(pose.position_m - raised_m, pose.quaternion_xyzw) for pose in moved]
         found = follow(lambda pose, dt_s: gel.step([pose], dt_s)[0], moved, stamp_s)
         scale = values.youngs_modulus_pa / REFERENCE_MODULUS_PA
-        return replace(found, force_n=scale * found.force_n)
+        skin_m = found.skin_position_m + raised_m if raised_m.any() else found.skin_position_m
+        return replace(found, skin_position_m=skin_m, force_n=scale * found.force_n)
+
+    def _raised_m(self, values: GelValues) -> FloatArray:
+        """Return how far (3,) the base of a gel lies above the sensor's own base."""
+        if not isinstance(self._body, Pad):
+            return np.zeros(3)
+        return np.array([0.0, 0.0, self._body.size_m[2] - values.thickness_m])
 
     def prepare(self, values: GelValues) -> None:
         """Compute the tables that the values need, and keep them on disk."""
@@ -187,9 +200,10 @@ class GelSimulator:
         key = gel_key(v)
         gel = self._gels.pop(key, None)
         if gel is None:
+            shape = self._reshaped(specification)
             gel = ImplicitGel(
-                self._reshaped(specification),
-                self.skin,
+                shape,
+                self._skin_on(shape),
                 material_of(specification.material),
                 contact=specification.contact,
                 solver=self._solver,
@@ -214,6 +228,13 @@ class GelSimulator:
         if isinstance(shape, Pad) and isinstance(own, Pad) and shape != own:
             return ReshapedPad(shape.size_m, own, curvature_per_m=own.curvature_per_m)
         return shape
+
+    def _skin_on(self, shape: Body) -> SkinMesh:
+        """Return the skin on a shape whose base is where the sensor's own is."""
+        if not isinstance(shape, ReshapedPad):
+            return self.skin
+        position_m, _, _ = shape.from_reference(self.skin.rest_position_m)
+        return replace(self.skin, rest_position_m=position_m)
 
     def _refinement(self, poisson_ratio: float) -> Refinement:
         """Return the table at a Poisson's ratio."""
