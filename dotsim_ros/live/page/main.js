@@ -8,6 +8,9 @@ import {SceneView} from "./scene.js";
 
 const RETRY_MS = 1000;
 const LAG_COUNT = 25;
+const PLOT_MS = 150;
+// Where drawing is slow, what is no news of the skin waits so long for the next one, to be drawn with it.
+const PATIENCE_MS = 60;
 const ARRAYS = {float32: Float32Array, uint32: Uint32Array, uint8: Uint8Array};
 const get = id => document.getElementById(id);
 
@@ -19,6 +22,8 @@ let number = firstNumber;
 let ordered = [];
 let drawnNumber = firstNumber;
 let isDrawing = false;
+let patience = null;
+let picture = null;
 let playing = null;
 const sequence = {skin: null, history: null};
 // Milliseconds from each drag to the skin drawn, the newest last; benchmarks read it.
@@ -28,7 +33,7 @@ const view = new SceneView(get("scene"), (position, quaternion, since) => {
   number += 1;
   ordered.push([number, since]);
   send({do: "pose", position_m: position, quaternion_xyzw: quaternion, number});
-});
+}, redrawSoon);
 const plot = new ForcePlot(get("plot"));
 if (!view.gl) {
   get("words").textContent = "This browser has no WebGL 2, so the skin cannot be drawn; another browser, or its graphics settings, may help. Image, depth and force are shown.";
@@ -95,12 +100,8 @@ const handlers = {
     redraw();
   },
   picture(message) {
-    show(get("image"), message.parts.image);
-    show(get("depth"), message.parts.depth);
-    if (message.depth_m) {
-      const [low, high] = message.depth_m.map(value => (1e3 * value).toFixed(1));
-      get("depth_range").textContent = `${low} to ${high} mm`;
-    }
+    picture = message;
+    redrawSoon();
   },
   history(message) {
     const {time, force} = message.parts;
@@ -124,11 +125,21 @@ const handlers = {
   },
 };
 
+function showPicture({parts, depth_m: range}) {
+  show(get("image"), parts.image);
+  show(get("depth"), parts.depth);
+  if (range) {
+    const [low, high] = range.map(value => (1e3 * value).toFixed(1));
+    get("depth_range").textContent = `${low} to ${high} mm`;
+  }
+}
+
 function show(image, blob) {
   if (!blob) return;
-  const address = URL.createObjectURL(blob);
-  image.onload = () => URL.revokeObjectURL(address);
+  const before = image.src, address = URL.createObjectURL(blob);
   image.src = address;
+  // Given back with the next one, whether it was shown in time or not.
+  if (before.startsWith("blob:")) URL.revokeObjectURL(before);
 }
 
 function busy(words) {
@@ -187,15 +198,32 @@ function nextName(name, bags) {
   }
 }
 
+function redrawSoon() {
+  if (!view.isSlow) redraw();
+  else patience ??= setTimeout(redraw, PATIENCE_MS);
+}
+
 function redraw() {
   if (isDrawing) return;
   isDrawing = true;
   requestAnimationFrame(() => {
     isDrawing = false;
-    view.draw();
-    plot.draw();
+    clearTimeout(patience);
+    patience = null;
+    view.drawMoving();
+    if (picture) showPicture(picture);
+    picture = null;
+    plotSoon();
     write();
   });
+}
+
+// A curve over 20 s need not be drawn anew with each frame.
+function plotSoon() {
+  plotSoon.timer ??= setTimeout(() => {
+    plotSoon.timer = null;
+    plot.draw();
+  }, PLOT_MS);
 }
 
 function write() {

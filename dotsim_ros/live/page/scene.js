@@ -63,6 +63,11 @@ const NICE_MM = [1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15, 20, 30, 50, 100];
 const FARTHEST_M = 0.04;
 const PARKED_M = 0.002;
 const STEEP = 1.05;
+// Without a graphics card the processor draws, and the sensor shares it: while something moves, every
+// second pixel of every second row is enough.
+const COARSE = 0.5;
+const STILL_MS = 200;
+const SLOW_DRAWING = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const KEYS_M = {
   ArrowLeft: ["right", -2e-4], ArrowRight: ["right", 2e-4],
   ArrowUp: ["away", 2e-4], ArrowDown: ["away", -2e-4],
@@ -71,11 +76,14 @@ const KEYS_M = {
 
 export class SceneView {
   // `order(position, quaternion, since)` is called where the user moves the indenter, `since` the
-  // time of the event.
-  constructor(canvas, order) {
+  // time of the event; `changed()` where there is something new to draw.
+  constructor(canvas, order, changed) {
     this.canvas = canvas;
     this.order = order;
-    this.gl = canvas.getContext("webgl2", {antialias: true, alpha: false});
+    this.changed = changed;
+    this.isSlow = isDrawnByProcessor();
+    this.isStill = true;
+    this.gl = canvas.getContext("webgl2", {antialias: !this.isSlow, alpha: false});
     this.turn = -0.95;
     this.height = 0.42;
     this.distance = 0.066;
@@ -98,6 +106,18 @@ export class SceneView {
     canvas.addEventListener("webglcontextlost", event => event.preventDefault());
     canvas.addEventListener("webglcontextrestored", () => this.prepare());
     new ResizeObserver(() => this.draw()).observe(canvas);
+  }
+
+  // Draw what moves: coarsely where drawing is slow, and finely again once nothing has moved.
+  drawMoving() {
+    this.isStill = !this.isSlow;
+    this.draw();
+    if (!this.isSlow) return;
+    clearTimeout(this.stillTimer);
+    this.stillTimer = setTimeout(() => {
+      this.isStill = true;
+      this.draw();
+    }, STILL_MS);
   }
 
   prepare() {
@@ -170,7 +190,7 @@ export class SceneView {
   draw() {
     const gl = this.gl;
     if (!gl || gl.isContextLost()) return;
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const ratio = Math.min(window.devicePixelRatio || 1, 2) * (this.isStill ? 1 : COARSE);
     const width = Math.max(1, Math.round(this.canvas.clientWidth * ratio));
     const height = Math.max(1, Math.round(this.canvas.clientHeight * ratio));
     if (this.canvas.width !== width || this.canvas.height !== height) {
@@ -183,6 +203,8 @@ export class SceneView {
     gl.enable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
     const camera = this.camera();
+    // From above the far side of the skin is hidden, and costs half the work.
+    if (this.height > 0) gl.enable(gl.CULL_FACE);
     use(gl, this.lineProgram, this.lines, {view: camera.matrix});
     gl.drawArrays(gl.LINES, 0, this.lines.count);
     if (this.skin) {
@@ -277,7 +299,7 @@ export class SceneView {
       this.height += 0.008 * (event.clientY - this.last[1]);
       this.height = Math.min(1.5, Math.max(-0.3, this.height));
       this.last = [event.clientX, event.clientY];
-      this.draw();
+      this.changed();
       return;
     }
     this.drag(event);
@@ -309,7 +331,7 @@ export class SceneView {
     position[2] = Math.max(position[2], 0);
     this.wanted = {position, quaternion: (this.pose ?? this.wanted).quaternion};
     this.order(this.wanted.position, this.wanted.quaternion, since);
-    this.draw();
+    this.changed();
   }
 
   onUp(event) {
@@ -321,7 +343,7 @@ export class SceneView {
   onWheel(event) {
     event.preventDefault();
     this.distance = Math.min(0.3, Math.max(0.02, this.distance * Math.exp(0.001 * event.deltaY)));
-    this.draw();
+    this.changed();
   }
 
   onKey(event) {
@@ -333,6 +355,15 @@ export class SceneView {
     const axes = {right, up: [0, 0, 1], away: [-back[0] / level, -back[1] / level, 0]};
     this.want(add((this.wanted ?? this.pose).position, axes[step[0]], step[1]), event.timeStamp);
   }
+}
+
+function isDrawnByProcessor() {
+  const gl = document.createElement("canvas").getContext("webgl2");
+  if (!gl) return false;
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
+  const name = gl.getParameter(names ? names.UNMASKED_RENDERER_WEBGL : gl.RENDERER);
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return SLOW_DRAWING.test(name);
 }
 
 function far(one, other) {
