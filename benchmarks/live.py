@@ -171,8 +171,9 @@ def _measured(
     with sync_playwright() as playwright:
         opened = playwright.chromium.launch(
             executable_path=browser,
-            # As root, in a container, there is no other sandbox.
-            args=["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"],
+            # As a browser does where there is no graphics card: it draws WebGL, and it alone, by
+            # SwiftShader. As root, in a container, there is no other sandbox.
+            args=["--enable-unsafe-swiftshader", "--no-sandbox"],
         )
         page = opened.new_page(viewport=WINDOW)
         page.goto(address)

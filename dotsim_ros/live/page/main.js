@@ -9,8 +9,10 @@ import {SceneView} from "./scene.js";
 const RETRY_MS = 1000;
 const LAG_COUNT = 25;
 const PLOT_MS = 150;
-// Where drawing is slow, what is no news of the skin waits so long for the next one, to be drawn with it.
-const PATIENCE_MS = 60;
+// Where drawing is slow, what is no news of the skin is drawn with the next one, if that comes so soon;
+// what the user turns, sooner.
+const PATIENCE_MS = 400;
+const TURN_MS = 40;
 const ARRAYS = {float32: Float32Array, uint32: Uint32Array, uint8: Uint8Array};
 const get = id => document.getElementById(id);
 
@@ -33,7 +35,7 @@ const view = new SceneView(get("scene"), (position, quaternion, since) => {
   number += 1;
   ordered.push([number, since]);
   send({do: "pose", position_m: position, quaternion_xyzw: quaternion, number});
-}, redrawSoon);
+}, isTurned => redrawSoon(isTurned ? TURN_MS : PATIENCE_MS));
 const plot = new ForcePlot(get("plot"));
 if (!view.gl) {
   get("words").textContent = "This browser has no WebGL 2, so the skin cannot be drawn; another browser, or its graphics settings, may help. Image, depth and force are shown.";
@@ -101,7 +103,7 @@ const handlers = {
   },
   picture(message) {
     picture = message;
-    redrawSoon();
+    redrawSoon(PATIENCE_MS);
   },
   history(message) {
     const {time, force} = message.parts;
@@ -198,9 +200,9 @@ function nextName(name, bags) {
   }
 }
 
-function redrawSoon() {
+function redrawSoon(patience_ms) {
   if (!view.isSlow) redraw();
-  else patience ??= setTimeout(redraw, PATIENCE_MS);
+  else patience ??= setTimeout(redraw, patience_ms);
 }
 
 function redraw() {

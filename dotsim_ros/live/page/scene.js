@@ -76,7 +76,7 @@ const KEYS_M = {
 
 export class SceneView {
   // `order(position, quaternion, since)` is called where the user moves the indenter, `since` the
-  // time of the event; `changed()` where there is something new to draw.
+  // time of the event; `changed(isTurned)` where there is something new to draw.
   constructor(canvas, order, changed) {
     this.canvas = canvas;
     this.order = order;
@@ -299,7 +299,7 @@ export class SceneView {
       this.height += 0.008 * (event.clientY - this.last[1]);
       this.height = Math.min(1.5, Math.max(-0.3, this.height));
       this.last = [event.clientX, event.clientY];
-      this.changed();
+      this.changed(true);
       return;
     }
     this.drag(event);
@@ -331,7 +331,7 @@ export class SceneView {
     position[2] = Math.max(position[2], 0);
     this.wanted = {position, quaternion: (this.pose ?? this.wanted).quaternion};
     this.order(this.wanted.position, this.wanted.quaternion, since);
-    this.changed();
+    this.changed(false);
   }
 
   onUp(event) {
@@ -343,7 +343,7 @@ export class SceneView {
   onWheel(event) {
     event.preventDefault();
     this.distance = Math.min(0.3, Math.max(0.02, this.distance * Math.exp(0.001 * event.deltaY)));
-    this.changed();
+    this.changed(true);
   }
 
   onKey(event) {

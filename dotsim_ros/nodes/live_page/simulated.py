@@ -5,7 +5,9 @@
 
 The gel's thread takes the newest pose, as soon as the time of a frame has passed since the last
 one, and shows the skin at once; the camera's thread renders what it finds to be newest then. So a
-page never waits for either, and nothing piles up. Needs no ROS.
+page never waits for either, and nothing piles up. Where the gel comes later than the sensor's rate
+asks for, the camera rests after each image as long as that took, and leaves the gel its core. Needs
+no ROS.
 """
 
 from __future__ import annotations
@@ -93,6 +95,7 @@ class SimulatedSubject:
         self._spent_s: float | None = None
         self._frame_times_s: deque[float] = deque()
         self._is_new_start, self._is_behind = True, False
+        self._is_late = False
         self._threads = [
             threading.Thread(target=self._run, args=(work,), name=name, daemon=True)
             for name, work in (("gel", self._solve), ("camera", self._see))
@@ -162,8 +165,10 @@ class SimulatedSubject:
             elif self._is_stopping:
                 return
             else:
-                due_s = time.monotonic() + self._frame_s
+                begun_s = time.monotonic()
                 self._frame(ordered)
+                self._is_late = time.monotonic() - begun_s > self._frame_s
+                due_s = begun_s + self._frame_s
 
     def _make(self) -> None:
         rung = self._rungs[self._profile]
@@ -311,6 +316,11 @@ class SimulatedSubject:
                     return
                 seen, self._seen = self._seen, None
             assert seen is not None
+            begun_s = time.monotonic()
             frame = seen.moment.render()
             self._spent_s = sum(frame.timings_s.values())
             self._desk.show_picture(Picture(seen.shown.stamp_ns, frame.image, frame.depth_m))
+            if self._is_late:
+                spent_s = time.monotonic() - begun_s
+                with self._wake:
+                    self._wake.wait_for(lambda: self._is_stopping, spent_s)
