@@ -97,11 +97,13 @@ CLASSIFIED_BY = (
     "difftactile",
     "paper",
     "paper_direct",
+    "paper_mobile",
+    "paper_mobile_warped",
     "unet",
     "carried",
     "ours",
 )
-BLIND_OR_SLOW = ("idle", "paper_direct", "unet")
+BLIND_OR_SLOW = ("idle", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet")
 DOMAINS = ("in_domain", "out_of_domain", "all_six")
 MOTIONS = ("line", "arc", "figure_eight", "press")
 SENSORS = ("simulated", "transferred", "shifted", "reality")
