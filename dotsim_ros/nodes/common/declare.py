@@ -15,6 +15,7 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rclpy.exceptions import ParameterUninitializedException
 from rclpy.parameter import Parameter
 
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
@@ -55,7 +56,10 @@ def read(node: GuardedNode, kind: type[Parameters]) -> Parameters:
     """
     values = {}
     for field in dataclasses.fields(kind):  # type: ignore[arg-type]
-        value = node.get_parameter(field.name).value
+        try:
+            value = node.get_parameter(field.name).value
+        except ParameterUninitializedException:
+            value = None
         if value is None:
             raise ValueError(f"{field.name} is given without a value, such as an empty list")
         values[field.name] = _plain(value)
