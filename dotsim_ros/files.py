@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-PACKAGE_ROOT = Path(str(files("dotsim_ros")))
+# colcon build --symlink-install imports a link to the package, without params beside it.
+PACKAGE_ROOT = Path(str(files("dotsim_ros"))).resolve()
 
 
 @contextmanager

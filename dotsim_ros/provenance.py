@@ -20,7 +20,7 @@ _DECIDING = ("dotsim_ros", "msg_adapters", "benchmarks", "params")
 def provenance() -> dict[str, str]:
     """Return what is needed to measure again what is measured now."""
     return {
-        "commit": commit_of(Path(dotsim_ros.__file__).parent.parent),
+        "commit": commit_of(Path(dotsim_ros.__file__).resolve().parent.parent),
         "version": dotsim_ros.__version__,
         "machine": f"{_processor()}, {os.cpu_count()} cores",
         "python": platform.python_version(),
