@@ -32,7 +32,8 @@ def provenance() -> dict[str, str]:
 def _command() -> str:
     """Return the command without the folder that this machine keeps its executables in."""
     program = Path(sys.argv[0])
-    is_installed = program.parent == Path(sys.executable).parent
+    # A virtual environment may be reached by a link.
+    is_installed = program.parent.resolve() == Path(sys.executable).parent.resolve()
     called = [program.name] if is_installed else ["python", sys.argv[0]]
     return " ".join([*called, *sys.argv[1:]])
 

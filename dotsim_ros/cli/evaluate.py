@@ -62,6 +62,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+from dotsim_ros.evaluation.optics.names import BLIND_OR_SLOW, CLASSIFIED_BY
+from dotsim_ros.evaluation.optics.names import NAMES as IMAGE_MODELS
+from dotsim_ros.evaluation.optics.names import OPTIONAL as OPTIONAL_MODELS
 
 if TYPE_CHECKING:
     from dotsim_ros.evaluation.geometry.report import Measured
@@ -69,41 +72,7 @@ if TYPE_CHECKING:
     from dotsim_ros.measured.split import Split
 
 MODELS = ("ours", "explicit", "explicit_fitted", "tacto", "taxim", "difftactile")
-IMAGE_MODELS = (
-    "idle",
-    "idle_refined",
-    "tacto",
-    "tacto_refined",
-    "taxim",
-    "difftactile",
-    "paper",
-    "paper_direct",
-    "paper_mobile",
-    "paper_mobile_warped",
-    "unet",
-    "carried",
-    "tacto_warped",
-    "taxim_warped",
-    "difftactile_warped",
-    "ours",
-)
-OPTIONAL_MODELS = ("paper_mobile", "paper_mobile_warped", "unet")
 LEVELS = ("easy", "medium", "hard")
-CLASSIFIED_BY = (
-    "bound",
-    "idle",
-    "tacto",
-    "taxim",
-    "difftactile",
-    "paper",
-    "paper_direct",
-    "paper_mobile",
-    "paper_mobile_warped",
-    "unet",
-    "carried",
-    "ours",
-)
-BLIND_OR_SLOW = ("idle", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet")
 DOMAINS = ("in_domain", "out_of_domain", "all_six")
 MOTIONS = ("line", "arc", "figure_eight", "press")
 SENSORS = ("simulated", "transferred", "shifted", "reality")

@@ -23,10 +23,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from dotsim_ros.evaluation.optics.names import NETWORKS
+
 if TYPE_CHECKING:
     from dotsim_ros.learning.training import TrainingProgress
-
-NETWORKS = ("ours", "paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

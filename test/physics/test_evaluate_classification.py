@@ -14,12 +14,10 @@ import pytest
 
 from dotsim_ros import TactileSensor, load_sensor
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.cli.evaluate import CLASSIFIED_BY
 from dotsim_ros.cli.evaluate import DOMAINS as COMMAND_DOMAINS
 from dotsim_ros.cli.main import main
 from dotsim_ros.evaluation.classification.domains import DOMAINS
 from dotsim_ros.evaluation.classification.presses import PressPlan
-from dotsim_ros.evaluation.classification.study import ROWS
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.data_set_writer import trajectory_of_frames, write_data_set
@@ -148,6 +146,5 @@ def test_what_cannot_be_asked_is_refused(
 
 
 def test_the_command_offers_what_there_is() -> None:
-    assert CLASSIFIED_BY == ROWS
     assert COMMAND_DOMAINS == DOMAINS
     assert PressPlan().count > 0

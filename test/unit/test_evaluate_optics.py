@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.cli.evaluate import IMAGE_MODELS
 from dotsim_ros.cli.evaluate import LEVELS as COMMAND_LEVELS
 from dotsim_ros.cli.main import main
 from dotsim_ros.evaluation.optics import rows as optics_rows
@@ -31,7 +30,8 @@ from dotsim_ros.evaluation.optics.judge import (
     summarize,
     with_frames,
 )
-from dotsim_ros.evaluation.optics.models import NAMES, FitSettings, code_digest, factory_of
+from dotsim_ros.evaluation.optics.models import FitSettings, code_digest, factory_of
+from dotsim_ros.evaluation.optics.names import NAMES
 from dotsim_ros.evaluation.optics.report import evaluate_optics, optics_page, shown_frames
 from dotsim_ros.evaluation.optics.rows import RowMaker
 from dotsim_ros.evaluation.optics.sheet import write_sheets
@@ -291,7 +291,6 @@ def test_taxim_is_fitted_on_the_frames_given(
 
 
 def test_the_command_offers_what_there_is() -> None:
-    assert IMAGE_MODELS == NAMES
     assert COMMAND_LEVELS == LEVELS
 
 

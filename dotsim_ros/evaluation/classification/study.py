@@ -38,13 +38,12 @@ from dotsim_ros.evaluation.geometry.registry import sensor_file
 from dotsim_ros.evaluation.optics.judge import recordings_of, restricted
 from dotsim_ros.evaluation.optics.models import (
     CLIPPED,
-    NAMES,
     REFINED,
-    WARPED,
     FitSettings,
     code_digest,
     factory_of,
 )
+from dotsim_ros.evaluation.optics.names import CLASSIFIED_BY
 from dotsim_ros.evaluation.optics.rows import by_name
 from dotsim_ros.evaluation.optics.source import clipped_presses, refined_footage
 from dotsim_ros.files import write_json
@@ -70,10 +69,6 @@ BOUND = "bound"
 """The row that learns from measured images of other trajectories: no simulation passes it."""
 APART = 5
 """Every fifth simulated press is not learnt from."""
-ROWS = (
-    BOUND,
-    *(name for name in NAMES if name not in WARPED and not name.endswith("_refined")),
-)
 DECIDED_BY = (
     "dotsim_ros.evaluation.classification.classifier",
     "dotsim_ros.evaluation.classification.domains",
@@ -89,7 +84,7 @@ class Study:
     Attributes:
         data: folder of the data set.
         sensor: name or file of a sensor, or a folder with one for each domain.
-        models: rows, of `ROWS`.
+        models: rows, of `CLASSIFIED_BY`.
         domains: of `DOMAINS`.
         seeds: classifiers of each row and fold.
         plan: of the simulated presses.
@@ -99,7 +94,7 @@ class Study:
 
     data: Path
     sensor: str
-    models: tuple[str, ...] = ROWS
+    models: tuple[str, ...] = CLASSIFIED_BY
     domains: tuple[str, ...] = DOMAINS
     seeds: int = 5
     plan: PressPlan = field(default_factory=PressPlan)

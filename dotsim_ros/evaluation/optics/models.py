@@ -14,37 +14,12 @@ from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
 from dotsim_ros.baselines.optics.pixels import idle_ground, warped_ground
 from dotsim_ros.code_version import version_of
 from dotsim_ros.evaluation.optics.judge import Factory, Idle, ImageModel, WarpedIdle
+from dotsim_ros.evaluation.optics.names import NAMES, NETWORKS, PUBLISHED, WARPED
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
-MOBILE = ("paper_mobile", "paper_mobile_warped")
-"""The paper's network with a backbone that can be trained to its end without CUDA, added to the
-idle image as published, and to the warped one."""
-PUBLISHED = ("paper", "paper_direct", *MOBILE, "unet")
-"""Published networks, which take hours without CUDA unless their images are small."""
-NETWORKS = (*PUBLISHED, "ours")
-"""Kinds of networks of `dotsim_ros.learning`."""
-NAMES = (
-    "idle",
-    "idle_refined",
-    "tacto",
-    "tacto_refined",
-    "taxim",
-    "difftactile",
-    "paper",
-    "paper_direct",
-    *MOBILE,
-    "unet",
-    "carried",
-    "tacto_warped",
-    "taxim_warped",
-    "difftactile_warped",
-    "ours",
-)
 CLIPPED = ("tacto", "tacto_refined", "tacto_warped")
 """Models that get the clipped skin instead of the gel's."""
-WARPED = ("tacto_warped", "taxim_warped", "difftactile_warped")
-"""Published models that complete the warped image, in place of our network."""
 REFINED = ("idle_refined", "tacto_refined", "carried", *WARPED, "paper_mobile_warped", "ours")
 """Models that get an idle image refined by the frames that they are fitted on, with samples between
 its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is

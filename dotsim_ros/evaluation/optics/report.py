@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.evaluation.optics.judge import DEEP_M, is_single_press, summarize
-from dotsim_ros.evaluation.optics.models import NETWORKS
+from dotsim_ros.evaluation.optics.names import NETWORKS
 from dotsim_ros.evaluation.optics.rows import Row, RowMaker
 from dotsim_ros.evaluation.optics.split import LEVELS, WAYS, FrameKey, OpticalSplit
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table

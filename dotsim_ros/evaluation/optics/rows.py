@@ -34,12 +34,12 @@ from dotsim_ros.evaluation.optics.judge import (
 )
 from dotsim_ros.evaluation.optics.models import (
     CLIPPED,
-    NETWORKS,
     REFINED,
     FitSettings,
     code_digest,
     factory_of,
 )
+from dotsim_ros.evaluation.optics.names import NETWORKS
 from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit
 from dotsim_ros.files import whole_file, write_json
 from dotsim_ros.provenance import provenance
@@ -153,7 +153,7 @@ class RowMaker:
         """Return the row of a model on a split.
 
         Args:
-            model: one of `optics_models.NAMES`.
+            model: one of `names.NAMES`.
             split: frames to fit on and to judge on.
             shown: judged frames whose images are wanted.
 

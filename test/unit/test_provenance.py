@@ -1,0 +1,27 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The command that a result says it was made by."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from dotsim_ros.provenance import provenance
+
+
+@pytest.mark.parametrize("called_by", ["real", "link"])
+def test_an_installed_command_goes_by_its_name(
+    called_by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "real").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "real")
+    monkeypatch.setattr(sys, "executable", str(tmp_path / called_by / "python"))
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "real" / "dotsim_ros"), "evaluate", "rl"])
+    assert provenance()["command"] == "dotsim_ros evaluate rl"
+
+
+def test_a_script_goes_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["benchmarks/live.py", "--seconds", "15"])
+    assert provenance()["command"] == "python benchmarks/live.py --seconds 15"
