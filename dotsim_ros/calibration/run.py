@@ -256,13 +256,27 @@ def _calibrated(
         median=median,
         joint=joint,
         values=values,
-        specification=specification_with(request.sensor, values),
+        specification=seen_as_before(specification_with(request.sensor, values), request.sensor),
         linearisations=at,
         solve_counts=solves,
         scores=scores,
         omissions=omissions,
         fit_seconds=fit_seconds,
         reasons=reasons,
+    )
+
+
+def seen_as_before(fitted: SensorSpecification, before: SensorSpecification) -> SensorSpecification:
+    """Return a sensor whose camera and lights are as far from a pad's face as before the fit: its
+    base is at 0, so that the face is where the thickness that was found puts it."""
+    if fitted.gel.shape == "dome":
+        return fitted
+    lower_m = before.gel.thickness_m - fitted.gel.thickness_m
+    x, y, z = before.camera.position_m
+    return replace(
+        fitted,
+        camera=replace(before.camera, position_m=(x, y, z - lower_m)),
+        lighting=replace(before.lighting, height_m=before.lighting.height_m - lower_m),
     )
 
 
