@@ -119,9 +119,21 @@ def test_a_thinner_softer_pad_is_calibrated_and_its_thickness_is_missed_where_it
 
     # Its file has the face lower than the data have it: the presses meet it all the same.
     right = searched(data, fitted, tmp_path / "right")
-    assert right["verdict"] == "no_gap"
+    assert right["sentence"].startswith("No gap: simulation and measurement agree")
     force = next(gap for gap in right["gaps"] if gap["channel"] == "force")
     assert force["before"] < 0.5 * force["floor"]
+
+    # A file that is off by less than an effect, and by more than the floor, is not passed over.
+    stiffer = tmp_path / "stiffer.yaml"
+    material = replace(sensor.material, youngs_modulus_pa=1.25 * found.youngs_modulus_pa)
+    write_sensor(stiffer, replace(sensor, material=material), "stiffer than fitted")
+    made_up = searched(data, stiffer, tmp_path / "right")
+    assert made_up["verdict"] == "no_gap"
+    assert made_up["sentence"].startswith("No gap beyond the twin's constants")
+    assert "RMS force 0.2" in made_up["sentence"]
+    assert "To tell, record for" in made_up["sentence"]
+    modulus = next(c for c in made_up["calibrated"] if c["name"] == "E")
+    assert modulus["value"] == pytest.approx(TRUTH.youngs_modulus_pa, rel=0.1)
 
     thicker = tmp_path / "thicker.yaml"
     write_sensor(thicker, replace(sensor, gel=PAD.gel), "all but the thickness")

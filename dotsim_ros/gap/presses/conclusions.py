@@ -31,6 +31,7 @@ from dotsim_ros.gap.presses.locate import (
     share_closed,
     worst_frame,
 )
+from dotsim_ros.gap.presses.made_up import made_up
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.values import GelValues
@@ -98,6 +99,7 @@ def findings_of(
             left_open=left_open,
             beyond=size_beyond_range(search, ranked[0]) if is_unknown and ranked else None,
             place=wording.largest_place(places),
+            made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
         ),
         named=tuple(e.effect.name for e in named),
         alternatives=tuple(e.effect.name for e in answer.alternatives),
