@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.calibration.advice import far_modulus
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import (
     GelParameter,
@@ -158,6 +159,8 @@ def summary_lines(calibration: Calibration) -> list[str]:
             if shown["at_bound"]:
                 text = f"{shown['value']:.5g}, the end of what is searched and no estimate,"
             lines.append(f"{parameter.name} ({label}): {text} {parameter.unit}".rstrip(" ,"))
+    far = far_modulus(c.values.youngs_modulus_pa, c.problem.start.youngs_modulus_pa)
+    lines += [] if far is None else [far]
     if c.specification.gel.shape != "dome":
         own_m, found_m = c.problem.start.thickness_m, c.values.thickness_m
         if own_m != found_m:
