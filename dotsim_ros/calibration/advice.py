@@ -12,6 +12,7 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.fitting import FitProblem, PressLinearisation
 from dotsim_ros.calibration.loss import FORCE
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.reading import Observation
 from dotsim_ros.measured.trajectory import Topics
@@ -24,6 +25,28 @@ SLIDE_M = 0.5e-3
 
 FAR = 10.0
 """A start that is off by this factor sees next to nothing of what the forces tell."""
+UNITS_N = {"grams": 9.80665e-3, "millinewtons": 1e-3, "kilograms": 9.80665, "pounds": 4.448222}
+"""Newtons in what a gauge may show instead; a gram's weight for a mass."""
+
+
+def far_modulus(found_pa: float, start_pa: float) -> str | None:
+    """Return what to check where a modulus is far from the one that the fit began at; None where it
+    is not.
+
+    Args:
+        found_pa: Young's modulus as fitted.
+        start_pa: of the sensor's file.
+    """
+    ratio = found_pa / start_pa
+    if 1.0 / FAR < ratio < FAR:
+        return None
+    unit = min(UNITS_N, key=lambda name: abs(np.log(UNITS_N[name] * ratio)))
+    converted_pa = found_pa * UNITS_N[unit]
+    return (
+        f"E is {ratio:.3g} times that of the sensor's file, {start_pa:.3g} Pa: check the unit of "
+        f"the force, which is to be newtons (were it in {unit}, E is {converted_pa:.3g} Pa), and "
+        "that of the mesh; else state a value near it in that file"
+    )
 
 
 def shown_modulus_pa(
@@ -83,8 +106,7 @@ def why_not_identified(
     forces_n = [np.linalg.norm(p.force_n, axis=1).max() for p in presses if p.force_n is not None]
     has_skin = any(press.skin_position_m is not None for press in presses)
     slide_m = max(
-        _way_along_m(np.stack([pose.position_m for pose in press.poses]), depth)
-        for press, depth in zip(presses, depths_m, strict=True)
+        _way_along_m(press.poses, depth) for press, depth in zip(presses, depths_m, strict=True)
     )
     noise = problem.noise
     found = {}
@@ -106,7 +128,7 @@ def why_not_identified(
             found[name] = (
                 f"the forces are those of some {shown_pa:.2g} Pa, and the fit begins at "
                 f"{problem.start.youngs_modulus_pa:.2g} Pa; write a value near the former as "
-                "material.youngs_modulus_pa into the file of --sensor"
+                "material.youngs_modulus_pa into the file of --sensor, if the force is in newtons"
             )
         elif name == "E":
             found[name] = (
@@ -137,11 +159,11 @@ def why_not_identified(
     return found
 
 
-def _way_along_m(tip_m: FloatArray, depth_m: FloatArray) -> float:
-    """Return how far the tip goes along the skin while it is in it."""
-    inside = tip_m[depth_m > 0.0]
+def _way_along_m(poses: Sequence[Pose], depth_m: FloatArray) -> float:
+    """Return how far the tip goes along the skin, across its own axis, while it is in it."""
+    inside = [pose for pose, depth in zip(poses, depth_m.tolist(), strict=True) if depth > 0.0]
     if len(inside) < 2:
         return 0.0
-    outward = inside[0] / np.linalg.norm(inside[0])
-    way = inside - inside[0]
+    outward = inside[0].rotation()[:, 2]
+    way = np.stack([pose.position_m - inside[0].position_m for pose in inside])
     return float(np.linalg.norm(way - np.outer(way @ outward, outward), axis=1).max())

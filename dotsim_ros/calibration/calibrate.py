@@ -45,6 +45,7 @@ def calibrate(
     hold_out: int | None = None,
     leave_out: str | None = None,
     trajectories: Sequence[str] | None = None,
+    indenters: str | Path | None = None,
     run_folder: str | Path | None = None,
     joint_steps: int = JOINT_STEPS,
     solves: int = SOLVE_BUDGET,
@@ -73,6 +74,8 @@ def calibrate(
             than nine.
         leave_out: name of an indenter; judge on all of its trajectories instead.
         trajectories: names of those to use; by default all of the data set.
+        indenters: folder of the indenters' meshes; by default looked for in the data set, then
+            beside it.
         run_folder: of the run's files, from which an interrupted run resumes; by default
             `run` in the report's folder, and where nothing is written, none is kept.
         joint_steps: Gauss-Newton steps of the joint fit, 0 to 4. With 0 it weighs the fits of
@@ -106,6 +109,8 @@ def calibrate(
         raise ValueError(f"joint_steps is {joint_steps}, expected 0 to {MOST_JOINT_STEPS}")
     data_set = data if isinstance(data, DataSet) else read_data_set(data)
     specification = given_sensor(sensor)
+    if indenters is not None and not Path(indenters).is_dir():
+        raise FileNotFoundError(f"there is no folder {indenters}, expected one of meshes, NAME.stl")
     train, held_out = _split(data_set, trajectories, hold_out, leave_out, seed)
     used = _losses(data_set, losses)
     if out is not None:
@@ -131,6 +136,7 @@ def calibrate(
                 seed=seed,
                 joint_steps=joint_steps,
                 solve_budget=solves,
+                indenters=None if indenters is None else Path(indenters),
             ),
             progress or _silent,
         )

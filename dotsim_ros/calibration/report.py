@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.calibration.advice import far_modulus
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import (
     GelParameter,
@@ -158,6 +159,12 @@ def summary_lines(calibration: Calibration) -> list[str]:
             if shown["at_bound"]:
                 text = f"{shown['value']:.5g}, the end of what is searched and no estimate,"
             lines.append(f"{parameter.name} ({label}): {text} {parameter.unit}".rstrip(" ,"))
+    far = far_modulus(c.values.youngs_modulus_pa, c.problem.start.youngs_modulus_pa)
+    lines += [] if far is None else [far]
+    if c.specification.gel.shape != "dome":
+        own_m, found_m = c.problem.start.thickness_m, c.values.thickness_m
+        if own_m != found_m:
+            lines.append(_face_line(own_m, found_m))
     if len(c.fits) == 1:
         lines.append(ONE_PRESS)
     for name in c.frozen:
@@ -173,6 +180,16 @@ def summary_lines(calibration: Calibration) -> list[str]:
         )
     lines += [f"left out: {one_line(omission.reason)}" for omission in c.omissions]
     return lines
+
+
+def _face_line(own_m: float, found_m: float) -> str:
+    """Return where the face of a pad is, and what that asks of poses."""
+    way = "lower" if found_m < own_m else "raise"
+    return (
+        f"face: {1e3 * found_m:.4g} mm above the base, {1e3 * own_m:.4g} before; this file has z = "
+        f"0 at the base: {way} poses by {1e3 * abs(own_m - found_m):.3g} mm before you send them "
+        "to the simulated sensor (a data set with skin_mesh.npz is moved by itself)"
+    )
 
 
 def _identified_line(row: Identifiability) -> str:

@@ -68,6 +68,7 @@ class CalibrationRequest:
             their information: splits of one data set then share all solves.
         solve_budget: most solves of a press. One more than there are parameters leaves each press
             where it starts.
+        indenters: folder of the indenters' meshes; None as `DataSet.indenter_mesh`.
     """
 
     data_set: DataSet
@@ -84,6 +85,7 @@ class CalibrationRequest:
     seed: int
     joint_steps: int = JOINT_STEPS
     solve_budget: int = SOLVE_BUDGET
+    indenters: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -164,10 +166,20 @@ def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibrat
             "vertices; use the loss chamfer"
         )
     observations, omissions = read_observations(
-        r.data_set, r.train, skin=skin, has_vertices=has_vertices, topics=r.topics
+        r.data_set,
+        r.train,
+        skin=skin,
+        has_vertices=has_vertices,
+        topics=r.topics,
+        indenters=r.indenters,
     )
     judged, unjudged = read_observations(
-        r.data_set, r.held_out, skin=skin, has_vertices=has_vertices, topics=r.topics
+        r.data_set,
+        r.held_out,
+        skin=skin,
+        has_vertices=has_vertices,
+        topics=r.topics,
+        indenters=r.indenters,
     )
     omissions += unjudged
     observations = [_with_losses(observation, r.losses) for observation in observations]
@@ -256,13 +268,27 @@ def _calibrated(
         median=median,
         joint=joint,
         values=values,
-        specification=specification_with(request.sensor, values),
+        specification=seen_as_before(specification_with(request.sensor, values), request.sensor),
         linearisations=at,
         solve_counts=solves,
         scores=scores,
         omissions=omissions,
         fit_seconds=fit_seconds,
         reasons=reasons,
+    )
+
+
+def seen_as_before(fitted: SensorSpecification, before: SensorSpecification) -> SensorSpecification:
+    """Return a sensor whose camera and lights are as far from a pad's face as before the fit: its
+    base is at 0, so that the face is where the thickness that was found puts it."""
+    if fitted.gel.shape == "dome":
+        return fitted
+    lower_m = before.gel.thickness_m - fitted.gel.thickness_m
+    x, y, z = before.camera.position_m
+    return replace(
+        fitted,
+        camera=replace(before.camera, position_m=(x, y, z - lower_m)),
+        lighting=replace(before.lighting, height_m=before.lighting.height_m - lower_m),
     )
 
 

@@ -75,6 +75,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--trajectories", nargs="+", metavar="NAME", help="use these alone (all of the data set)"
     )
     parser.add_argument(
+        "--indenters",
+        type=Path,
+        metavar="DIR",
+        help="folder of the indenters' meshes (in the data set, then beside it)",
+    )
+    parser.add_argument(
         "--run",
         type=Path,
         metavar="DIR",
@@ -203,6 +209,7 @@ def _run_presses(arguments: argparse.Namespace, sensor: str | Path) -> None:
         hold_out=arguments.hold_out,
         leave_out=arguments.leave_out,
         trajectories=arguments.trajectories,
+        indenters=arguments.indenters,
         run_folder=arguments.run,
         joint_steps=arguments.joint_steps,
         solves=arguments.solves,

@@ -35,7 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("report"), help="folder of the report (report)")
     add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
     add("--reference", type=Path, help="the unit's commissioning: what has changed since?")
-    add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
+    add(
+        "--indenters",
+        type=Path,
+        metavar="DIR",
+        help="folder of the indenters' meshes (in the data set, then beside it)",
+    )
     add(
         "--effects",
         type=Path,

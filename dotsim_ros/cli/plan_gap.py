@@ -26,7 +26,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--protocols", type=Path, required=True, help="data set whose poses are the protocols")
     add("--out", type=Path, default=Path("plan"), help="folder of the solves (plan)")
     add("--sensor", default="sensor_a", help="name or YAML file of the calibrated twin (sensor_a)")
-    add("--indenters", type=Path, help="folder of the indenters' meshes (beside the data)")
+    add(
+        "--indenters",
+        type=Path,
+        metavar="DIR",
+        help="folder of the indenters' meshes (in the data set, then beside it)",
+    )
     add(
         "--effects",
         type=Path,

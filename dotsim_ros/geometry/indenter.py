@@ -31,6 +31,7 @@ from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_gr
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 MAXIMUM_EXTENT_M = 0.2
 MINIMUM_EXTENT_M = 2.0e-4
+UNITS_M = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254}
 MAXIMUM_TRIANGLE_COUNT = 2_000_000
 GRID_MARGIN_M = 0.004
 LARGEST_LEVER_M = 0.02
@@ -417,9 +418,15 @@ def _check_rounding(radius_m: float, largest_m: float) -> None:
 
 def _check_extent(path: Path, extent_m: float) -> None:
     if extent_m > MAXIMUM_EXTENT_M:
+        units = [
+            f"in {unit}: it is then {1e3 * scale * extent_m:.3g} mm long: scale={scale:g}"
+            for unit, scale in UNITS_M.items()
+            if MINIMUM_EXTENT_M <= scale * extent_m <= MAXIMUM_EXTENT_M
+        ]
         raise ValueError(
             f"{path}: the mesh is {extent_m:.4g} m long, at most {MAXIMUM_EXTENT_M} m expected; "
-            "is it in millimetres? Then load it with scale=0.001"
+            f"is it in another unit ({'; or '.join(units) or 'none that is known'})? Load it "
+            "with that scale; a mesh of a data set is in metres: export it anew"
         )
     if extent_m < MINIMUM_EXTENT_M:
         raise ValueError(

@@ -133,19 +133,35 @@ class DataSet:
         """Return the files of the images without contact."""
         return tuple(sorted(self.directory.glob("idle_*.png")))
 
-    def indenter_mesh(self, indenter: str) -> Path:
+    def indenter_mesh(self, indenter: str, folder: str | Path | None = None) -> Path:
         """Return the mesh file of an indenter, in metres, tip at the origin, +z off the gel.
 
+        Every command looks for meshes by this rule.
+
+        Args:
+            indenter: its name.
+            folder: of meshes, where alone it is looked for; None looks into the data set's own
+                `indenters`, and then into those of the data sets beside it, by their names.
+
         Raises:
-            FileNotFoundError: the data set holds no such mesh; the message lists those it holds.
+            FileNotFoundError: no such mesh; the text lists where it was looked for.
         """
-        path = self.directory / "indenters" / f"{indenter}.stl"
-        if not path.is_file():
-            known = sorted(mesh.stem for mesh in path.parent.glob("*.stl"))
-            raise FileNotFoundError(
-                f"no mesh {path}; the data set holds {', '.join(known) or 'no indenter'}"
-            )
-        return path
+        if folder is not None:
+            places = [Path(folder)]
+        else:
+            own = self.directory / "indenters"
+            beside = sorted(self.directory.resolve().parent.glob("*/indenters"))
+            places = [own, *(place for place in beside if place != own.resolve())]
+        for place in places:
+            if (place / f"{indenter}.stl").is_file():
+                return place / f"{indenter}.stl"
+        first, *others = places
+        known = ", ".join(sorted(mesh.stem for mesh in first.glob("*.stl"))) or "no indenter"
+        also = f", nor in {', '.join(map(str, others))}" if others else ""
+        raise FileNotFoundError(
+            f"no mesh {indenter}.stl in {first}, which holds {known}{also}; put it into {first}, "
+            "or name the folder of the meshes (--indenters of calibrate, find-gap and plan-gap)"
+        )
 
 
 def _bag(directory: Path, record: Any, place: str) -> Path:
@@ -268,20 +284,10 @@ def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None) ->
     Args:
         data_set: that names it.
         name: of the indenter.
-        indenters: folder of meshes; None looks in the data set, then in those beside it.
+        indenters: folder of meshes; None as `DataSet.indenter_mesh`.
 
     Raises:
         FileNotFoundError: no mesh of this name; the text lists where it was looked for.
+        ValueError: it is no closed mesh in metres.
     """
-    if indenters is not None:
-        places = [Path(indenters)]
-    else:
-        beside = sorted(data_set.directory.resolve().parent.glob("*/indenters"))
-        places = [data_set.directory / "indenters", *beside]
-    for place in places:
-        if (place / f"{name}.stl").is_file():
-            return load_mesh(place / f"{name}.stl")
-    raise FileNotFoundError(
-        f"no mesh {name}.stl in {', '.join(map(str, places)) or 'any folder'}; name the folder of "
-        "the indenters with --indenters"
-    )
+    return load_mesh(data_set.indenter_mesh(name, indenters))

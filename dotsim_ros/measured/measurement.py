@@ -56,8 +56,7 @@ def read_measurement(
     Args:
         directory: the folder that holds dataset.yaml.
         own_skin: of the sensor's file, used where the data set has no mesh of its own.
-        indenters: folder of the indenters' meshes; None looks in the data set, then in the data
-            sets beside it.
+        indenters: folder of the indenters' meshes; None as `DataSet.indenter_mesh`.
         topics: where the channels lie.
 
     Raises:
@@ -150,7 +149,7 @@ def _read(
         skin=skin,
         has_vertices=data_set.has_skin_mesh,
         topics=topics,
-        indenter_of=lambda name: find_indenter(data_set, name, indenters),
+        indenters=indenters,
     )
     press, indenter = found.press, found.indenter
     depth_m = np.asarray(tip_depth_m(skin, press.poses))

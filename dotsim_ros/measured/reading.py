@@ -11,17 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import msg_adapters
 from dotsim_ros.arrays import FloatArray, ImageArray, IntArray
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.bag import BagReader
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry
+from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter
 from dotsim_ros.measured.plausibility import ImplausiblePressError, check_press
 from dotsim_ros.measured.presses import Press, press_of
 from dotsim_ros.measured.trajectory import (
@@ -77,6 +78,7 @@ def read_observation(
     skin: SkinMesh,
     has_vertices: bool,
     topics: Topics = MEASURED_TOPICS,
+    indenters: str | Path | None = None,
     indenter_of: Callable[[str], Indenter] | None = None,
 ) -> Observation:
     """Read a press and its indenter.
@@ -87,7 +89,8 @@ def read_observation(
         skin: at rest; the data set's, or the sensor's own where it has none.
         has_vertices: whether the clouds list the skin's vertices; where not, they may differ.
         topics: where the channels lie.
-        indenter_of: finds an indenter by its name; None takes the data set's own meshes.
+        indenters: folder of the indenters' meshes; None as `DataSet.indenter_mesh`.
+        indenter_of: finds an indenter by its name instead.
 
     Raises:
         BadBagError: the bag, or its indenter, cannot be used.
@@ -98,7 +101,7 @@ def read_observation(
         trajectory = read_trajectory(entry.bag, topics=topics, channels=CHANNELS)
         press = press_of(trajectory, name=entry.name, indenter=entry.indenter)
         if indenter_of is None:
-            indenter = load_mesh(data_set.indenter_mesh(entry.indenter))
+            indenter = find_indenter(data_set, entry.indenter, indenters)
         else:
             indenter = indenter_of(entry.indenter)
     except BadBagError:
@@ -135,6 +138,7 @@ def read_observations(
     skin: SkinMesh,
     has_vertices: bool,
     topics: Topics = MEASURED_TOPICS,
+    indenters: str | Path | None = None,
 ) -> tuple[list[Observation], list[Omission]]:
     """Return what can be used of the named trajectories, and why the others cannot."""
     entries = {entry.name: entry for entry in data_set.entries}
@@ -143,7 +147,12 @@ def read_observations(
         try:
             found.append(
                 read_observation(
-                    data_set, entries[name], skin=skin, has_vertices=has_vertices, topics=topics
+                    data_set,
+                    entries[name],
+                    skin=skin,
+                    has_vertices=has_vertices,
+                    topics=topics,
+                    indenters=indenters,
                 )
             )
         except BadBagError as error:

@@ -12,6 +12,7 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -48,6 +49,9 @@ LARGEST_TABLE_COORDINATE = -1.0
 """No table above nu = 0.13 or below nu = 0.4997."""
 SMALLEST_TABLE_COORDINATE = -8.0
 
+SAME_FACE_M = 20.0e-6
+"""Faces closer than this are at one height: a bent one's nearest vertex is lower by some um."""
+
 KEPT_GELS = 4
 KEPT_TABLES = 4
 
@@ -81,6 +85,15 @@ def gel_key(values: GelValues) -> tuple[float | tuple[float, ...], ...]:
     return (v.poisson_ratio, v.c20_ratio, v.c30_ratio, v.thickness_m, *bond)
 
 
+def _face_height_m(body: Body, skin: SkinMesh) -> float:
+    """Return the height of a pad's face in its middle as the skin has it; 0 for another body."""
+    if not isinstance(body, Pad):
+        return 0.0
+    own, seen = body.size_m[2], float(skin.rest_position_m[:, 2].max())
+    # Vertices need not lie in the very middle of a bent face, nor be written in full.
+    return own if abs(seen - own) < SAME_FACE_M else seen
+
+
 def tables_of(poisson_ratio: float) -> tuple[tuple[int, float], ...]:
     """Return the numbers of the tables of the refinement at a Poisson's ratio, with their shares:
     linear between the two beside it."""
@@ -102,12 +115,14 @@ class GelSimulator:
     few ratios, `TABLE_SPACING` apart, and interpolate between them, so that the answer is smooth in
     nu; a changed thickness keeps the table of the sensor's own.
 
-    The free surface of a gel of another thickness stays where the sensor's own is, since that is
-    where presses are measured from: a dome's core grows, and a pad's base comes up.
+    The free surface of a gel of another thickness stays where that of the skin is, since that is
+    where presses are measured from: a dome's core grows, and a pad's base comes up. So a pad whose
+    thickness was fitted meets the presses of its data set where they were measured, although in its
+    own file its base is at 0 and its face at the thickness that was found.
 
     Args:
         specification: the sensor; its solver must be implicit and quasi-static.
-        skin: the skin's markers.
+        skin: the skin's markers, with the face of a pad where the poses have it.
         progress: called with the finished share of each table that is computed.
         tolerance_m: of the solves.
 
@@ -131,6 +146,7 @@ class GelSimulator:
             solver, refined=False, tolerance_m=tolerance_m, iterations=ITERATIONS
         )
         self._body = body_of(specification.gel)
+        self._face_m = _face_height_m(self._body, skin)
         self._gels: OrderedDict[tuple[float | tuple[float, ...], ...], ImplicitGel] = OrderedDict()
         self._tables: OrderedDict[int, Refinement] = OrderedDict()
 
@@ -168,10 +184,10 @@ class GelSimulator:
         return replace(found, skin_position_m=skin_m, force_n=scale * found.force_n)
 
     def _raised_m(self, values: GelValues) -> FloatArray:
-        """Return how far (3,) the base of a gel lies above the sensor's own base."""
+        """Return how far (3,) the base of a gel lies above 0, with its face where the skin's is."""
         if not isinstance(self._body, Pad):
             return np.zeros(3)
-        return np.array([0.0, 0.0, self._body.size_m[2] - values.thickness_m])
+        return np.array([0.0, 0.0, self._face_m - values.thickness_m])
 
     def prepare(self, values: GelValues) -> None:
         """Compute the tables that the values need, and keep them on disk."""
@@ -230,11 +246,20 @@ class GelSimulator:
         return shape
 
     def _skin_on(self, shape: Body) -> SkinMesh:
-        """Return the skin on a shape whose base is where the sensor's own is."""
+        """Return the skin on a shape whose base is at 0."""
+        own = self._own_skin
         if not isinstance(shape, ReshapedPad):
+            return own
+        position_m, _, _ = shape.from_reference(own.rest_position_m)
+        return replace(own, rest_position_m=position_m)
+
+    @cached_property
+    def _own_skin(self) -> SkinMesh:
+        """The skin on the sensor's own shape."""
+        if not isinstance(self._body, Pad) or self._face_m == self._body.size_m[2]:
             return self.skin
-        position_m, _, _ = shape.from_reference(self.skin.rest_position_m)
-        return replace(self.skin, rest_position_m=position_m)
+        stretch = np.array([1.0, 1.0, self._body.size_m[2] / self._face_m])
+        return replace(self.skin, rest_position_m=stretch * self.skin.rest_position_m)
 
     def _refinement(self, poisson_ratio: float) -> Refinement:
         """Return the table at a Poisson's ratio."""
@@ -251,7 +276,7 @@ class GelSimulator:
         if table is None:
             poisson_ratio = 0.5 - float(np.exp(number * TABLE_SPACING))
             law = NeoHookean(REFERENCE_MODULUS_PA, poisson_ratio)
-            rest_m = self.skin.rest_position_m
+            rest_m = self._own_skin.rest_position_m
             coarse = discretize(self._body, rest_m, self._solver.grid_spacing_m)
 
             def compliance() -> Float32Array:

@@ -38,7 +38,7 @@ from dotsim_ros.calibration.statistics import (
 from dotsim_ros.gel.values import specification_with, values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.geometry.skin_mesh import dome_skin, pad_skin
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.reading import Observation
 from dotsim_ros.measured.trajectory import Topics
@@ -382,6 +382,24 @@ def test_each_reason_why_data_identify_nothing_has_its_own_words(
         said.add(found)
         answered(f"{name}: {found}", what=what)
     assert len(said) == len(cases)
+
+
+def test_a_press_beside_the_middle_of_a_pad_is_no_slide() -> None:
+    skin = pad_skin((0.02, 0.016, 0.004), 1e-3)
+    poses = [Pose(np.array([7e-3, 5e-3, z])) for z in (4.2e-3, 3.0e-3, 2.0e-3)]
+    for slide_m, words in ((0.0, "no press slides more than 0.00 mm"), (1e-3, "leave it open")):
+        way = [*poses, Pose(np.array([7e-3 + slide_m, 5e-3, 2.0e-3]))]
+        measured = np.repeat(skin.rest_position_m[None], 4, axis=0)
+        press = Press("a", "ball", way, np.arange(4.0), measured, None)
+        found = why_not_identified(
+            problem_of("friction"),
+            ["friction"],
+            [Observation(press, sphere(0.004))],
+            skin,
+            losses=(POINTS,),
+            topics=Topics(),
+        )
+        assert words in found["friction"]
 
 
 def test_quadratics_about_different_points_combine_as_about_one() -> None:

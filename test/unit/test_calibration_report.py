@@ -6,11 +6,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from calibration_result import calibration
 
-from dotsim_ros.calibration.report import figures, page_of, write_report
+from dotsim_ros.calibration.report import figures, page_of, summary_lines, write_report
 from dotsim_ros.page import as_markdown, images_of
 
 
@@ -20,6 +23,22 @@ def test_the_page_needs_nothing_beside_it(tmp_path: Path) -> None:
     assert text.count("<img ") == text.count('src="data:image/png;base64,') == 5
     assert "http" not in text
     assert json.loads((tmp_path / "report.json").read_text())["seed"] == 3
+
+
+@pytest.mark.fault("calibrate", "a force in another unit")
+@pytest.mark.parametrize(("unit", "newtons"), [("grams", 9.80665e-3), ("millinewtons", 1e-3)])
+def test_a_force_in_another_unit_is_said_where_the_modulus_is_far_off(
+    unit: str, newtons: float, answered: Callable[..., None]
+) -> None:
+    found = calibration()
+    start_pa = found.problem.start.youngs_modulus_pa
+    # Of a gel that is a tenth stiffer than its file says.
+    recorded_pa = 1.1 * start_pa / newtons
+    values = replace(found.values, youngs_modulus_pa=recorded_pa)
+    said = [line for line in summary_lines(replace(found, values=values)) if "times that" in line]
+    assert f"were it in {unit}, E is {1.1 * start_pa:.3g} Pa" in said[0]
+    answered(said[0], what=f"a force in {unit}")
+    assert not any("times that" in line for line in summary_lines(found))
 
 
 def test_the_page_says_what_the_figures_hold() -> None:

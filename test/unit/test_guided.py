@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -62,7 +63,10 @@ def folder(tmp_path: Path) -> Path:
     return photographs
 
 
-def test_bad_photographs_are_left_out_with_their_reasons(folder: Path) -> None:
+@pytest.mark.fault("calibrate", "a photograph that shows no single ball")
+def test_bad_photographs_are_left_out_with_their_reasons(
+    folder: Path, answered: Callable[..., None]
+) -> None:
     write(folder / "none.png", photograph(shift=2.0))
     write(folder / "two.png", photograph((35.0, 40.0), (120.0, 80.0)))
     write(folder / "edge.png", photograph((8.0, 60.0)))
@@ -82,6 +86,7 @@ def test_bad_photographs_are_left_out_with_their_reasons(folder: Path) -> None:
     assert set(found.left_out) == set(words)
     for name, expected in words.items():
         assert expected in found.left_out[name]
+        answered(found.left_out[name], what=f"the photograph {name}")
 
 
 def test_the_circle_is_where_the_ball_is(folder: Path) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -70,6 +71,7 @@ def test_a_unit_that_the_column_names_is_taken(tmp_path: Path, column: str, scal
     np.testing.assert_allclose([read.depth_m[0], read.force_n[0]], [0.5e-3, 1.6])
 
 
+@pytest.mark.fault("bags and data sets", "a table of force and depth that no gel gives")
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
@@ -84,9 +86,12 @@ def test_a_unit_that_the_column_names_is_taken(tmp_path: Path, column: str, scal
         ("", "no column of depth among none"),
     ],
 )
-def test_a_bad_table_is_refused_with_the_reason(tmp_path: Path, text: str, reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
+def test_a_bad_table_is_refused_with_the_reason(
+    tmp_path: Path, text: str, reason: str, answered: Callable[..., None]
+) -> None:
+    with pytest.raises(ValueError, match=reason) as refused:
         import_gelsight_mini_force(table(tmp_path, text), tmp_path / "set")
+    answered(refused.value, what=f"the table {', '.join(text.split()) or 'of no line'}")
     assert not (tmp_path / "set").exists()
 
 
@@ -128,13 +133,15 @@ def test_a_compression_that_goes_back_is_refused(tmp_path: Path) -> None:
         read_compression_tests(saved(tmp_path, EF30_A1=rows))
 
 
-def test_a_force_behind_its_depth_is_refused() -> None:
+@pytest.mark.fault("bags and data sets", "a force that runs late behind its depth")
+def test_a_force_behind_its_depth_is_refused(answered: Callable[..., None]) -> None:
     time_s = np.linspace(0.0, 2.0, 41)
     depth = 1e-3 * np.sin(0.5 * np.pi * time_s)
     check_in_step("press", time_s, ForceDepth(depth, 1e3 * depth))
     late = np.interp(time_s - 0.3, time_s, 1e3 * depth)
-    with pytest.raises(ValueError, match=r"largest 0.3 s after the depth.*runs late"):
+    with pytest.raises(ValueError, match=r"largest 0.3 s after the depth.*runs late") as refused:
         check_in_step("press", time_s, ForceDepth(depth, late))
+    answered(refused.value)
 
 
 def test_presses_of_a_stage_become_poses_alone(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 
 """Indenters: exact distances, grids, kernels, meshes that must be refused, definitions."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -300,6 +301,25 @@ def test_mesh_in_millimetres_is_refused_with_advice(tmp_path: Path) -> None:
     assert loaded.signed_distance([[0.0, 0.0, 0.002]])[0] == pytest.approx(-0.002, abs=1e-8)
     with pytest.raises(ValueError, match="scaled once too often"):
         load_mesh(tmp_path / "millimetres.stl", 1e-6)
+
+
+@pytest.mark.fault("meshes", "a mesh in another unit")
+@pytest.mark.parametrize(
+    ("unit", "scale", "right"),
+    [
+        ("inches", 0.0254, r"in inches: it is then 8 mm long: scale=0\.0254"),
+        ("millimetres", 0.001, r"in millimetres: it is then 8 mm long: scale=0\.001"),
+    ],
+)
+def test_a_mesh_in_another_unit_is_refused_with_the_size_that_each_unit_gives(
+    tmp_path: Path, unit: str, scale: float, right: str, answered: Callable[..., None]
+) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004 / scale)
+    ball.export(tmp_path / "ball.stl")
+    with pytest.raises(ValueError, match=right) as refused:
+        load_mesh(tmp_path / "ball.stl")
+    answered(refused.value, what=f"a ball of 8 mm in {unit}")
+    assert load_mesh(tmp_path / "ball.stl", scale).bounds_m()[1][2] == pytest.approx(0.004)
 
 
 @pytest.mark.parametrize("content", [b"", b"solid nothing\nendsolid nothing\n", b"\x00\xff" * 90])

@@ -251,6 +251,31 @@ def test_data_set_is_read(tmp_path, trajectory):
         data_set.indenter_mesh("ball")
 
 
+def test_a_mesh_is_looked_for_in_the_data_set_then_beside_it_or_in_the_folder_named(
+    tmp_path: Path, trajectory: Trajectory
+) -> None:
+    data = tmp_path / "mine"
+    _data_set(data, trajectory)
+    meshes = {}
+    for folder in ("mine", "other", "named"):
+        meshes[folder] = tmp_path / folder / "indenters" / "ball.stl"
+        meshes[folder].parent.mkdir(parents=True)
+    data_set = read_data_set(data)
+    for given, places in ((None, ("mine", "named", "other")), (meshes["named"].parent, ("named",))):
+        with pytest.raises(FileNotFoundError, match=r"no mesh ball\.stl .*--indenters") as refused:
+            data_set.indenter_mesh("ball", given)
+        looked = [name for name in meshes if str(meshes[name].parent) in str(refused.value)]
+        assert sorted(looked) == sorted(places)
+    meshes["other"].write_text("beside")
+    assert data_set.indenter_mesh("ball") == meshes["other"]
+    meshes["mine"].write_text("own")
+    assert data_set.indenter_mesh("ball") == meshes["mine"]
+    with pytest.raises(FileNotFoundError, match="holds no indenter"):
+        data_set.indenter_mesh("ball", meshes["named"].parent)
+    meshes["named"].write_text("named")
+    assert data_set.indenter_mesh("ball", meshes["named"].parent) == meshes["named"]
+
+
 @pytest.mark.parametrize(
     ("content", "reason"),
     [

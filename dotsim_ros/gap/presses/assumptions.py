@@ -30,6 +30,9 @@ TOLERANCES = {
 }
 """Effects that are there to a small degree in any unit and setup, or that the model's own error
 looks like: the effect of each, and the step of the difference, in its first parameter."""
+GEL_CONSTANTS = ("E", *STEPS)
+"""Nuisances in the coordinates of the parameters of these names; "thickness" is a share of the
+gel's, not the length that the parameter of this name is."""
 BIASED = ("friction", *TOLERANCES)
 """Nuisances whose means are estimated from presses in which no effect is missing."""
 SHARED, OWN, SINCE = "shared", "own", "since"
@@ -165,9 +168,9 @@ def centred(
 def values_after(
     values: GelValues, nuisances: Sequence[PressNuisance], moved: FloatArray
 ) -> GelValues:
-    """Return the gel with its nuisances moved by (q,) deviations from their means."""
+    """Return the gel with its constants moved by (q,) deviations from their means."""
     for nuisance, deviations in zip(nuisances, moved.tolist(), strict=True):
-        if nuisance.name not in PARAMETERS:
+        if nuisance.name not in GEL_CONSTANTS:
             continue
         parameter = PARAMETERS[nuisance.name]
         at = parameter.to_coordinate(getattr(values, parameter.field))

@@ -18,7 +18,7 @@ from dotsim_ros.effects.simulate import request_of
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict
 from dotsim_ros.gap.presses.answer import SearchAnswer, size_beyond_range, sizes_by_channel
-from dotsim_ros.gap.presses.assumptions import values_after
+from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS, values_after
 from dotsim_ros.gap.presses.certainty import BOOTSTRAPS, close_pairs
 from dotsim_ros.gap.presses.evidence import Case
 from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
@@ -31,6 +31,7 @@ from dotsim_ros.gap.presses.locate import (
     share_closed,
     worst_frame,
 )
+from dotsim_ros.gap.presses.made_up import made_up
 from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.values import GelValues
@@ -98,6 +99,7 @@ def findings_of(
             left_open=left_open,
             beyond=size_beyond_range(search, ranked[0]) if is_unknown and ranked else None,
             place=wording.largest_place(places),
+            made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
         ),
         named=tuple(e.effect.name for e in named),
         alternatives=tuple(e.effect.name for e in answer.alternatives),
@@ -192,7 +194,7 @@ def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate,
         case.columns(), case.column_names(), refitted.nuisance.tolist(), strict=True
     ):
         reach = 1.96 * nuisance.deviation
-        if nuisance.name in PARAMETERS:
+        if nuisance.name in GEL_CONSTANTS:
             parameter = PARAMETERS[nuisance.name]
             at = parameter.to_coordinate(getattr(case.values, parameter.field)) + nuisance.mean
             ends = sorted(parameter.to_value(at + side * reach) for side in (-1.0, 1.0))

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
@@ -14,6 +15,22 @@ from dotsim_ros.measured.measurement import Measurement, protocol_of
 from dotsim_ros.measured.recording import Phase
 
 FEW = 4
+
+
+@dataclass(frozen=True)
+class MadeUp:
+    """That the twin's constants make up for what its file is off by.
+
+    Attributes:
+        gaps: of the channels in which it is off.
+        alone: constants of which each would do, with the stiffness beside it, as well as all
+            together, in words; none where no single one would.
+        protocols: what to record to tell them, by constant.
+    """
+
+    gaps: tuple[ChannelGap, ...]
+    alone: tuple[str, ...]
+    protocols: tuple[str, ...]
 
 
 def data_warnings(
@@ -84,8 +101,9 @@ def sentence(
     beyond: float | None,
     left_open: float | None = None,
     place: str,
+    made_up: MadeUp | None = None,
 ) -> str:
-    """Return the answer in one or two sentences.
+    """Return the answer in a few sentences.
 
     Args:
         verdict: the answer.
@@ -98,14 +116,17 @@ def sentence(
         left_open: share of the held-out trajectories' gap that the nearest closes, where that is
             why it is not named.
         place: where the residual is largest, in words.
+        made_up: where no effect is missing, how the twin's constants make up for a gap.
     """
     if verdict is Verdict.NO_GAP:
+        if made_up is not None:
+            return _made_up_sentence(made_up)
         return "No gap: simulation and measurement agree within noise and discretisation."
     if verdict is Verdict.UNKNOWN:
         text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
         text += f"explains it. It is largest in {place}."
         if nearest is not None:
-            text += f" The nearest is: {_amid(nearest.title)}"
+            text += f" The nearest is: {amid(nearest.title)}"
             first = nearest.parameters[0]
             unit = f" {first.unit}" if first.unit else ""
             if beyond is not None:
@@ -135,6 +156,27 @@ def sentence(
     return text
 
 
+def _made_up_sentence(found: MadeUp) -> str:
+    """Return that no effect is missing, but the twin's file does not fit."""
+    off = ", ".join(
+        f"{gap.channel} {gap.before:.3g} {gap.unit} ({gap.before / gap.floor:.1f} times the floor)"
+        for gap in found.gaps
+    )
+    text = (
+        "No gap beyond the twin's constants: as its file has them it is off, RMS "
+        f"{off}, and other values within their priors make up for it."
+    )
+    if len(found.alone) == 1:
+        text += f" One alone would: {found.alone[0]}; several together may be as right."
+    elif found.alone:
+        text += f" The data do not tell which; each alone would: {'; '.join(found.alone)}."
+    else:
+        text += " No single one would, and the data do not tell which together."
+    if found.protocols:
+        text += f" To tell, record for {'; for '.join(found.protocols)}."
+    return text
+
+
 def optical_sentence(
     verdict: Verdict,
     named: Sequence[tuple[Effect, Sequence[Estimate]]],
@@ -160,11 +202,11 @@ def optical_sentence(
     if verdict is Verdict.UNKNOWN:
         text = "Images: they differ from the twin's, and no effect of the library explains it."
         if nearest is not None:
-            text += f" The nearest is: {_amid(nearest.title)}"
+            text += f" The nearest is: {amid(nearest.title)}"
             text += "." if beyond is None else f", but the images {_asked(*beyond)}."
         return text
     parts = [
-        f"{_amid(effect.title)} is missing: {', '.join(shown(e) for e in estimates)}"
+        f"{amid(effect.title)} is missing: {', '.join(shown(e) for e in estimates)}"
         for effect, estimates in named
     ]
     text = "Images: " + "; and ".join(parts)
@@ -244,7 +286,7 @@ def image_warnings(noise_sensor: str, noise_source: str, sensor: str, count: int
 
 def not_tried_sentence(effects: Sequence[Effect]) -> str:
     """Return which effects no image was searched for."""
-    return f"Not tried: {', '.join(_amid(effect.title) for effect in effects)}."
+    return f"Not tried: {', '.join(amid(effect.title) for effect in effects)}."
 
 
 def not_tried_warning(effects: Sequence[Effect], least: int, reason: str) -> str:
@@ -276,6 +318,6 @@ def learnt_from_reference(effects: Sequence[Effect], source: str) -> str:
     )
 
 
-def _amid(title: str) -> str:
+def amid(title: str) -> str:
     """Return a title as it stands within a sentence; an abbreviation keeps its capitals."""
     return title if title[1:2].isupper() else title[0].lower() + title[1:]
