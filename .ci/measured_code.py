@@ -57,6 +57,8 @@ class Checkout:
         self.now: Mapping[str, bytes] = FolderSources(root)
         self._blobs: dict[str, bytes] = {}
         self._trees: dict[str, Mapping[str, bytes]] = {}
+        self._known: dict[str, bool] = {}
+        self._digests: dict[tuple[object, str], str] = {}
 
     def has_whole_history(self) -> bool:
         """Return whether every commit below the current one can be read."""
@@ -70,11 +72,30 @@ class Checkout:
 
         Commits that lie about in one clone only do not count.
         """
-        try:
-            self._git("merge-base", "--is-ancestor", commit, "HEAD")
-        except (OSError, subprocess.CalledProcessError):
-            return False
-        return True
+        if commit not in self._known:
+            try:
+                self._git("merge-base", "--is-ancestor", commit, "HEAD")
+                self._known[commit] = True
+            except (OSError, subprocess.CalledProcessError):
+                self._known[commit] = False
+        return self._known[commit]
+
+    def digest_behind(self, command: str, commit: str = "") -> str:
+        """Return a digest of the code that a command runs, its processes included.
+
+        Args:
+            command: as provenance records it.
+            commit: that is known; "" for the working tree, as it was when it was first asked.
+
+        Raises:
+            ValueError: the command is neither a script's nor a verb's.
+            FileNotFoundError: the tree does not hold the code that it runs.
+        """
+        key = (parts_of(command), commit)
+        if key not in self._digests:
+            sources = self.at(commit) if commit else self.now
+            self._digests[key] = digest_of(*files_behind(command, sources))
+        return self._digests[key]
 
     def at(self, commit: str) -> Mapping[str, bytes]:
         """Return the Python files at a commit that is known."""
@@ -107,8 +128,12 @@ class Checkout:
         return subprocess.run(command, input=given, capture_output=True, check=True).stdout
 
 
-def digest_behind(command: str, sources: Mapping[str, bytes]) -> str:
-    """Return a digest of the code that a command runs, its processes included.
+def files_behind(
+    command: str, sources: Mapping[str, bytes]
+) -> tuple[tuple[str, ...], Mapping[str, bytes]]:
+    """Return the files that decide what a command measures, and the tree to read them in.
+
+    Of a verb with subjects the tree holds only what the subject's function uses.
 
     Args:
         command: as provenance records it.
@@ -118,20 +143,7 @@ def digest_behind(command: str, sources: Mapping[str, bytes]) -> str:
         ValueError: the command is neither a script's nor a verb's.
         FileNotFoundError: the tree does not hold the code that it runs.
     """
-    files, sources = files_behind(command, sources)
-    return digest_of(files, sources)
-
-
-def files_behind(
-    command: str, sources: Mapping[str, bytes]
-) -> tuple[tuple[str, ...], Mapping[str, bytes]]:
-    """Return the files that decide what a command measures, and the tree to read them in.
-
-    Of a verb with subjects the tree holds only what the subject's function uses.
-
-    Args, raises: as `digest_behind`.
-    """
-    script, verb, subject = _parts(command)
+    script, verb, subject = parts_of(command)
     if script is not None:
         root = script if script in sources else MOVED.get(script, script)
         name = root
@@ -151,8 +163,12 @@ def files_behind(
     return kept, sources
 
 
-def _parts(command: str) -> tuple[str | None, str, str]:
-    """Return a command's script, or its verb and its subject."""
+def parts_of(command: str) -> tuple[str | None, str, str]:
+    """Return a command's script, or its verb and its subject: all that decides its code.
+
+    Raises:
+        ValueError: the command is neither a script's nor a verb's.
+    """
     words = shlex.split(command)
     if words[:1] == ["python"]:
         words = words[1:]

@@ -40,7 +40,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from measured_code import Checkout, digest_behind
+from measured_code import Checkout
 
 RESULTS = Path("docs/results")
 EXCEPTIONS = "not_reproducible.yaml"
@@ -254,13 +254,13 @@ def _judge(origin: Origin, checkout: Checkout, allowed: Sequence[str]) -> tuple[
             f"measured at {origin.commit}, with uncommitted changes: commit them, measure it anew"
         )
     try:
-        now = digest_behind(origin.command, checkout.now)
+        now = checkout.digest_behind(origin.command)
     except (ValueError, FileNotFoundError) as error:
         return State.REFUSED, f"the code that makes it is not found: {error}"
     if not checkout.is_known(origin.hash):
         return State.UNKNOWN, ""
     try:
-        then = digest_behind(origin.command, checkout.at(origin.hash))
+        then = checkout.digest_behind(origin.command, origin.hash)
     except (ValueError, FileNotFoundError):
         return State.OLDER, ""
     return (State.CURRENT if now == then else State.OLDER), ""

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Gels and worker processes that are made once for all tests."""
+"""Gels, worker processes and parts of gels that are made once for all tests."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 from gel_cases import FRICTIONLESS, YOUNGS_PA, pad_gel, pad_skin
+from shared_work import share
 from warm_workers import WarmWorkers
 
 from dotsim_ros.gel.implicit.gel import ImplicitGel
@@ -44,3 +45,11 @@ def warm_workers() -> Iterator[None]:
         patch.setattr(pool, "open_worker_pool", workers.open_pool)
         yield
     workers.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def shared_work() -> Iterator[None]:
+    """Let all tests share what they make of the same content."""
+    with pytest.MonkeyPatch.context() as patch:
+        share(patch)
+        yield

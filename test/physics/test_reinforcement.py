@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import gymnasium
 import pytest
 import torch
 
+from dotsim_ros.tasks.environments import reinforcement
 from dotsim_ros.tasks.environments.reinforcement import (
     CHECKPOINT,
     FORMAT,
@@ -32,6 +34,14 @@ SMALL = PpoSettings(
     epochs=1,
     mini_batches=1,
 )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_random_moves() -> Iterator[None]:
+    """Scale what is seen by a few moves, where training itself takes no more."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(reinforcement, "RANDOM_MOVES", 8)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,9 @@ from concurrent.futures import Executor, Future
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
+import pytest
+from shared_work import share
+
 from dotsim_ros.worker_pool.processes import open_worker_pool
 
 
@@ -81,7 +84,8 @@ class Borrowed(Executor):
 
 
 def begin() -> None:
-    """Start a worker that nothing is asked of yet."""
+    """Start a worker that nothing is asked of yet, whose tasks share their work as tests do."""
+    share(pytest.MonkeyPatch())
 
 
 def begin_anew(

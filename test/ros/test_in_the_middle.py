@@ -185,7 +185,7 @@ def test_a_image_that_takes_longer_than_a_frame_drops_frames_and_counts_them(
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_a_signal_in_the_middle_of_a_slide_ends_it_with_status_0(count: int) -> None:
-    with sensor() as (node, client):
+    with sensor(grid_spacing_m=0.0048) as (node, client):
         start_sliding(client)
         assert node.interrupt(count) == 0, node.log
         assert "Traceback" not in node.log

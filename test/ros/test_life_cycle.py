@@ -17,7 +17,8 @@ from std_srvs.srv import SetBool, Trigger
 
 NODE = "/tactile_sim"
 PERIOD_S = 0.1
-FRAME = {"rate_hz": 10.0}
+# A coarse gel is made in a tenth of the time.
+FRAME = {"rate_hz": 10.0, "grid_spacing_m": 0.0048}
 
 
 @contextmanager
@@ -159,7 +160,8 @@ def test_a_transition_that_the_state_does_not_have_is_refused_and_the_node_goes_
 
 
 def test_cleaned_up_it_becomes_another_sensor_with_another_clock_and_ends_when_shut_down() -> None:
-    with managed() as (executable, client):
+    # Of each sensor its own grid.
+    with managed(grid_spacing_m=0.0) as (executable, client):
         assert change(client, "configure")
         fixed = client.set_parameters(sensor="flat_pad", clock="lockstep", image_topic="pad/image")
         assert not fixed.successful

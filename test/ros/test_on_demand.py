@@ -27,7 +27,7 @@ def is_rendered(client: Client) -> bool:
 
 @pytest.mark.parametrize("topic", IMAGES)
 def test_frames_are_rendered_once_somebody_reads_a_image_and_not_before(topic: str) -> None:
-    with running(parameters={"diagnostics_period_s": 0.1}):
+    with running(parameters={"diagnostics_period_s": 0.1, "grid_spacing_m": 0.0048}):
         client = Client(topics={"wrench": WrenchStamped, "points": PointCloud2})
         try:
             client.meet()

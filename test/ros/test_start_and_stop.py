@@ -66,7 +66,9 @@ def test_simulated_time_without_a_clock_is_told_and_two_sigints_end_it() -> None
 
 
 def test_a_velocity_is_integrated_and_a_pose_beside_it_refused() -> None:
-    with sensor(diagnostics_period_s=0.1, start_position_m=[0.0, 0.0, APEX_M]) as (_, client):
+    with sensor(
+        diagnostics_period_s=0.1, start_position_m=[0.0, 0.0, APEX_M], grid_spacing_m=0.0048
+    ) as (_, client):
         twists = client.node.create_publisher(TwistStamped, "indenter/twist", 10)
         client.wait(lambda: twists.get_subscription_count() > 0, "the velocity's reader")
 

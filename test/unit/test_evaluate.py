@@ -476,6 +476,8 @@ def test_all_presses_are_fitted_on_and_all_later_ones_judged(
     data_set: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_later(tmp_path / "later")
+    monkeypatch.setattr(taxim, "GENERATIONS", 1)
+    monkeypatch.setattr(geometry, "SAMPLE_COUNT", 128)
     seen: list[list[str]] = []
     fit = taxim.fit
 
@@ -532,8 +534,17 @@ def test_the_explicit_gels_modulus_is_that_of_the_forces(
 ) -> None:
     sensor = SensorSpecification()
     truth = ExplicitModel(sensor, NeoHookean(1.0e5, 0.45), COARSE_SETTINGS)
-    answer = truth.predict(press(), BALL, SKIN)
-    measured = press(skin_position_m=answer.skin_position_m, force_n=answer.force_n)
+    # Down to 1 mm, which is a third of the way.
+    whole = press()
+    shallow = replace(
+        whole,
+        poses=whole.poses[:2],
+        stamp_s=whole.stamp_s[:2],
+        skin_position_m=whole.skin_position_m[:2],
+        force_n=whole.force_n[:2],
+    )
+    answer = truth.predict(shallow, BALL, SKIN)
+    measured = replace(shallow, skin_position_m=answer.skin_position_m, force_n=answer.force_n)
     fits = ExplicitFit(sensor, COARSE_SETTINGS)
     with pytest.raises(ValueError, match="ball_0: no force was measured"):
         fits.fit_with_force([replace(measured, force_n=None)], {"ball": BALL}, SKIN)

@@ -5,8 +5,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -24,7 +27,19 @@ MOST_LINES = 39
 
 
 def run(name: str, *arguments: object) -> str:
-    """Run an example to its end; return what it printed, without the lines of Warp."""
+    """Run an example to its end in this process, which has imported most of what it needs; return
+    what it printed."""
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        # Python looks beside a script first, and gives it its own arguments.
+        patch.syspath_prepend(str(EXAMPLES))
+        patch.setattr(sys, "argv", [str(EXAMPLES / name), *map(str, arguments)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    return printed.getvalue()
+
+
+def start(name: str, *arguments: object) -> str:
+    """Run an example to its end as a process of its own; return what it printed."""
     command = [sys.executable, str(EXAMPLES / name), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
@@ -56,7 +71,7 @@ def test_the_list_names_only_files_that_there_are() -> None:
 
 
 def test_a_press_is_saved(tmp_path: Path) -> None:
-    printed = run("press_and_save.py", tmp_path)
+    printed = start("press_and_save.py", tmp_path)
     force_n = json.loads(re.search(r"ball: (\[.*\]) N", printed)[1])  # type: ignore[index]
     assert 2.5 < force_n[2] < 3.5
     assert cv2.imread(str(tmp_path / "press.png")).shape == (480, 640, 3)
@@ -113,7 +128,7 @@ def test_a_batch_presses_less_the_farther_aside() -> None:
 
 
 def test_a_recorded_unit_is_calibrated(tmp_path: Path) -> None:
-    printed = run("record_and_calibrate.py", tmp_path)
+    printed = start("record_and_calibrate.py", tmp_path)
     assert number_before("Pa", printed) == pytest.approx(2.2e5, rel=0.05)
     fitted = load_sensor(tmp_path / "calibrated.yaml")
     assert fitted.material.youngs_modulus_pa == pytest.approx(2.2e5, rel=0.05)

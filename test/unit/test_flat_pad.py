@@ -181,7 +181,7 @@ def test_each_leds_colour_is_strongest_on_its_side(pad: TactileSensor) -> None:
         # The view ends with the dome, not with the camera's mount.
         "gel: {shape: dome, outer_radius_m: 0.02}\n"
         "camera: {width: 320, height: 240, principal_point_px: [159.5, 119.5], idle_image: ''}\n"
-        "pattern: {rim_angle_deg: 180}",
+        "pattern: {rim_angle_deg: 180, blotch_m: 1.0e-3}",
         "gel: {shape: dome, outer_radius_m: 0.012, core_radius_m: 0.0}\n"
         "camera: {width: 320, height: 240, principal_point_px: [159.5, 119.5], idle_image: '',\n"
         "  position_m: [0, 0, -0.01], half_height_angle_deg: 60}\n"
