@@ -409,13 +409,8 @@ def test_gradient_with_a_refined_contact(
 SHIPPED = load_sensor("densetact2")
 
 
-# What slides is the sphere; edge and cone touch in another way.
-@pytest.mark.parametrize(
-    ("indenter", "path"), [("sphere_4mm", SLIDE[:3]), ("box_edge", PRESS), ("cone", PRESS)]
-)
-def test_gradient_at_the_settings_of_the_shipped_sensor(
-    indenter: str, path: tuple[tuple[float, float, float], ...]
-) -> None:
+@pytest.mark.parametrize("indenter", ["sphere_4mm", "box_edge", "cone"])
+def test_gradient_at_the_settings_of_the_shipped_sensor(indenter: str) -> None:
     """All parameters move at once, each by about its share of the loss: one pair of solutions."""
     material, contact = material_of(SHIPPED.material), SHIPPED.contact
     assert isinstance(material.law, NeoHookean)
@@ -423,7 +418,7 @@ def test_gradient_at_the_settings_of_the_shipped_sensor(
         law=material.law,
         contact=contact,
         indenter=load_indenter(indenter),
-        path=path,
+        path=SLIDE[:3],
         solver=SHIPPED.solver,
         dome_skin_spacing_m=SHIPPED.gel.skin_spacing_m,
     )
