@@ -236,8 +236,9 @@ def _data_set(tmp_path, trajectory):
 
 
 def test_data_set_is_read(tmp_path, trajectory):
-    _data_set(tmp_path, trajectory)
-    data_set = read_data_set(tmp_path)
+    # Meshes are looked for beside a data set, too: not among the folders of other tests.
+    _data_set(tmp_path / "alone", trajectory)
+    data_set = read_data_set(tmp_path / "alone")
     (entry,) = data_set.entries
     assert (entry.name, entry.indenter, entry.frame_count, entry.has_images) == (
         "press",
