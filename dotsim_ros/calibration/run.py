@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import monotonic
 
@@ -165,22 +166,16 @@ def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibrat
             f"{r.data_set.directory} has no skin_mesh.npz, so its points do not correspond to "
             "vertices; use the loss chamfer"
         )
-    observations, omissions = read_observations(
+    read = partial(
+        read_observations,
         r.data_set,
-        r.train,
         skin=skin,
         has_vertices=has_vertices,
         topics=r.topics,
         indenters=r.indenters,
     )
-    judged, unjudged = read_observations(
-        r.data_set,
-        r.held_out,
-        skin=skin,
-        has_vertices=has_vertices,
-        topics=r.topics,
-        indenters=r.indenters,
-    )
+    observations, omissions = read(r.train)
+    judged, unjudged = read(r.held_out)
     omissions += unjudged
     observations = [_with_losses(observation, r.losses) for observation in observations]
     observations = _touching(observations, skin, omissions)
