@@ -33,6 +33,7 @@ from dotsim_ros.gap.presses.inference import (
     log_evidence,
 )
 from dotsim_ros.gap.presses.screening import Screen, best_trial
+from dotsim_ros.gap.resampling import bootstrap_weights
 
 TRAJECTORIES, EACH = 6, 80
 
@@ -167,10 +168,47 @@ def test_segments_screened_together_gain_what_each_gains_alone(
     evidence = evidence_of(random)
     seen = evidence.with_residual(1.3 * random.standard_normal(len(evidence.residual)))
     segments = [segment_of(random, len(seen.residual)) for _ in range(4)]
-    base, gains = Screen(evidence, segments).gains(seen.residual)
+    base, gains, sizes = Screen(evidence, segments).tries(seen.residual)
     assert base == pytest.approx(fit_nuisances(seen).objective)
-    assert gains == pytest.approx([best_trial(seen, [s], base).gain for s in segments])
-    assert Screen(evidence).gains(seen.residual)[0] == base
+    alone = [best_trial(seen, [s], base) for s in segments]
+    assert gains == pytest.approx([trial.gain for trial in alone])
+    assert sizes == pytest.approx([trial.size for trial in alone])
+    assert Screen(evidence).tries(seen.residual)[0] == base
+
+
+def test_a_trajectory_that_counts_twice_is_one_that_is_there_twice(
+    random: np.random.Generator,
+) -> None:
+    evidence = evidence_of(random)
+    column = random.standard_normal(len(evidence.residual))
+    seen = evidence.with_residual(0.3 * column + random.standard_normal(len(column)))
+    places = [0, 1, 1, 3, 4, 5]
+    counts = np.bincount(places, minlength=TRAJECTORIES).astype(float)
+    repeated = fit(seen.of(places), column[seen.rows_of(places), None])
+    counted = fit(seen.counted(counts), column[:, None])
+    assert counted.size == pytest.approx(repeated.size)
+    assert counted.nuisance == pytest.approx(repeated.nuisance)
+    assert counted.objective == pytest.approx(repeated.objective)
+    segment = Segment(segment_of(random, 1).variant, 0.0, 0.0 * column, column, -5.0, 5.0)
+    base, gains, sizes = Screen(seen, [segment]).tries(seen.residual, counts)
+    assert sizes[0] == pytest.approx(repeated.size[0])
+    assert base - gains[0] == pytest.approx(repeated.objective)
+
+
+def test_a_bootstrap_leaves_no_trajectory_out(random: np.random.Generator) -> None:
+    weights = bootstrap_weights(5, 4000, random)
+    assert weights.min() > 0.0
+    assert weights.sum(axis=1) == pytest.approx(np.full(4000, 5.0))
+    # A share of five that is uniform on all of them: (n - 1) / (n + 1) of variance 1.
+    assert weights.mean(axis=0) == pytest.approx(np.ones(5), abs=0.06)
+    assert weights.var(axis=0) == pytest.approx(np.full(5, 4.0 / 6.0), rel=0.15)
+
+
+def test_a_bootstrap_estimates_the_error_of_a_mean() -> None:
+    random = np.random.default_rng(2)
+    values = random.normal(3.0, 2.0, 40)
+    means = bootstrap_weights(40, 4000, random) @ values / 40
+    assert means.std() == pytest.approx(values.std() / np.sqrt(41.0), rel=0.05)
 
 
 def test_the_evidence_of_many_data_is_that_of_the_integral(random: np.random.Generator) -> None:

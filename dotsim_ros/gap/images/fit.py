@@ -17,6 +17,7 @@ is unknown, unless an effect that takes off as much is within its own range.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +42,7 @@ from dotsim_ros.gap.images.search import (
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
+from dotsim_ros.gap.resampling import bootstrap_weights
 
 ROUNDS = 2
 """How often a signature is made anew."""
@@ -98,7 +100,8 @@ class OpticalAnswer:
         explained: share of what could be removed that the best effects take away.
         excess, largest_excess: mean square of the whitened residual without effects, and what
             1 - alpha of data without any effect stay below.
-        stability: share of bootstrap repetitions over trajectories with the same first effect.
+        stability: share of bootstrap repetitions over trajectories whose first effect is the one
+            named, or one of the set.
         estimates: the parameters of each named effect.
         beyond: why the effect that explains most is not named, where it asks for too large a size.
     """
@@ -188,7 +191,9 @@ class ImageSearch:
             if len(named) == 1:
                 alternatives = self._alternatives(measured, scores, named[0])
             verdict = Verdict.SET if alternatives else Verdict.NAMED
-            estimates, stability = self._estimates(measured, named)
+            weights = bootstrap_weights(len(self.shots), BOOTSTRAPS, self._random)
+            estimates = self._estimates(measured, named, weights)
+            stability = self._stability(measured, {named[0].effect.name, *alternatives}, weights)
         else:
             named = []
         return OpticalAnswer(
@@ -342,13 +347,10 @@ class ImageSearch:
         )
 
     def _estimates(
-        self, measured: Sequence[FloatArray], named: Sequence[Fitted]
-    ) -> tuple[dict[str, tuple[Estimate, ...]], float]:
+        self, measured: Sequence[FloatArray], named: Sequence[Fitted], weights: FloatArray
+    ) -> dict[str, tuple[Estimate, ...]]:
         """Return the parameters of named effects with intervals by a bootstrap over trajectories,
-        and the share of its repetitions that rank the first one first."""
-        count = len(self.shots)
-        draws = self._random.integers(count, size=(BOOTSTRAPS, count))
-        weights = np.stack([np.bincount(draw, minlength=count) for draw in draws])
+        (draws, shots) weights."""
         found = {}
         for one in named:
             others = [other for other in named if other is not one]
@@ -368,13 +370,18 @@ class ImageSearch:
                 _estimate(p, one.score.values[p.name], [v[p.name] for v in values], spread)
                 for p in one.effect.parameters
             )
+        return found
+
+    def _stability(
+        self, measured: Sequence[FloatArray], names: AbstractSet[str], weights: FloatArray
+    ) -> float:
+        """Return the share of bootstrap repetitions that rank one of some effects first."""
         products = self.search.products(measured)
-        name = named[0].effect.name
-        same = sum(
-            self.search.score_products(np.tensordot(weight, products, axes=1))[0].name == name
-            for weight in weights[: BOOTSTRAPS // 5]
-        )
-        return found, same / (BOOTSTRAPS // 5)
+        same = [
+            self.search.score_products(np.tensordot(weight, products, axes=1))[0].name in names
+            for weight in weights
+        ]
+        return float(np.mean(same))
 
 
 def mean_squares(

@@ -13,7 +13,6 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.gap.presses.certainty import rows_of
 from dotsim_ros.gap.presses.evidence import Segment, Variant
 from dotsim_ros.gap.presses.inference import (
     Evidence,
@@ -130,9 +129,9 @@ def null_gains(
     gains, patterns = np.zeros(count), np.zeros(count)
     for k in range(count):
         residual = draw_null(evidence, search.random)
-        base, by_segment = effects.gains(residual)
+        base, by_segment, _ = effects.tries(residual)
         gains[k] = by_segment.max()
-        patterns[k] = base - widened.gains(residual)[0]
+        patterns[k] = base - widened.tries(residual)[0]
         search.progress("nulls", k + 1, count)
     return gains, patterns
 
@@ -382,7 +381,7 @@ def _held_out_gain(search: Search, entry: Ranked) -> float:
         whole
         - _evidence_gain(
             search.evidence.of(kept),
-            [rows_of(s, search.evidence.rows_of(kept)) for s in segments],
+            [s.of_rows(search.evidence.rows_of(kept)) for s in segments],
             entry,
         )
         for kept in left_out

@@ -6,22 +6,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.arrays import IntArray
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Pair
 from dotsim_ros.gap.presses.evidence import Segment
 from dotsim_ros.gap.presses.inference import Evidence, fit_nuisances
 from dotsim_ros.gap.presses.isolability import pairs_of
-from dotsim_ros.gap.presses.screening import best_trial
-from dotsim_ros.gap.presses.search_state import Ranked, Search
+from dotsim_ros.gap.presses.screening import Screen
+from dotsim_ros.gap.presses.search_state import BOOTSTRAPS, Ranked, Search
 
-BOOTSTRAPS = 20
-INTERVAL_DRAWS = 100
 CHI_SQUARE = 3.84
 """95 % of one degree of freedom."""
 EXCESS = 2.0
@@ -39,20 +35,20 @@ def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tup
     does not see what all trajectories share, the profile takes the covariances for granted."""
     segments = search.segments(entry.variants)
     change = sum((other.trial.change for other in others), np.zeros(len(search.evidence.residual)))
+    evidence = search.evidence.without(change)
+    screen = Screen(evidence, segments)
     sizes, shapes = [], []
-    for _ in range(INTERVAL_DRAWS):
-        drawn, rows = search.resampled()
-        evidence = drawn.without(change[rows])
-        base = fit_nuisances(evidence).objective
-        trial = best_trial(evidence, [rows_of(s, rows) for s in segments], base)
-        sizes.append(trial.size)
-        shapes.append(list(trial.variant.shape.values()))
+    for counts in search.bootstraps():
+        _, gains, tried = screen.tries(evidence.residual, counts)
+        best = int(np.argmax(gains))
+        sizes.append(tried[best])
+        shapes.append(list(segments[best].variant.shape.values()))
     first = entry.effect.parameters[0]
     size = entry.trial.size
     # True data gain more than simulated ones by such a factor.
     excess = max(EXCESS, search.discrepancy.limit_factors.get(entry.effect.name, EXCESS))
     profiled = profile_ends(
-        search.evidence.without(change),
+        evidence,
         search.segments([entry.trial.variant]),
         size,
         (first.low, first.high),
@@ -115,19 +111,48 @@ def profile_ends(
     return found[0], found[1]
 
 
-def stability_of(search: Search, ranked: Sequence[Ranked], name: str) -> float:
-    """Return the share of bootstrap repetitions over trajectories that find the same effect."""
-    groups = {e.effect.name: search.segments(e.variants) for e in ranked[:SHOWN]}
-    same = 0
-    for _ in range(BOOTSTRAPS):
-        evidence, rows = search.resampled()
-        base = fit_nuisances(evidence).objective
-        gains = {
-            other: best_trial(evidence, [rows_of(s, rows) for s in group], base).gain
-            for other, group in groups.items()
-        }
-        same += max(gains, key=lambda other: gains[other]) == name
-    return same / BOOTSTRAPS
+def stability_of(
+    search: Search,
+    ranked: Sequence[Ranked],
+    named: Sequence[Ranked],
+    alternatives: Sequence[Ranked] = (),
+) -> float:
+    """Return the share of bootstrap repetitions over trajectories that give the same answer.
+
+    The effect that gains most is the one that is named, or one of the set; of two named, each is
+    the one that gains most beside the other.
+
+    Args:
+        search: the case.
+        ranked: the effects.
+        named: one, or two that act together.
+        alternatives: those that are not distinguished from the first.
+    """
+    contest = [*ranked[:SHOWN], *(e for e in named if e.effect.name not in _names(ranked[:SHOWN]))]
+    segments, owners = [], []
+    for entry in contest:
+        for segment in search.segments(entry.variants):
+            segments.append(segment)
+            owners.append(entry.effect.name)
+    same = np.ones(BOOTSTRAPS, dtype=bool)
+    repetitions = search.bootstraps()
+    for entry in named:
+        others = [other for other in named if other is not entry]
+        accepted = {entry.effect.name, *_names(alternatives)}
+        taken = _names(others)
+        evidence = search.evidence
+        for other in others:
+            evidence = evidence.without(other.trial.change)
+        free = [k for k, owner in enumerate(owners) if owner not in taken]
+        screen = Screen(evidence, [segments[k] for k in free])
+        for k, counts in enumerate(repetitions):
+            _, gains, _ = screen.tries(evidence.residual, counts)
+            same[k] &= owners[free[int(np.argmax(gains))]] in accepted
+    return float(same.mean())
+
+
+def _names(entries: Sequence[Ranked]) -> set[str]:
+    return {entry.effect.name for entry in entries}
 
 
 def close_pairs(search: Search, ranked: Sequence[Ranked]) -> tuple[Pair, ...]:
@@ -141,7 +166,3 @@ def close_pairs(search: Search, ranked: Sequence[Ranked]) -> tuple[Pair, ...]:
     return tuple(
         p for p in pairs if p.separation < decision.APART or abs(p.cosine) > decision.ALIKE
     )
-
-
-def rows_of(segment: Segment, rows: IntArray) -> Segment:
-    return replace(segment, offset=segment.offset[rows], column=segment.column[rows])

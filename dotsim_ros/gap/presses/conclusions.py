@@ -19,7 +19,7 @@ from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict
 from dotsim_ros.gap.presses.answer import SearchAnswer, size_beyond_range, sizes_by_channel
 from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS, values_after
-from dotsim_ros.gap.presses.certainty import BOOTSTRAPS, close_pairs
+from dotsim_ros.gap.presses.certainty import close_pairs
 from dotsim_ros.gap.presses.evidence import Case
 from dotsim_ros.gap.presses.inference import Fit, fit_nuisances
 from dotsim_ros.gap.presses.locate import (
@@ -32,7 +32,7 @@ from dotsim_ros.gap.presses.locate import (
     worst_frame,
 )
 from dotsim_ros.gap.presses.made_up import made_up
-from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
+from dotsim_ros.gap.presses.search_state import BOOTSTRAPS, PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.measurement import Measurement

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
 from dotsim_ros.effects.simulate import EffectSolver, request_of
 from dotsim_ros.gap.presses.assumptions import (
@@ -114,6 +114,10 @@ class Segment:
     column: FloatArray
     low: float
     high: float
+
+    def of_rows(self, rows: IntArray) -> Segment:
+        """Return what is left of it on some of the observables."""
+        return replace(self, offset=self.offset[rows], column=self.column[rows])
 
 
 class Case:

@@ -33,18 +33,21 @@ class Evidence:
         residual: (n,) measured minus simulated.
         nuisance: (n, q) what a nuisance does when it moves by one deviation of its prior.
         trajectory: (n,) number of the trajectory of each.
+        counts: (T,) how often each trajectory counts; None for once each.
     """
 
     residual: FloatArray
     nuisance: FloatArray
     trajectory: IntArray
+    counts: FloatArray | None = None
 
     def of(self, trajectories: Sequence[int]) -> Evidence:
         """Return the part of some trajectories, numbered anew in the order given."""
         parts = [np.flatnonzero(self.trajectory == t) for t in trajectories]
         rows = np.concatenate(parts)
         numbers = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        return Evidence(self.residual[rows], self.nuisance[rows], numbers)
+        counts = None if self.counts is None else self.counts[list(trajectories)]
+        return Evidence(self.residual[rows], self.nuisance[rows], numbers, counts)
 
     def rows_of(self, trajectories: Sequence[int]) -> IntArray:
         """Return the rows that `of` takes."""
@@ -62,6 +65,10 @@ class Evidence:
         """Return the same with another residual."""
         return replace(self, residual=residual)
 
+    def counted(self, counts: FloatArray) -> Evidence:
+        """Return the same with each trajectory counted so often, (T,)."""
+        return replace(self, counts=counts)
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -71,7 +78,7 @@ class Fit:
         nuisance: (q,) in deviations of their priors.
         size: (k,) of the columns.
         objective: twice the negative log posterior, up to a constant.
-        weight: (T,) of the trajectories, 1 for one whose error is as expected.
+        weight: (T,) of the trajectories: how often each counts, for one whose error is as expected.
     """
 
     nuisance: FloatArray
@@ -94,7 +101,7 @@ def fit(
     low = np.full(k, -np.inf) if low is None else low
     high = np.full(k, np.inf) if high is None else high
     design = np.concatenate([evidence.nuisance, columns], axis=1)
-    return settle(products(design, evidence.residual, evidence.trajectory), low, high)
+    return settle(products(design, evidence), low, high)
 
 
 @dataclass(frozen=True)
@@ -105,23 +112,26 @@ class Products:
         gram: (T, m, m) D^T D.
         right: (T, m) D^T r.
         square: (T,) r^T r.
-        count: (T,) rows.
+        rows: (T,) of each.
+        counts: (T,) how often each counts.
     """
 
     gram: FloatArray
     right: FloatArray
     square: FloatArray
-    count: FloatArray
+    rows: FloatArray
+    counts: FloatArray
 
 
-def products(design: FloatArray, residual: FloatArray, trajectory: IntArray) -> Products:
-    """Return the products of a design (n, m) and a residual (n,) of trajectories (n,)."""
-    parts = parts_of(trajectory)
+def products(design: FloatArray, evidence: Evidence) -> Products:
+    """Return the products of a design (n, m) and the residual of an evidence."""
+    residual, parts = evidence.residual, parts_of(evidence.trajectory)
     return Products(
         np.stack([design[rows].T @ design[rows] for rows in parts]),
         np.stack([design[rows].T @ residual[rows] for rows in parts]),
         np.array([residual[rows] @ residual[rows] for rows in parts]),
         np.array([float(len(rows)) for rows in parts]),
+        np.ones(len(parts)) if evidence.counts is None else evidence.counts,
     )
 
 
@@ -133,19 +143,21 @@ def parts_of(trajectory: IntArray) -> list[IntArray]:
 def settle(known: Products, low: FloatArray, high: FloatArray) -> Fit:
     """Return the fit of a design whose last columns, as many as there are bounds, are sizes, and
     whose others are nuisances."""
-    trajectories, m = known.right.shape
+    m = known.right.shape[1]
     q = m - len(low)
     prior = np.concatenate([np.ones(q), np.zeros(len(low))])
-    count, doubt = known.count, DOUBT * known.count
+    rows, doubt = known.rows, DOUBT * known.rows
     unknown = np.zeros(m)
-    weight = np.ones(trajectories)
+    weight = known.counts
     last = np.inf
     for _ in range(ROUNDS):
         gram = np.tensordot(weight, known.gram, axes=1) + np.diag(prior)
         unknown = _bounded(gram, weight @ known.right, q, low, high)
         square = _squares(known, unknown)
-        weight = (doubt + count) / (doubt + square)
-        objective = _objective(square, count, doubt, unknown[:q])
+        scale = (doubt + square) / (doubt + rows)
+        weight = known.counts / scale
+        by_trajectory = (doubt + rows) * np.log(scale)
+        objective = float(known.counts @ by_trajectory + unknown[:q] @ unknown[:q])
         if last - objective < SETTLED:
             break
         last = objective
@@ -161,13 +173,6 @@ def _squares(known: Products, unknown: FloatArray) -> FloatArray:
     """Return (T,) the squares that are left."""
     left = known.square - 2.0 * known.right @ unknown + (known.gram @ unknown) @ unknown
     return np.asarray(np.maximum(left, 0.0))
-
-
-def _objective(
-    square: FloatArray, count: FloatArray, doubt: FloatArray, nuisance: FloatArray
-) -> float:
-    scale = (doubt + count) * np.log((doubt + square) / (doubt + count))
-    return float(scale.sum() + nuisance @ nuisance)
 
 
 def _bounded(

@@ -91,17 +91,22 @@ class Screen:
         self._across = np.stack([n.T @ m for n, m in zip(nuisance, moved, strict=True)])
         self._own = np.stack([np.sum(m**2, axis=0) for m in moved])
         self._mixed = np.stack([np.sum(m[:, :count] * m[:, count:], axis=0) for m in moved])
-        self._count = np.array([float(len(rows)) for rows in self._parts])
+        self._rows = np.array([float(len(rows)) for rows in self._parts])
 
     def _by_trajectory(self, rows_of_all: FloatArray) -> list[FloatArray]:
         return [rows_of_all[rows] for rows in self._parts]
 
-    def gains(self, residual: FloatArray) -> tuple[float, FloatArray]:
-        """Return the objective of the nuisances alone, and by how much each segment lowers it.
+    def tries(
+        self, residual: FloatArray, counts: FloatArray | None = None
+    ) -> tuple[float, FloatArray, FloatArray]:
+        """Return the objective of the nuisances alone, by how much each segment lowers it (k,), and
+        the size of its effect there (k,).
 
         Args:
             residual: (n,).
+            counts: (T,) how often each trajectory counts; None for once each.
         """
+        counts = np.ones(len(self._parts)) if counts is None else counts
         parts = self._by_trajectory(residual)
         square = np.array([part @ part for part in parts])
         right, moved = (
@@ -109,9 +114,10 @@ class Screen:
             for of in (self._nuisance, self._moved)
         )
         nothing = np.zeros(0)
-        base = settle(Products(self._gram, right, square, self._count), nothing, nothing).objective
+        alone = Products(self._gram, right, square, self._rows, counts)
+        base = settle(alone, nothing, nothing).objective
         q, count = right.shape[1], len(self._segments)
-        gains = np.zeros(count)
+        gains, sizes = np.zeros((2, count))
         gram = np.empty((len(parts), q + 1, q + 1))
         gram[:, :q, :q] = self._gram
         for k, segment in enumerate(self._segments):
@@ -122,11 +128,13 @@ class Screen:
                 gram,
                 np.column_stack([right - self._across[:, :, count + k], column]),
                 square - 2.0 * moved[:, count + k] + self._own[:, count + k],
-                self._count,
+                self._rows,
+                counts,
             )
             found = settle(known, np.array([segment.low]), np.array([segment.high]))
             gains[k] = base - found.objective
-        return base, gains
+            sizes[k] = segment.begin + found.size[0]
+        return base, gains, sizes
 
 
 def planned_requests(

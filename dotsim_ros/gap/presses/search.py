@@ -183,7 +183,7 @@ def _run(
     for entry in named:
         others = [other for other in named if other is not entry]
         entry.estimates = estimates_of(search, entry, others)
-    stability = stability_of(search, answer.ranked, named[0].effect.name) if named else None
+    stability = stability_of(search, answer.ranked, named, answer.alternatives) if named else None
     return findings_of(
         search, measurement, reference, answer=answer, silent=silent, stability=stability
     )

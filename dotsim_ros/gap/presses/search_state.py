@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
@@ -21,11 +21,13 @@ from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
+from dotsim_ros.gap.resampling import bootstrap_weights
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.worker_pool.pool import Crew
 
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, how much of it is done, and of how much."""
+BOOTSTRAPS = 100
 PATTERN_DEVIATION = 20.0
 """Prior of a pattern, in its percents of the press."""
 
@@ -180,7 +182,6 @@ class Search:
         measured = sum(not t.is_reference for t in self.case.trajectories)
         return self.case.solver.solve_count + variants * measured <= self.request.budget
 
-    def resampled(self) -> tuple[Evidence, IntArray]:
-        """Return the evidence of trajectories drawn with replacement, and which rows it takes."""
-        drawn = self.random.integers(len(self.chosen), size=len(self.chosen)).tolist()
-        return self.evidence.of(drawn), self.evidence.rows_of(drawn)
+    def bootstraps(self) -> FloatArray:
+        """Return (BOOTSTRAPS, T) how often each chosen trajectory counts in each repetition."""
+        return bootstrap_weights(len(self.chosen), BOOTSTRAPS, self.random)

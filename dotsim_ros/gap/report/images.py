@@ -140,7 +140,8 @@ def _items(f: OpticalFindings) -> list[str]:
         )
     if f.stability is not None:
         items.append(
-            f"{percent(f.stability)} of bootstrap repetitions over trajectories give the same name."
+            f"{percent(f.stability)} of bootstrap repetitions over trajectories give the same "
+            "answer."
         )
     return items
 

@@ -115,7 +115,7 @@ def _at_a_glance(f: Findings, warns_first: bool) -> Section | None:
         stable = "" if f.stability >= decision.STABLE_SHARE else ": the name is not stable"
         items.append(
             f"{percent(f.stability)} of bootstrap repetitions over trajectories give the same "
-            f"name{stable}."
+            f"answer{stable}."
         )
     if f.verdict is not Verdict.UNUSABLE:
         against = {

@@ -1,0 +1,22 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The Bayesian bootstrap over trajectories (Rubin 1981).
+
+Drawing with replacement leaves out a given one of n trajectories in (1 - 1/n)^n of the draws, a
+third: a name that rests on the only slide would be called unstable however clear that slide is, and
+its interval would reach to the end of the range. Here each trajectory counts more or less, but
+counts.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dotsim_ros.arrays import FloatArray
+
+
+def bootstrap_weights(count: int, draws: int, random: np.random.Generator) -> FloatArray:
+    """Return (draws, count) how much each of `count` trajectories counts in each draw: uniform on
+    all shares, and 1 on average."""
+    return np.asarray(count * random.dirichlet(np.ones(count), size=draws))
