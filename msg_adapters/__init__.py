@@ -42,7 +42,13 @@ from msg_adapters.rigid import (
     encode_twist_stamped,
     encode_wrench_stamped,
 )
-from msg_adapters.stamps import decode_stamp, encode_header, encode_stamp, message_stamp_ns
+from msg_adapters.stamps import (
+    decode_stamp,
+    encode_header,
+    encode_stamp,
+    message_stamp_ns,
+    serialized_stamp_ns,
+)
 from msg_adapters.types import ROS, BagTypes, Message, MessageTypes, RosTypes, message_class
 from msg_adapters.xarm import RobotState, decode_robot_state, encode_move_velocity
 
@@ -95,4 +101,5 @@ __all__ = [
     "encode_wrench_stamped",
     "message_class",
     "message_stamp_ns",
+    "serialized_stamp_ns",
 ]

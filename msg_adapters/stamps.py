@@ -5,10 +5,15 @@
 
 from __future__ import annotations
 
+import struct
+
 from msg_adapters.types import ROS, Message, MessageTypes
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 MAXIMUM_SECONDS = 2**31 - 1
+
+_CDR_LITTLE_ENDIAN = 1
+_STAMP_END = 12
 
 
 def encode_stamp(stamp_ns: int, *, types: MessageTypes = ROS) -> Message:
@@ -55,3 +60,19 @@ def message_stamp_ns(message: Message) -> int:
         ValueError: as `decode_stamp`.
     """
     return decode_stamp(message.header.stamp)
+
+
+def serialized_stamp_ns(serialized: bytes | memoryview) -> int:
+    """Return the header's stamp of a serialised (CDR) message whose first field is its header.
+
+    Raises:
+        ValueError: the message is too short to hold a header, or the stamp is no time: its seconds
+            are negative, or its nanoseconds a second or more.
+    """
+    if len(serialized) < _STAMP_END:
+        raise ValueError(f"serialised message of {len(serialized)} bytes holds no header")
+    order = "<" if serialized[1] & _CDR_LITTLE_ENDIAN else ">"
+    seconds, nanoseconds = struct.unpack_from(f"{order}iI", serialized, 4)
+    if seconds < 0 or nanoseconds >= NANOSECONDS_PER_SECOND:
+        raise ValueError(f"stamp {seconds} s + {nanoseconds} ns is no time")
+    return int(seconds) * NANOSECONDS_PER_SECOND + int(nanoseconds)

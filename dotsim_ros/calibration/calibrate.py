@@ -21,6 +21,7 @@ from dotsim_ros.calibration.run import (
     Progress,
     run_calibration,
 )
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.files import check_output_file, check_output_folder
 from dotsim_ros.measured.data_set import DataSet, read_data_set
 from dotsim_ros.measured.split import HELD_OUT_COUNT, hold_out_of_protocols
@@ -35,6 +36,7 @@ OFFSET = "offset"
 MOST_JOINT_STEPS = 4
 
 
+@single_threaded()
 def calibrate(
     data: str | Path | DataSet,
     *,

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, EffectError
 from dotsim_ros.effects.library import effect_names, load_effects
 from dotsim_ros.effects.overlay import Overlay
@@ -42,6 +43,7 @@ def channels_of(measured: Path) -> tuple[str, ...]:
     return CHANNELS if all(holds_images(measured)) else MECHANICAL
 
 
+@single_threaded()
 def find_gap(
     measured: str | Path | DataSet,
     *,

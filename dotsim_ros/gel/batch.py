@@ -210,12 +210,8 @@ def _work(
     pipe: Connection, specification: SensorSpecification, indenter: Indenter, count: int
 ) -> None:
     """Solve some environments until the pipe is closed."""
-    from threadpoolctl import threadpool_limits
-
     try:
-        # Each process has a core of its own.
-        with threadpool_limits(1):
-            _serve(pipe, specification, indenter, count)
+        _serve(pipe, specification, indenter, count)
     except (EOFError, BrokenPipeError, KeyboardInterrupt):
         return
 

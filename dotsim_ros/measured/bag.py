@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack
@@ -45,25 +44,6 @@ TYPE_HASH = "topic_type_hash"
 
 _METADATA_BYTES = 2**16
 """Kept free on the disk for metadata.yaml."""
-
-_CDR_LITTLE_ENDIAN = 1
-_STAMP_END = 12
-
-
-def serialized_stamp_ns(serialized: bytes | memoryview) -> int:
-    """Return the header's stamp of a serialised (CDR) message whose first field is its header.
-
-    Raises:
-        ValueError: the message is too short to hold a header, or the stamp is no time: its seconds
-            are negative, or its nanoseconds a second or more.
-    """
-    if len(serialized) < _STAMP_END:
-        raise ValueError(f"serialised message of {len(serialized)} bytes holds no header")
-    order = "<" if serialized[1] & _CDR_LITTLE_ENDIAN else ">"
-    seconds, nanoseconds = struct.unpack_from(f"{order}iI", serialized, 4)
-    if seconds < 0 or nanoseconds >= 1_000_000_000:
-        raise ValueError(f"stamp {seconds} s + {nanoseconds} ns is no time")
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def bag_name(path: str | Path) -> str:

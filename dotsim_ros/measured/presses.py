@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,7 +14,10 @@ from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    # With it come all that bags are read with, which a node that simulates has no use for.
+    from dotsim_ros.measured.trajectory import Trajectory
 
 SAME_DELAY_S = 1e-3
 """Delays that differ by less are one delay of a whole channel."""

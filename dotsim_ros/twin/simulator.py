@@ -15,7 +15,6 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse
 
 from dotsim_ros.arrays import Float32Array, FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
@@ -23,7 +22,7 @@ from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
-from dotsim_ros.gel.implicit.tangent import LocalTangent
+from dotsim_ros.gel.implicit.tangent import inverse_at_rest
 from dotsim_ros.gel.make import body_of, bond_of, material_of
 from dotsim_ros.gel.material import NeoHookean, PronySeries
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
@@ -280,9 +279,7 @@ class GelSimulator:
             coarse = discretize(self._body, rest_m, self._solver.grid_spacing_m)
 
             def compliance() -> Float32Array:
-                no_mass = sparse.csr_matrix((coarse.node_count, coarse.node_count))
-                body = ElasticBody(coarse, law, dtype=np.float32)
-                return LocalTangent(body, no_mass).compliance
+                return inverse_at_rest(ElasticBody(coarse, law, dtype=np.float32))
 
             table = refine(self._body, rest_m, coarse, compliance, law, progress=self._progress)
         self._tables[number] = table

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 import msg_adapters
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.measured.bag import BagMessage, BagReader, serialized_stamp_ns
+from dotsim_ros.measured.bag import BagMessage, BagReader
 from dotsim_ros.measured.mcap.reader import Tolerance
 from dotsim_ros.measured.trajectory import decode_colour
 
@@ -185,7 +185,7 @@ def read_stamps(path: str | Path, topics: ViewTopics) -> Stamps:
 
 def _stamp_ns(message: BagMessage) -> int | None:
     try:
-        return serialized_stamp_ns(message.serialized)
+        return msg_adapters.serialized_stamp_ns(message.serialized)
     except ValueError:
         return None
 

@@ -21,6 +21,8 @@ from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any
 
+from dotsim_ros.cores import keep_single_threaded
+
 
 class Worker(SpawnProcess):
     """A process that the terminal's Ctrl-C does not reach: who started it ends it."""
@@ -43,6 +45,7 @@ class WorkerContext(SpawnContext):
 def _begin(starter: Connection, initialize: Callable[..., None], given: tuple[Any, ...]) -> None:
     threading.Thread(target=_end_with, args=(starter,), daemon=True).start()
     initialize(*given)
+    keep_single_threaded()
 
 
 def _end_with(starter: Connection) -> None:

@@ -20,6 +20,7 @@ from dotsim_ros.gel.implicit.tangent import (
     bordered,
     degrees_of_freedom,
     factor_shifted,
+    inverse_at_rest,
     inverse_of_positive,
     without,
 )
@@ -72,7 +73,7 @@ def test_block_cholesky_of_the_gel(grid: Discretization) -> None:
 def test_local_tangent_is_the_inverse_at_rest(grid: Discretization) -> None:
     mass = grid.mass_over_density * (1070.0 / 1e-3**2)
     single = ElasticBody(grid, LAW, dtype=np.float32)
-    local = LocalTangent(single, mass)
+    local = LocalTangent(single, inverse_at_rest(single, mass))
     rest = np.zeros((grid.node_count, 3))
     double = ElasticBody(grid, LAW).stiffness(rest, 0) + sparse.kron(mass, sparse.eye(3))
     right = np.random.default_rng(3).normal(size=3 * grid.node_count)
@@ -89,7 +90,7 @@ def test_region_step_is_exact_where_the_strain_lies_within() -> None:
     body = Pad((9.6e-3, 9.6e-3, 7.2e-3))
     grid = discretize(body, np.array([[0.0, 0.0, 7.2e-3]]), 2.4e-3)
     single = ElasticBody(grid, LAW, dtype=np.float32)
-    local = LocalTangent(single, grid.mass_over_density * 0.0)
+    local = LocalTangent(single, inverse_at_rest(single))
     field = 0.05 * grid.node_position_m[:, 2:] * np.array([0.5, -0.3, 1.0])
     every = np.arange(grid.node_count, dtype=np.int32)
     region = local.region(single.all_cells, every, 0)

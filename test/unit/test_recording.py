@@ -23,7 +23,6 @@ from dotsim_ros.measured.bag import (
     TYPESTORE,
     BagFile,
     BagReader,
-    serialized_stamp_ns,
     unfinished_path,
 )
 from dotsim_ros.measured.mcap.reader import Tolerance
@@ -286,4 +285,6 @@ def test_existing_path_is_refused(tmp_path):
 
 
 def test_stamp_of_big_endian_message():
-    assert serialized_stamp_ns(b"\0\0\0\0" + b"\0\0\0\2" + b"\0\0\0\3") == 2 * 10**9 + 3
+    assert (
+        msg_adapters.serialized_stamp_ns(b"\0\0\0\0" + b"\0\0\0\2" + b"\0\0\0\3") == 2 * 10**9 + 3
+    )

@@ -119,8 +119,8 @@ def stability_of(
 ) -> float:
     """Return the share of bootstrap repetitions over trajectories that give the same answer.
 
-    The effect that gains most is the one that is named, or one of the set; of two named, each is
-    the one that gains most beside the other.
+    Of the effects past their limits the one that gains most is the one that is named, or one of
+    the set; of two named, each is that beside the other.
 
     Args:
         search: the case.
@@ -129,11 +129,12 @@ def stability_of(
         alternatives: those that are not distinguished from the first.
     """
     contest = [*ranked[:SHOWN], *(e for e in named if e.effect.name not in _names(ranked[:SHOWN]))]
-    segments, owners = [], []
+    segments: list[Segment] = []
+    owners: list[Ranked] = []
     for entry in contest:
         for segment in search.segments(entry.variants):
             segments.append(segment)
-            owners.append(entry.effect.name)
+            owners.append(entry)
     same = np.ones(BOOTSTRAPS, dtype=bool)
     repetitions = search.bootstraps()
     for entry in named:
@@ -143,11 +144,14 @@ def stability_of(
         evidence = search.evidence
         for other in others:
             evidence = evidence.without(other.trial.change)
-        free = [k for k, owner in enumerate(owners) if owner not in taken]
+        free = [k for k, owner in enumerate(owners) if owner.effect.name not in taken]
         screen = Screen(evidence, [segments[k] for k in free])
-        for k, counts in enumerate(repetitions):
+        limits = np.array([owners[k].limit for k in free])
+        for number, counts in enumerate(repetitions):
             _, gains, _ = screen.tries(evidence.residual, counts)
-            same[k] &= owners[free[int(np.argmax(gains))]] in accepted
+            gains[gains <= limits] = 0.0
+            best = int(np.argmax(gains))
+            same[number] &= gains[best] > 0.0 and owners[free[best]].effect.name in accepted
     return float(same.mean())
 
 

@@ -27,6 +27,7 @@ import numpy as np
 import warp as wp
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.gel.adjoint.differentiable_contact import ContactAdjoint
 from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
 from dotsim_ros.gel.adjoint.kernels import adjoint_kernels
@@ -42,6 +43,7 @@ from dotsim_ros.gel.reshape import shape_rates
 from dotsim_ros.geometry.pose import Pose
 
 
+@single_threaded()
 def trajectory_gradient(
     gel: ImplicitGel,
     trajectory: GelTrajectory,

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from dotsim_ros.arrays import FloatArray, IndexArray
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.adjoint.equilibrium import Candidates, fine_part, settle
 from dotsim_ros.gel.implicit.contact import Lag
@@ -108,6 +109,7 @@ class Recorder:
         self.gel = gel
         self.trajectories = [GelTrajectory() for _ in range(gel.environment_count)]
 
+    @single_threaded()
     def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
         """Step the gel as `ImplicitGel.step` does.
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
-from dotsim_ros.gel.implicit.tangent import LocalTangent
+from dotsim_ros.gel.implicit.tangent import inverse_at_rest
 from dotsim_ros.gel.material import NeoHookean, small_strain_moduli_pa
 
 POISSON_STEP = 0.05
@@ -53,7 +53,7 @@ def _refinement(
         gel.shape,
         gel.skin.rest_position_m,
         coarse,
-        lambda: LocalTangent(body, gel._mass * 0.0).compliance,
+        lambda: inverse_at_rest(body),
         law,
         progress=progress,
     )

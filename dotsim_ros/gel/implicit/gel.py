@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from dotsim_ros.arrays import FloatArray, IndexArray
+from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.bond import LooseBond, lost_stiffness
 from dotsim_ros.gel.discretization import discretize
@@ -47,7 +48,13 @@ from dotsim_ros.gel.implicit.newton import (
 from dotsim_ros.gel.implicit.patch import NearMarkers, Patch, make_patch
 from dotsim_ros.gel.implicit.refinement import Refinement, refine
 from dotsim_ros.gel.implicit.relaxation import Relaxation
-from dotsim_ros.gel.implicit.tangent import ExactTangent, GridRegion, LocalTangent
+from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
+from dotsim_ros.gel.implicit.tangent import (
+    ExactTangent,
+    GridRegion,
+    LocalTangent,
+    inverse_at_rest,
+)
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
 from dotsim_ros.gel.material import Material, PronySeries
 from dotsim_ros.geometry.indenter import Indenter, way_m
@@ -204,6 +211,7 @@ class ImplicitGel:
         trace: how the last step's search went.
     """
 
+    @single_threaded()
     def __init__(
         self,
         shape: Body,
@@ -247,16 +255,21 @@ class ImplicitGel:
         local: LocalTangent | None = None
         self.refinement: Refinement | None = None
         if not exact or solver.refined:
-            at_rest = LocalTangent(self._single, self._mass * 0.0)
+            # Trial gels of a calibration, many and each used for little, are not refined here.
+            compliance = (
+                kept_compliance(shape, skin.rest_position_m, self._single, material.law)
+                if solver.refined and bond is None
+                else inverse_at_rest(self._single)
+            )
             if not exact:
-                local = at_rest
+                local = LocalTangent(self._single, compliance)
             if solver.refined:
                 self.refinement = refine(
                     shape,
                     skin.rest_position_m,
                     d,
                     # What a finer grid adds near the contact is that of a bonded gel.
-                    lambda: (at_rest if bond is None else self._bonded_at_rest()).compliance,
+                    lambda: compliance if bond is None else self._bonded_at_rest(),
                     material.law,
                     progress=progress,
                 )
@@ -286,11 +299,11 @@ class ImplicitGel:
         self._inner_point_m = inner_point_m
         self.reset()
 
-    def _bonded_at_rest(self) -> LocalTangent:
+    def _bonded_at_rest(self) -> Float32Array:
         bonded = ElasticBody(
             self.discretization, self.material.law, dtype=np.float32, device=self.device
         )
-        return LocalTangent(bonded, self._mass * 0.0)
+        return inverse_at_rest(bonded)
 
     def set_relaxation(self, relaxation: PronySeries) -> None:
         """Replace the gel's relaxation and return to rest."""
@@ -335,6 +348,7 @@ class ImplicitGel:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
         return [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
 
+    @single_threaded()
     def follow(self, paths: Sequence[Sequence[Pose | None]], dt_s: float) -> list[GelState]:
         """Move along paths that `plan` has found for the same duration."""
         return [self._step_world(e, path, dt_s) for e, path in enumerate(paths)]
@@ -446,6 +460,7 @@ class ImplicitGel:
             return np.inf
         return float(self.contact.indenter.signed_distance(local[near]).min())
 
+    @single_threaded()
     def wrench_stiffness(self, environment: int) -> FloatArray:
         """Return minus the derivative (6, 6) of the wrench on the indenter by its twist, both about
         the base frame's origin, while the gel answers linearly: zero without contact."""
@@ -540,7 +555,8 @@ class ImplicitGel:
         local = None
         if not self.exact:
             self._set_relaxation(Relaxation(self.material.prony), dt_s, environment)
-            local = LocalTangent(self._single, stiffness, environment)
+            inverse = inverse_at_rest(self._single, stiffness, environment)
+            local = LocalTangent(self._single, inverse)
         self._tangents[dt_s] = Tangents(ExactTangent(self._single, stiffness), local)
 
     def _prepare_contact(self, world: World, pose: Pose, trace: Trace) -> None:

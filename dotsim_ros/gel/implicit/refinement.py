@@ -11,7 +11,7 @@ pairs of nodes near each other, and cached on disk; it scales as 1/E.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -186,30 +186,7 @@ def refine(
         fine = discretize(body, skin_position_m, coarse.spacing_m / 2.0)
         table = _compute(body, fine, coarse, coarse_compliance() * youngs, law, progress)
         _store(path, table)
-    row = np.repeat(np.arange(len(table.node_position_m)), np.diff(table.indptr))
-    distance = np.linalg.norm(
-        table.node_position_m[row] - table.node_position_m[table.index], axis=1
-    )
-    block = table.block * np.exp(-((distance / TAPER_M) ** 2))[:, None, None]
-    return Refinement(
-        table.skin_weight, table.indptr, table.index, (block / youngs).astype(np.float32)
-    )
-
-
-@dataclass(frozen=True)
-class _Table:
-    """What is kept on disk: dG for E = 1 Pa without its taper.
-
-    Attributes:
-        skin_weight, indptr, index, block: as in `Refinement`.
-        node_position_m: (F, 3) rest positions of the fine nodes.
-    """
-
-    skin_weight: sparse.csr_matrix
-    indptr: IndexArray
-    index: IndexArray
-    block: Float32Array
-    node_position_m: FloatArray
+    return replace(table, block=table.block / np.float32(youngs))
 
 
 def _compute(
@@ -219,7 +196,8 @@ def _compute(
     coarse_compliance: Float32Array,
     law: ElasticLaw,
     progress: Callable[[float], None] | None,
-) -> _Table:
+) -> Refinement:
+    """Return dG for E = 1 Pa, which is what is kept on disk."""
     weight = fine.skin_interpolation.matrix(fine.node_count)
     supporting = images_of_cells(fine.node_cell[np.unique(weight.indices)], body).reshape(-1, 3)
     wanted = {tuple(c) for c in supporting.tolist()}
@@ -270,56 +248,52 @@ def _compute(
         if progress is not None:
             progress(min(1.0, (first + batch) / len(leaders)))
     indptr = np.concatenate([[0], np.cumsum([len(n) for n in neighbours])]).astype(np.int32)
-    return _Table(
-        weight[:, nodes],
-        indptr,
-        np.concatenate(neighbours),
-        np.concatenate(blocks),
-        fine.node_position_m[nodes],
-    )
+    index, node_m = np.concatenate(neighbours), fine.node_position_m[nodes]
+    row = np.repeat(np.arange(len(nodes)), np.diff(indptr))
+    distance = np.linalg.norm(node_m[row] - node_m[index], axis=1)
+    block = np.concatenate(blocks) * np.exp(-((distance / TAPER_M) ** 2))[:, None, None]
+    return Refinement(weight[:, nodes], indptr, index, block.astype(np.float32))
 
 
 _FORMS = {
     "indptr": ArrayForm((None,), "whole number"),
     "index": ArrayForm((None,), "whole number"),
     "block": ArrayForm((None, 3, 3)),
-    "node_position_m": ArrayForm((None, 3)),
     "weight": ArrayForm((None,)),
     "weight_index": ArrayForm((None,), "whole number"),
     "weight_indptr": ArrayForm((None,), "whole number"),
 }
 
 
-def _load(path: Path) -> _Table | None:
+def _load(path: Path) -> Refinement | None:
     stored = load_arrays(path, _FORMS)
     if stored is None:
         return None
-    position = stored["node_position_m"]
+    count = len(stored["indptr"]) - 1
     try:
         weight = sparse.csr_matrix(
             (stored["weight"], stored["weight_index"], stored["weight_indptr"]),
-            shape=(len(stored["weight_indptr"]) - 1, len(position)),
+            shape=(len(stored["weight_indptr"]) - 1, count),
         )
         weight.check_format()
         # The same rules hold for the rows of dG.
         sparse.csr_matrix(
             (np.arange(len(stored["index"])), stored["index"], stored["indptr"]),
-            shape=(len(position), len(position)),
+            shape=(count, count),
         ).check_format()
     except ValueError as error:
         tell_broken(path, error)
         return None
-    return _Table(weight, stored["indptr"], stored["index"], stored["block"], position)
+    return Refinement(weight, stored["indptr"], stored["index"], stored["block"])
 
 
-def _store(path: Path, table: _Table) -> None:
+def _store(path: Path, table: Refinement) -> None:
     store_arrays(
         path,
         {
             "indptr": table.indptr,
             "index": table.index,
             "block": table.block,
-            "node_position_m": table.node_position_m,
             "weight": table.skin_weight.data,
             "weight_index": table.skin_weight.indices,
             "weight_indptr": table.skin_weight.indptr,

@@ -240,23 +240,35 @@ class LocalFactor:
         return result
 
 
-class LocalTangent:
-    """The fast solve, in single precision (its error is one of the step, not of the solution).
+def inverse_at_rest(
+    body: ElasticBody, extra: sparse.csr_matrix | None = None, environment: int = 0
+) -> Float32Array:
+    """Return the (3 N, 3 N) inverse of a body's stiffness at rest, m/N.
 
     Args:
         body: the elastic body in single precision.
         extra: (N, N) further stiffness of every direction, such as mass over the squared step.
         environment: the one whose material it is.
     """
+    rest = np.zeros((body.discretization.node_count, 3), dtype=np.float32)
+    stiffness = body.stiffness(rest, environment)
+    if extra is not None:
+        stiffness = stiffness + sparse.kron(extra, sparse.eye(3))
+    return inverse_of_positive(np.asfortranarray(stiffness.toarray().astype(np.float32)))
 
-    def __init__(self, body: ElasticBody, extra: sparse.csr_matrix, environment: int = 0) -> None:
-        self.body = body
+
+class LocalTangent:
+    """The fast solve, in single precision (its error is one of the step, not of the solution).
+
+    Args:
+        body: the elastic body in single precision.
+        compliance: (3 N, 3 N) its inverse at rest, as `inverse_at_rest` returns it.
+    """
+
+    def __init__(self, body: ElasticBody, compliance: Float32Array) -> None:
+        self.body, self.compliance = body, compliance
         discretization = body.discretization
         self.rest = np.zeros((discretization.node_count, 3), dtype=np.float32)
-        stiffness = body.stiffness(self.rest, environment) + sparse.kron(extra, sparse.eye(3))
-        self.compliance = inverse_of_positive(
-            np.asfortranarray(stiffness.toarray().astype(np.float32))
-        )
         self.cell_centre_m = discretization.node_position_m[body.cells.node].mean(axis=1)
         self._mean_gradient = _mean_gradient(body)
 

@@ -18,6 +18,7 @@ from numpy.linalg import LinAlgError
 from scipy import linalg, sparse
 
 from dotsim_ros.arrays import FloatArray, IndexArray
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.contact import REFERENCE_SPACING_M
@@ -134,6 +135,7 @@ class GelAndLayer:
         self._gel_stiffness = _Stiffness(gel)
         self._layer: SoftLayer | None = None
 
+    @single_threaded()
     def put(self, layer: SoftLayer) -> PairState:
         """Take a layer, and return both at rest, apart."""
         self._layer = layer
@@ -150,6 +152,7 @@ class GelAndLayer:
             self.skin.rest_position_m.copy(),
         )
 
+    @single_threaded()
     def press(self, start: PairState, pose: Pose) -> PairState:
         """Return the equilibrium with the layer's frame at a pose, from a state close to it.
 

@@ -27,9 +27,9 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.logging import get_logger
 from rclpy.node import Node
 from rclpy.time import Time
-from threadpoolctl import threadpool_limits
 
 import msg_adapters
+from dotsim_ros.cores import keep_single_threaded
 from dotsim_ros.nodes.common.arguments import check_start, with_found_files
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.pace import FramePace
@@ -86,9 +86,7 @@ class WorkingNode(GuardedNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        # Threads of linear algebra wait for each other in a loop: beside other processes that made
-        # the gel ten times slower. And another number of them makes sums in another order.
-        threadpool_limits(limits=1)
+        keep_single_threaded()
         self.stopping = Event()
         is_simulated = bool(self.get_parameter("use_sim_time").value)
         self.is_stepped = bool(self.declare_parameter("stepped", False, STEPPED).value)

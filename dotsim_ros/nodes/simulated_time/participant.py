@@ -16,7 +16,6 @@ from typing import Any, Protocol
 from rclpy.node import Node
 from std_msgs.msg import String
 
-from dotsim_ros.measured.bag import serialized_stamp_ns
 from dotsim_ros.nodes.simulated_time.protocol import (
     ANSWER_TOPIC,
     PROTOCOL_QOS,
@@ -28,6 +27,7 @@ from dotsim_ros.nodes.simulated_time.protocol import (
     decode_step,
     encode_answer,
 )
+from msg_adapters import serialized_stamp_ns
 
 Hear = Callable[[], None]
 

@@ -12,7 +12,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from dotsim_ros.measured.bag import BagFile, serialized_stamp_ns
+from dotsim_ros.measured.bag import BagFile
+from msg_adapters import serialized_stamp_ns
 
 FLUSH_PERIOD_S = 0.5
 """No message waits longer than this in memory, unless the disk does not keep up."""

@@ -1,0 +1,107 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Linear algebra on one thread while the gel is solved, and as before afterwards."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+
+import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from dotsim_ros import Pose, TactileSensor
+from dotsim_ros.cores import available_core_count, single_threaded
+from dotsim_ros.gel.implicit.gel import World
+from dotsim_ros.gel.implicit.newton import Point
+from dotsim_ros.gel.make import SingleImplicitGel
+
+pytestmark = pytest.mark.skipif(
+    os.cpu_count() == 1, reason="a single core has one thread, whatever is asked for"
+)
+
+
+def threads() -> set[int]:
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+
+
+@pytest.fixture
+def _two_threads() -> Iterator[None]:
+    # Tests run with one, which would show nothing.
+    with threadpool_limits(limits=2, user_api="blas"):
+        assert threads() == {2}
+        yield
+
+
+@pytest.mark.usefixtures("_two_threads")
+def test_the_gel_is_solved_on_one_thread_and_the_number_of_before_comes_back() -> None:
+    sensor = TactileSensor.load("flat_pad", indenter="sphere_4mm")
+    assert threads() == {2}
+    seen = []
+    gel = sensor._gel
+    assert isinstance(gel, SingleImplicitGel)
+
+    def observe(_world: World, _pose: Pose | None, point: Point, *_: object) -> Point:
+        seen.append(threads())
+        return point
+
+    gel.gel.observer = observe
+    sensor.press(Pose.above_apex(depth_m=0.0005))
+    assert seen
+    assert all(one == {1} for one in seen)
+    assert threads() == {2}
+
+
+@pytest.mark.usefixtures("_two_threads")
+def test_blocks_of_several_threads_may_overlap() -> None:
+    begun, end = threading.Event(), threading.Event()
+
+    @single_threaded()
+    def work() -> None:
+        begun.set()
+        end.wait(10.0)
+
+    other = threading.Thread(target=work)
+    with single_threaded():
+        other.start()
+        assert begun.wait(10.0)
+    # The other one is within its block.
+    assert threads() == {1}
+    end.set()
+    other.join(10.0)
+    assert threads() == {2}
+
+
+@pytest.mark.usefixtures("_two_threads")
+def test_a_block_that_fails_gives_the_threads_back() -> None:
+    with pytest.raises(ValueError, match="wrong"), single_threaded():
+        raise ValueError("wrong")
+    assert threads() == {2}
+
+
+@pytest.mark.skipif(available_core_count() < 2, reason="one core has one thread anyway")
+def test_a_command_and_what_it_starts_have_one_thread() -> None:
+    program = (
+        "from dotsim_ros.cli import calibrate, main\n"
+        "def run(_):\n"
+        "    import numpy, scipy.linalg, subprocess, sys\n"
+        "    from threadpoolctl import threadpool_info\n"
+        "    print([one['num_threads'] for one in threadpool_info()])\n"
+        "    inner = 'import numpy; from threadpoolctl import threadpool_info as i; "
+        'print([one["num_threads"] for one in i()])\'\n'
+        "    subprocess.run([sys.executable, '-c', inner], check=True)\n"
+        "    return 0\n"
+        "calibrate.run = run\n"
+        "main.main(['calibrate', '--data', 'd', '--out', 'o.yaml'])\n"
+    )
+    unset = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=unset, check=True
+    )
+    own, started = done.stdout.splitlines()
+    assert set(own) - set("[], ") == {"1"}
+    assert set(started) - set("[], ") == {"1"}
