@@ -14,6 +14,7 @@ import pytest
 
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.gap import decision
 from dotsim_ros.gap.decision import EXPLAINED
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.answer import (
@@ -25,6 +26,7 @@ from dotsim_ros.gap.presses.answer import (
     sizes_by_channel,
 )
 from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance
+from dotsim_ros.gap.presses.certainty import stability_of
 from dotsim_ros.gap.presses.conclusions import leaves_open
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whitening
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
@@ -252,3 +254,45 @@ def test_the_parts_of_a_change_in_each_channel_add_up_to_it(
     in_force = np.tile(OF_FORCE, FRAMES * len(chosen))
     assert not columns[in_force, 0].any()
     assert not columns[~in_force, 1].any()
+
+
+def test_a_name_is_stable_where_every_trajectory_shows_it_and_not_where_one_does(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    everywhere = answered(search_of(change, 0.8, 0.8, random), change)
+    assert everywhere.stability == 1.0
+    # One trajectory of six shows it, however clearly: where that counts little it is not seen.
+    search = search_of(change, 0.0, 0.0, random)
+    shown = [one if k == 0 else np.zeros_like(one) for k, one in enumerate(change)]
+    observed = [0.5 * one + random.standard_normal(SHAPE) for one in shown]
+    search = replace(search, case=case_of(observed, random))
+    ranked = screen(search, [variant_of(shown)])
+    (entry,) = ranked
+    # So far above its limit that only a small weight keeps it below.
+    entry.limit = 0.3 * entry.trial.gain
+    assert 0.5 < stability_of(search, ranked, [entry]) < 0.98
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.5, {"early", "late"}), (0.8, {"early"})])
+def test_two_effects_are_named_where_enough_repetitions_ask_for_both(
+    change: list[np.ndarray],
+    random: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    share: float,
+    expected: set[str],
+) -> None:
+    # The second effect shows along one trajectory of six: in two thirds of the repetitions.
+    other = [np.zeros(SHAPE) for _ in range(TRAJECTORIES)]
+    other[3] = DEVIATION * random.standard_normal(SHAPE)
+    early = replace(EFFECT, name="early")
+    observed = [
+        0.25 * first + 0.65 * second + random.standard_normal(SHAPE)
+        for first, second in zip(change, other, strict=True)
+    ]
+    case = case_of(observed, random)
+    case.library = {"late": EFFECT, "early": early}
+    search = replace(search_of(change, 0.0, 0.0, random), case=case)
+    ranked = screen(search, [variant_of(change), variant_of(other, early)])
+    monkeypatch.setattr(decision, "LIKELY", share)
+    answer = answer_of(search, ranked, *null_gains(search, ranked, NULLS))
+    assert {entry.effect.name for entry in answer.named} == expected

@@ -13,6 +13,7 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Verdict
+from dotsim_ros.gap.presses.certainty import stability_of
 from dotsim_ros.gap.presses.evidence import Segment, Variant
 from dotsim_ros.gap.presses.inference import (
     Evidence,
@@ -42,6 +43,8 @@ class SearchAnswer:
         ranked: every effect that was tried, the best first.
         statistic, threshold, p_value: gain and limit of the effect that is named, or comes
             nearest to it.
+        stability: share of bootstrap repetitions over trajectories that give the same answer; None
+            if nothing is named.
     """
 
     verdict: Verdict
@@ -51,6 +54,7 @@ class SearchAnswer:
     statistic: float
     threshold: float
     p_value: float
+    stability: float | None
 
 
 def set_limits(search: Search, ranked: Sequence[Ranked], gains: FloatArray) -> float:
@@ -98,11 +102,12 @@ def answer_of(
     alternatives: list[Ranked] = []
     if is_effect or pattern_gain(search) > pattern_threshold:
         verdict, named, alternatives = _decide(search, ranked)
+    stability = stability_of(search, ranked, named, alternatives) if named else None
     first = max(named or ranked, key=lambda entry: entry.trial.gain / entry.limit)
     scale = first.limit / threshold
     p_value = float(np.mean(scale * gains >= first.trial.gain))
     return SearchAnswer(
-        verdict, named, alternatives, ranked, first.trial.gain, first.limit, p_value
+        verdict, named, alternatives, ranked, first.trial.gain, first.limit, p_value, stability
     )
 
 
@@ -218,7 +223,8 @@ def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked]
         return Verdict.UNKNOWN, [], []
     best = able[0]
     pair = _pair(search, ranked)
-    if pair is not None:
+    # Two that most repetitions do not ask for are one, and what its law is off by.
+    if pair is not None and stability_of(search, ranked, pair) >= decision.LIKELY:
         further = _gain(search, pair) - _gain(search, [best])
         if further > decision.FURTHER * _left(search, [best]):
             is_implausible = any(

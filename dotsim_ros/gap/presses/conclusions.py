@@ -46,7 +46,6 @@ def findings_of(
     *,
     answer: SearchAnswer,
     silent: Sequence[str],
-    stability: float | None,
 ) -> tuple[Findings, Overlay | None]:
     case, request = search.case, search.request
     measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
@@ -60,10 +59,13 @@ def findings_of(
             search.warnings.append("the held-out trajectories show no gap that could be closed")
         elif search.held_out and leaves_open(closed):
             # What explains the searched trajectories alone is no explanation.
-            left_open, closed, stability = closed.share, None, None
-            answer = replace(answer, verdict=Verdict.UNKNOWN, named=[], alternatives=[])
+            left_open, closed = closed.share, None
+            answer = replace(
+                answer, verdict=Verdict.UNKNOWN, named=[], alternatives=[], stability=None
+            )
             residuals, refitted = _with_effects(search, [])
     named, ranked, verdict = answer.named, answer.ranked, answer.verdict
+    stability = answer.stability
     if stability is not None and stability < decision.STABLE_SHARE:
         search.warnings.append(
             f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "

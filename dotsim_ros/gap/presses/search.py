@@ -22,7 +22,7 @@ from dotsim_ros.gap.presses.assumptions import (
     centred,
     nuisance_requests,
 )
-from dotsim_ros.gap.presses.certainty import estimates_of, stability_of
+from dotsim_ros.gap.presses.certainty import estimates_of
 from dotsim_ros.gap.presses.conclusions import findings_of
 from dotsim_ros.gap.presses.covariance import ChannelNoise, load_discrepancy, noise_from_idle
 from dotsim_ros.gap.presses.evidence import Case, Variant, make_trajectories
@@ -183,10 +183,7 @@ def _run(
     for entry in named:
         others = [other for other in named if other is not entry]
         entry.estimates = estimates_of(search, entry, others)
-    stability = stability_of(search, answer.ranked, named, answer.alternatives) if named else None
-    return findings_of(
-        search, measurement, reference, answer=answer, silent=silent, stability=stability
-    )
+    return findings_of(search, measurement, reference, answer=answer, silent=silent)
 
 
 def simulate_effects(
