@@ -177,8 +177,8 @@ class OpticalFindings:
         gap: of the tiles' colours on the held-out trajectories, in grey levels.
         share_closed, share_closed_low, share_closed_high: of the gap of all observables of tiles,
             in expected deviations, with its interval; None if nothing was added.
-        stability: share of bootstrap repetitions that gave the same name, or one of the set; None
-            if nothing was named.
+        stability: share of bootstrap repetitions that gave the same name, or one of the set; of
+            what too few of them gave to be named, too; None where nothing came so near.
         tiles: where in the image the gap is.
         warnings: what cannot be concluded, and why.
         trajectories, locked: names used for the search, and held out.

@@ -296,3 +296,32 @@ def test_two_effects_are_named_where_enough_repetitions_ask_for_both(
     monkeypatch.setattr(decision, "LIKELY", share)
     answer = answer_of(search, ranked, *null_gains(search, ranked, NULLS))
     assert {entry.effect.name for entry in answer.named} == expected
+
+
+def test_what_too_few_repetitions_ask_for_is_told_as_undecided(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    # One trajectory of six shows it, hardly enough.
+    shown = [one if k == 3 else np.zeros(SHAPE) for k, one in enumerate(change)]
+    observed = [0.45 * one + random.standard_normal(SHAPE) for one in shown]
+    search = replace(search_of(change, 0.0, 0.0, random), case=case_of(observed, random))
+    answer = answered(search, shown)
+    assert answer.statistic > answer.threshold
+    assert answer.stability is not None
+    assert answer.stability < decision.LIKELY
+    assert (answer.verdict, answer.named) == (Verdict.UNKNOWN, [])
+    assert [entry.effect.name for entry in answer.doubted] == ["late"]
+    text = sentence(
+        answer.verdict,
+        [],
+        [],
+        [],
+        nearest=EFFECT,
+        sizes=None,
+        beyond=None,
+        doubted=[entry.effect for entry in answer.doubted],
+        stability=answer.stability,
+        place="the rim",
+    )
+    assert text.startswith("Not decided")
+    assert f"late. Only {answer.stability:.0%} of bootstrap repetitions" in text

@@ -41,16 +41,18 @@ class SearchAnswer:
         verdict: the answer.
         named, alternatives: effects.
         ranked: every effect that was tried, the best first.
+        doubted: effects that would be named if more of the repetitions asked for them.
         statistic, threshold, p_value: gain and limit of the effect that is named, or comes
             nearest to it.
-        stability: share of bootstrap repetitions over trajectories that give the same answer; None
-            if nothing is named.
+        stability: share of bootstrap repetitions over trajectories that give the same answer, of
+            effects that are doubted, too; None without either.
     """
 
     verdict: Verdict
     named: list[Ranked]
     alternatives: list[Ranked]
     ranked: list[Ranked]
+    doubted: list[Ranked]
     statistic: float
     threshold: float
     p_value: float
@@ -104,10 +106,21 @@ def answer_of(
         verdict, named, alternatives = _decide(search, ranked)
     stability = stability_of(search, ranked, named, alternatives) if named else None
     first = max(named or ranked, key=lambda entry: entry.trial.gain / entry.limit)
+    doubted: list[Ranked] = []
+    if stability is not None and stability < decision.LIKELY:
+        verdict, doubted, named, alternatives = Verdict.UNKNOWN, named, [], []
     scale = first.limit / threshold
     p_value = float(np.mean(scale * gains >= first.trial.gain))
     return SearchAnswer(
-        verdict, named, alternatives, ranked, first.trial.gain, first.limit, p_value, stability
+        verdict,
+        named,
+        alternatives,
+        ranked,
+        doubted,
+        first.trial.gain,
+        first.limit,
+        p_value,
+        stability,
     )
 
 

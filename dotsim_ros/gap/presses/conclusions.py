@@ -66,7 +66,7 @@ def findings_of(
             residuals, refitted = _with_effects(search, [])
     named, ranked, verdict = answer.named, answer.ranked, answer.verdict
     stability = answer.stability
-    if stability is not None and stability < decision.STABLE_SHARE:
+    if named and stability is not None and stability < decision.STABLE_SHARE:
         search.warnings.append(
             f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
             "trajectories agree; record more trajectories"
@@ -97,6 +97,8 @@ def findings_of(
             [e.effect for e in answer.alternatives],
             gaps,
             nearest=ranked[0].effect if ranked else None,
+            doubted=[entry.effect for entry in answer.doubted],
+            stability=stability,
             sizes=sizes_by_channel(search, ranked[0]) if is_unknown and ranked else None,
             left_open=left_open,
             beyond=size_beyond_range(search, ranked[0]) if is_unknown and ranked else None,

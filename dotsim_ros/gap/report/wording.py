@@ -99,6 +99,8 @@ def sentence(
     nearest: Effect | None,
     sizes: tuple[float, float] | None,
     beyond: float | None,
+    doubted: Sequence[Effect] = (),
+    stability: float | None = None,
     left_open: float | None = None,
     place: str,
     made_up: MadeUp | None = None,
@@ -113,6 +115,8 @@ def sentence(
         nearest: the effect that comes nearest, where none is named.
         sizes: of the nearest, as the skin and as the force give it, where they disagree.
         beyond: size of the nearest that the data ask for, where it is beyond its range.
+        doubted: effects that are not named because too few bootstrap repetitions ask for them.
+        stability: share of the repetitions that do.
         left_open: share of the held-out trajectories' gap that the nearest closes, where that is
             why it is not named.
         place: where the residual is largest, in words.
@@ -122,6 +126,13 @@ def sentence(
         if made_up is not None:
             return _made_up_sentence(made_up)
         return "No gap: simulation and measurement agree within noise and discretisation."
+    if doubted and stability is not None:
+        return (
+            f"Not decided: simulation and measurement disagree, most in {place}, and what explains "
+            f"it best is: {' and '.join(amid(effect.title) for effect in doubted)}. Only "
+            f"{stability:.0%} of bootstrap repetitions over trajectories ask for it; record more "
+            "trajectories."
+        )
     if verdict is Verdict.UNKNOWN:
         text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
         text += f"explains it. It is largest in {place}."
