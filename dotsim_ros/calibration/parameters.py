@@ -35,6 +35,10 @@ class GelParameter:
         step: of the differences, in the coordinate: so large that the solver's tolerance does not
             matter, so small that the answer is straight over it.
         to_coordinate, to_value: from the field's value to the coordinate, and back.
+        model_error: RMS of the coordinate, by which the constant that fits a unit differs from that
+            of its material, which another solver was given; None where that is not known. Learnt
+            from five units of the series of the gap finder's study, judged on five others
+            (docs/calibration.md).
     """
 
     name: str
@@ -45,6 +49,7 @@ class GelParameter:
     step: float
     to_coordinate: Callable[[float], float]
     to_value: Callable[[float], float]
+    model_error: float | None = None
 
     def bound_of(self, value: float) -> float | None:
         """Return the bound that a value of the field lies at; None for one between them."""
@@ -73,18 +78,26 @@ def _poisson_ratio(coordinate: float) -> float:
 
 def _poisson(name: str, unit: str) -> GelParameter:
     return GelParameter(
-        name, "poisson_ratio", unit, 0.8, (0.2, 0.4999), 0.2, _log_compressibility, _poisson_ratio
+        name,
+        "poisson_ratio",
+        unit,
+        0.8,
+        (0.2, 0.4999),
+        0.2,
+        _log_compressibility,
+        _poisson_ratio,
+        0.515,
     )
 
 
 PARAMETERS = {
     parameter.name: parameter
     for parameter in (
-        GelParameter("E", "youngs_modulus_pa", "Pa", 0.5, (1e3, 1e8), 0.05, _log, _exp),
+        GelParameter("E", "youngs_modulus_pa", "Pa", 0.5, (1e3, 1e8), 0.05, _log, _exp, 0.018),
         _poisson("nu", ""),
         # nu = 1/2 - E / (6 K): the same coordinate by another name.
         _poisson("bulk_modulus", "Pa"),
-        GelParameter("friction", "friction", "", 0.5, (0.02, 3.0), 0.1, _log, _exp),
+        GelParameter("friction", "friction", "", 0.5, (0.02, 3.0), 0.1, _log, _exp, 0.192),
         GelParameter(
             "contact_stiffness", "contact_stiffness", "E/1.2 mm", 1.0, (2.0, 1e3), 0.2, _log, _exp
         ),

@@ -47,9 +47,9 @@ ONE_PRESS = (
     "presses; record several"
 )
 EFFECTIVE = (
-    "The constants are effective ones, with which this model fits these presses: their intervals "
-    "are not those of the material's own constants, from which the model's grid, contact and law "
-    "shift them"
+    "The constants are effective ones, with which this model fits these presses: the model's grid, "
+    "contact and law shift them from the material's own. The wider intervals are those of the "
+    "material's: they hold what this shift was on other units, domes that another solver pressed"
 )
 FIGURES, PAGE = "report.json", "report.html"
 
@@ -123,19 +123,36 @@ def _value_at(calibration: Calibration, index: int, point: FloatArray) -> float:
 def _shown(
     calibration: Calibration, parameter: GelParameter, index: int, combination: Combination
 ) -> dict[str, Any]:
-    """Return value and interval in the parameter's unit, the others at the estimate, and whether
-    the value lies at a bound, where it is no estimate."""
-    ends = []
-    for end in (combination.low, combination.high):
-        point = combination.point.copy()
-        point[index] = end[index]
-        ends.append(_value_at(calibration, index, point))
+    """Return value and interval in the parameter's unit, the others at the estimate, that of the
+    material's own constant, and whether the value lies at a bound, where it is no estimate."""
+    point = combination.point
+    ends = combination.low[index], combination.high[index]
+    low, high = _interval(calibration, index, point, ends)
+    error, material = parameter.model_error, None
+    if error is not None:
+        reach = [float(np.hypot(end - point[index], 1.96 * error)) for end in ends]
+        material = _interval(
+            calibration, index, point, (point[index] - reach[0], point[index] + reach[1])
+        )
     return {
-        "value": _value_at(calibration, index, combination.point),
-        "low": min(ends),
-        "high": max(ends),
-        "at_bound": _is_at_bound(calibration, index, combination.point),
+        "value": _value_at(calibration, index, point),
+        "low": low,
+        "high": high,
+        "material": None if material is None else list(material),
+        "at_bound": _is_at_bound(calibration, index, point),
     }
+
+
+def _interval(
+    calibration: Calibration, index: int, point: FloatArray, ends: tuple[float, float]
+) -> tuple[float, float]:
+    """Return the smaller and the larger value with a parameter's coordinate at either end."""
+    values = []
+    for end in ends:
+        moved = point.copy()
+        moved[index] = end
+        values.append(_value_at(calibration, index, moved))
+    return min(values), max(values)
 
 
 def _is_at_bound(calibration: Calibration, index: int, point: FloatArray) -> bool:
@@ -156,6 +173,8 @@ def summary_lines(calibration: Calibration) -> list[str]:
         for label, combination in (("joint", c.joint), ("median", c.median)):
             shown = _shown(c, parameter, index, combination)
             text = f"{shown['value']:.5g} [{shown['low']:.5g}, {shown['high']:.5g}]"
+            if combination is c.joint and shown["material"] is not None:
+                text += " (the material's own: {:.3g} to {:.3g})".format(*shown["material"])
             if shown["at_bound"]:
                 text = f"{shown['value']:.5g}, the end of what is searched and no estimate,"
             lines.append(f"{parameter.name} ({label}): {text} {parameter.unit}".rstrip(" ,"))
@@ -230,7 +249,9 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
         (
             f"{name}, {p['unit']}" if p["unit"] else name,
             _number(p["prior"]),
-            *(_estimate(p[kind]) for kind in ("joint", "median")),
+            _estimate(p["joint"]),
+            _material(p["joint"]),
+            _estimate(p["median"]),
         )
         for name, p in numbers["parameters"].items()
     )
@@ -248,7 +269,13 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
     held_out = tuple(
         (name, *(_number(s[key]) for key in _HELD_OUT)) for name, s in numbers["held_out"].items()
     )
-    head = ("parameter", "before", "joint fit (95 %)", "median of single fits (95 %)")
+    head = (
+        "parameter",
+        "before",
+        "joint fit (95 %)",
+        "the material's own (95 %)",
+        "median of single fits (95 %)",
+    )
     identified_head = (
         "parameter",
         "from",
@@ -342,6 +369,13 @@ def _estimate(shown: dict[str, Any]) -> str:
     if shown["at_bound"]:
         return f"{_number(shown['value'])}, the end of what is searched: no estimate"
     return f"{_number(shown['value'])} ({_number(shown['low'])} to {_number(shown['high'])})"
+
+
+def _material(shown: dict[str, Any]) -> str:
+    if shown["at_bound"] or shown["material"] is None:
+        return "not known"
+    low, high = shown["material"]
+    return f"{_number(low)} to {_number(high)}"
 
 
 def _number(value: float | int | None) -> str:

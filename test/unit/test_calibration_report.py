@@ -10,9 +10,11 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from calibration_result import calibration
 
+from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.calibration.report import figures, page_of, summary_lines, write_report
 from dotsim_ros.page import as_markdown, images_of
 
@@ -46,6 +48,16 @@ def test_the_page_says_what_the_figures_hold() -> None:
     numbers = figures(found, seed=0)
     page = page_of(found, numbers)
     text = as_markdown(page)
+    for name in ("E", "nu", "friction"):
+        joint = numbers["parameters"][name]["joint"]
+        # What the model itself is off by comes on top of what the presses differ by.
+        assert joint["material"][0] < joint["low"] < joint["high"] < joint["material"][1]
+    nu, error = numbers["parameters"]["nu"]["joint"], PARAMETERS["nu"].model_error
+    assert error is not None
+    inside, outside = (
+        np.log(0.5 - end) - np.log(0.5 - nu["value"]) for end in (nu["low"], nu["material"][0])
+    )
+    assert outside**2 == pytest.approx(inside**2 + (1.96 * error) ** 2)
     assert f"nu {numbers['parameters']['nu']['joint']['value']:.4g} (" in page.lead
     assert f"E, Pa {numbers['parameters']['E']['joint']['value'] / 100:.0f}00 (" in page.lead
     assert "no message on /indenter/pose" in text
