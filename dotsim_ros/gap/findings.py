@@ -177,8 +177,8 @@ class OpticalFindings:
         gap: of the tiles' colours on the held-out trajectories, in grey levels.
         share_closed, share_closed_low, share_closed_high: of the gap of all observables of tiles,
             in expected deviations, with its interval; None if nothing was added.
-        stability: share of bootstrap repetitions that gave the same name, or one of the set; of
-            what too few of them gave to be named, too; None where nothing came so near.
+        stability: share of bootstrap repetitions that gave the same name, or one of the set; None
+            if nothing was named.
         tiles: where in the image the gap is.
         warnings: what cannot be concluded, and why.
         trajectories, locked: names used for the search, and held out.
@@ -232,8 +232,8 @@ class Findings:
             nothing was added.
         fallback: of an unknown effect, the gaps of the held-out trajectories with a smooth
             correction that is no physics in place of effects; empty otherwise.
-        stability: share of bootstrap repetitions that gave the same name, or one of the set; None
-            if nothing was named.
+        stability: share of bootstrap repetitions that gave the same name, or one of the set; of
+            what too few of them gave to be named, too; None where nothing came so near.
         pairs: effects that cannot be distinguished.
         worst: the worst frame.
         warnings: what cannot be concluded, and why.

@@ -33,7 +33,7 @@ from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
 from dotsim_ros.gap.presses.locate import Closed, Residuals, share_closed
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE
 from dotsim_ros.gap.presses.search_state import GapRequest, Search
-from dotsim_ros.gap.report.wording import reaches_end, sentence
+from dotsim_ros.gap.report.wording import amid_all, reaches_end, sentence
 
 TRAJECTORIES, FRAMES, NULLS = 6, 3, 60
 SHAPE = (FRAMES, SIZE)
@@ -118,11 +118,11 @@ def test_an_effect_of_one_size_in_skin_and_force_is_named(
 ) -> None:
     search = search_of(change, 0.8, 0.8, random)
     answer = answered(search, change)
-    assert answer.verdict is Verdict.NAMED
-    assert [entry.effect.name for entry in answer.named] == ["late"]
-    assert answer.named[0].trial.size == pytest.approx(0.8, abs=0.1)
-    assert answer.named[0].explained == pytest.approx(1.0, abs=0.05)
-    assert sizes_by_channel(search, answer.named[0]) is None
+    assert answer.decision.verdict is Verdict.NAMED
+    assert [entry.effect.name for entry in answer.decision.named] == ["late"]
+    assert answer.decision.named[0].trial.size == pytest.approx(0.8, abs=0.1)
+    assert answer.decision.named[0].explained == pytest.approx(1.0, abs=0.05)
+    assert sizes_by_channel(search, answer.decision.named[0]) is None
 
 
 @pytest.mark.parametrize(("skin", "force"), [(0.8, 0.0), (0.0, 0.8)])
@@ -132,12 +132,12 @@ def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
     search = search_of(change, skin, force, random)
     answer = answered(search, change)
     assert answer.statistic > answer.threshold
-    assert answer.verdict is Verdict.UNKNOWN
-    assert answer.named == []
+    assert answer.decision.verdict is Verdict.UNKNOWN
+    assert answer.decision.named == ()
     sizes = sizes_by_channel(search, answer.ranked[0])
     assert sizes == pytest.approx((skin, force), abs=0.1)
     text = sentence(
-        answer.verdict,
+        answer.decision.verdict,
         [],
         [],
         [],
@@ -171,13 +171,20 @@ def test_an_effect_is_not_named_where_the_data_ask_for_more_than_it_can_be(
     beyond = size_beyond_range(search, nearest)
     if size < 1.2 or natural_ends:
         assert beyond is None
-        assert answer.verdict is Verdict.NAMED
+        assert answer.decision.verdict is Verdict.NAMED
         return
     assert beyond == pytest.approx(size, abs=0.1)
-    assert answer.verdict is Verdict.UNKNOWN
-    assert answer.named == []
+    assert answer.decision.verdict is Verdict.UNKNOWN
+    assert answer.decision.named == ()
     text = sentence(
-        answer.verdict, [], [], [], nearest=effect, sizes=None, beyond=beyond, place="the skin"
+        answer.decision.verdict,
+        [],
+        [],
+        [],
+        nearest=effect,
+        sizes=None,
+        beyond=beyond,
+        place="the skin",
     )
     assert "The nearest is: late, but the data ask for size = 1.3 s, and its plausible" in text
 
@@ -240,7 +247,7 @@ def test_without_anything_there_is_no_gap(
     change: list[np.ndarray], random: np.random.Generator
 ) -> None:
     search = search_of(change, 0.0, 0.0, random)
-    assert answered(search, change).verdict is Verdict.NO_GAP
+    assert answered(search, change).decision.verdict is Verdict.NO_GAP
 
 
 def test_the_parts_of_a_change_in_each_channel_add_up_to_it(
@@ -260,7 +267,7 @@ def test_a_name_is_stable_where_every_trajectory_shows_it_and_not_where_one_does
     change: list[np.ndarray], random: np.random.Generator
 ) -> None:
     everywhere = answered(search_of(change, 0.8, 0.8, random), change)
-    assert everywhere.stability == 1.0
+    assert everywhere.decision.stability == 1.0
     # One trajectory of six shows it, however clearly: where that counts little it is not seen.
     search = search_of(change, 0.0, 0.0, random)
     shown = [one if k == 0 else np.zeros_like(one) for k, one in enumerate(change)]
@@ -295,7 +302,7 @@ def test_two_effects_are_named_where_enough_repetitions_ask_for_both(
     ranked = screen(search, [variant_of(change), variant_of(other, early)])
     monkeypatch.setattr(decision, "LIKELY", share)
     answer = answer_of(search, ranked, *null_gains(search, ranked, NULLS))
-    assert {entry.effect.name for entry in answer.named} == expected
+    assert {entry.effect.name for entry in answer.decision.named} == expected
 
 
 def test_what_too_few_repetitions_ask_for_is_told_as_undecided(
@@ -307,21 +314,55 @@ def test_what_too_few_repetitions_ask_for_is_told_as_undecided(
     search = replace(search_of(change, 0.0, 0.0, random), case=case_of(observed, random))
     answer = answered(search, shown)
     assert answer.statistic > answer.threshold
-    assert answer.stability is not None
-    assert answer.stability < decision.LIKELY
-    assert (answer.verdict, answer.named) == (Verdict.UNKNOWN, [])
-    assert [entry.effect.name for entry in answer.doubted] == ["late"]
+    assert answer.decision.stability is not None
+    assert answer.decision.stability < decision.LIKELY
+    assert (answer.decision.verdict, answer.decision.named) == (Verdict.UNKNOWN, ())
+    doubt = answer.decision.doubt
+    assert doubt is not None
+    assert [entry.effect.name for entry in doubt.effects] == ["late"]
     text = sentence(
-        answer.verdict,
+        answer.decision.verdict,
         [],
         [],
         [],
         nearest=EFFECT,
         sizes=None,
         beyond=None,
-        doubted=[entry.effect for entry in answer.doubted],
-        stability=answer.stability,
+        doubted=amid_all([entry.effect for entry in doubt.effects], are_two=doubt.are_two),
+        stability=answer.decision.stability,
         place="the rim",
     )
     assert text.startswith("Not decided")
-    assert f"late. Only {answer.stability:.0%} of bootstrap repetitions" in text
+    assert f"late. Only {answer.decision.stability:.0%} of bootstrap repetitions" in text
+
+
+def test_a_symptom_does_not_compete_with_what_is_named_in_its_place(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    # The first may be 0.5 at most, where the data ask for more of it; the second, which does much
+    # the same, gains nearly as much, and within its range.
+    first = replace(EFFECT, parameters=(EffectParameter("size", "s", 0.0, 0.0, 0.5, (0.5,)),))
+    second = replace(EFFECT, name="second")
+    observed = [0.6 * one + random.standard_normal(SHAPE) for one in change]
+    other = [one + 0.36 * DEVIATION * random.standard_normal(SHAPE) for one in change]
+    case = case_of(observed, random)
+    case.library = {"late": first, "second": second}
+    search = replace(search_of(change, 0.0, 0.0, random), case=case)
+    narrow = Variant(first, {})
+    narrow.put(0.0, [np.zeros(SHAPE) for _ in change])
+    narrow.put(0.5, [0.5 * one for one in change])
+    ranked = screen(search, [narrow, variant_of(other, second)])
+    answer = answer_of(search, ranked, *null_gains(search, ranked, NULLS))
+    symptom, named = answer.ranked
+    assert symptom.effect.name == "late"
+    assert 0.0 < symptom.trial.gain - named.trial.gain < decision.SAME
+    assert [entry.effect.name for entry in answer.decision.named] == ["second"]
+    # Against the symptom it would win half of the repetitions.
+    assert answer.decision.stability == 1.0
+    assert stability_of(search, answer.ranked, [named]) < decision.LIKELY
+
+
+def test_what_is_doubted_is_put_as_a_choice_or_as_two_together() -> None:
+    effects = [EFFECT, replace(EFFECT, name="early", title="Early")]
+    assert amid_all(effects, are_two=False) == "late or early"
+    assert amid_all(effects, are_two=True) == "late and early"

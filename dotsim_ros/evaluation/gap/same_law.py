@@ -85,10 +85,10 @@ def _measured(
     answer = answer_of(search, ranked, *null_gains(search, ranked, NULL_DRAWS))
     name = variant.effect.name
     whitened = float(lengths(search.evidence, altered.whitened(hidden, chosen)[:, None])[0])
-    named = tuple(entry.effect.name for entry in answer.named)
+    named = tuple(entry.effect.name for entry in answer.decision.named)
     if named != (name,):
         return SameLaw(name, size, whitened, named)
-    found = estimates_of(search, answer.named[0], [])[0]
+    found = estimates_of(search, answer.decision.named[0], [])[0]
     return SameLaw(name, size, whitened, named, found.value, found.low, found.high)
 
 

@@ -356,13 +356,13 @@ def _decide(
     return StudyCase(
         truth,
         tuple(case.trajectories[k].recording.name for k in chosen),
-        answer.verdict,
-        tuple(entry.effect.name for entry in answer.named),
-        tuple(entry.effect.name for entry in answer.alternatives),
+        answer.decision.verdict,
+        tuple(entry.effect.name for entry in answer.decision.named),
+        tuple(entry.effect.name for entry in answer.decision.alternatives),
         size_of(hidden),
         min(parts, default=0.0),
         alike if truth else 0.0,
-        left_on_others(search, answer.named, others, case),
+        left_on_others(search, answer.decision.named, others, case),
         lasso,
         first.effect.name if first.is_past_limit else None,
     )

@@ -34,29 +34,53 @@ SMALL_SHARE = 0.08
 
 
 @dataclass(frozen=True)
+class Doubt:
+    """What would be named if more bootstrap repetitions over trajectories asked for it.
+
+    Attributes:
+        effects: one, those of a set, or two that would act together.
+        are_two: whether they would act together.
+    """
+
+    effects: tuple[Ranked, ...]
+    are_two: bool = False
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the rule decides.
+
+    Attributes:
+        verdict: the answer.
+        named: effects to add.
+        alternatives: those not distinguished from the first.
+        doubt: what is not named for want of repetitions that ask for it.
+        stability: share of the repetitions that give what is named, or would be; None without.
+    """
+
+    verdict: Verdict
+    named: tuple[Ranked, ...] = ()
+    alternatives: tuple[Ranked, ...] = ()
+    doubt: Doubt | None = None
+    stability: float | None = None
+
+
+@dataclass(frozen=True)
 class SearchAnswer:
     """What the rule makes of a case.
 
     Attributes:
-        verdict: the answer.
-        named, alternatives: effects.
+        decision: the answer.
         ranked: every effect that was tried, the best first.
-        doubted: effects that would be named if more of the repetitions asked for them.
         statistic, threshold, p_value: gain and limit of the effect that is named, or comes
             nearest to it.
-        stability: share of bootstrap repetitions over trajectories that give the same answer, of
-            effects that are doubted, too; None without either.
     """
 
-    verdict: Verdict
-    named: list[Ranked]
-    alternatives: list[Ranked]
+    decision: Decision
     ranked: list[Ranked]
-    doubted: list[Ranked]
     statistic: float
     threshold: float
     p_value: float
-    stability: float | None
 
 
 def set_limits(search: Search, ranked: Sequence[Ranked], gains: FloatArray) -> float:
@@ -99,29 +123,14 @@ def answer_of(
     is_effect = any(entry.is_past_limit for entry in ranked)
     if is_effect:
         ranked = _refit(search, ranked)
-    verdict = Verdict.NO_GAP
-    named: list[Ranked] = []
-    alternatives: list[Ranked] = []
+    decided = Decision(Verdict.NO_GAP)
     if is_effect or pattern_gain(search) > pattern_threshold:
-        verdict, named, alternatives = _decide(search, ranked)
-    stability = stability_of(search, ranked, named, alternatives) if named else None
-    first = max(named or ranked, key=lambda entry: entry.trial.gain / entry.limit)
-    doubted: list[Ranked] = []
-    if stability is not None and stability < decision.LIKELY:
-        verdict, doubted, named, alternatives = Verdict.UNKNOWN, named, [], []
+        decided = _decide(search, ranked)
+    nearest = decided.named or (decided.doubt.effects if decided.doubt else ranked)
+    first = max(nearest, key=lambda entry: entry.trial.gain / entry.limit)
     scale = first.limit / threshold
     p_value = float(np.mean(scale * gains >= first.trial.gain))
-    return SearchAnswer(
-        verdict,
-        named,
-        alternatives,
-        ranked,
-        doubted,
-        first.trial.gain,
-        first.limit,
-        p_value,
-        stability,
-    )
+    return SearchAnswer(decided, ranked, first.trial.gain, first.limit, p_value)
 
 
 def screen(search: Search, variants: Sequence[Variant]) -> list[Ranked]:
@@ -226,38 +235,51 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
     return variant
 
 
-def _decide(search: Search, ranked: list[Ranked]) -> tuple[Verdict, list[Ranked], list[Ranked]]:
-    """Return the verdict, the effects to add, and those not distinguished from the first."""
+def _decide(search: Search, ranked: list[Ranked]) -> Decision:
+    """Return what the rule makes of effects."""
     for entry in _close(ranked):
         entry.explained = _explained(search, [entry])
         entry.held_out_gain = _held_out_gain(search, entry)
     able = [entry for entry in ranked if entry.is_past_limit]
     if not able:
-        return Verdict.UNKNOWN, [], []
+        return Decision(Verdict.UNKNOWN)
     best = able[0]
+    doubted = Decision(Verdict.UNKNOWN)
     pair = _pair(search, ranked)
-    # Two that most repetitions do not ask for are one, and what its law is off by.
-    if pair is not None and stability_of(search, ranked, pair) >= decision.LIKELY:
+    if pair is not None:
         further = _gain(search, pair) - _gain(search, [best])
         if further > decision.FURTHER * _left(search, [best]):
-            is_implausible = any(
-                size_beyond_range(search, entry, beside=other) is not None
-                for entry, other in (pair, pair[::-1])
+            stability = stability_of(search, ranked, pair)
+            if stability >= decision.LIKELY:
+                return _two(search, pair, stability)
+            # Two that too few repetitions ask for are one, and what its law is off by.
+            doubted = Decision(
+                Verdict.UNKNOWN, doubt=Doubt(tuple(pair), are_two=True), stability=stability
             )
-            if is_implausible or _explained(search, pair) < decision.EXPLAINED:
-                return Verdict.UNKNOWN, [], []
-            return Verdict.NAMED, pair, []
-    least = best.trial.gain - decision.SAME
+    close = [entry for entry in able if entry.trial.gain > best.trial.gain - decision.SAME]
     # One that asks for a size beyond its range is a symptom; what explains as much may stand.
-    possible = [
-        entry
-        for entry in able
-        if entry.trial.gain > least and size_beyond_range(search, entry) is None
-    ]
+    possible = [entry for entry in close if size_beyond_range(search, entry) is None]
     if not possible or (possible[0].explained or 0.0) < decision.EXPLAINED:
-        return Verdict.UNKNOWN, [], []
+        return doubted
     named, *alternatives = possible
-    return (Verdict.SET if alternatives else Verdict.NAMED), [named], alternatives
+    contest = [entry for entry in ranked if entry not in close or entry in possible]
+    stability = stability_of(search, contest, [named], alternatives)
+    if stability < decision.LIKELY:
+        return Decision(Verdict.UNKNOWN, doubt=Doubt(tuple(possible)), stability=stability)
+    verdict = Verdict.SET if alternatives else Verdict.NAMED
+    return Decision(verdict, (named,), tuple(alternatives), stability=stability)
+
+
+def _two(search: Search, pair: Sequence[Ranked], stability: float) -> Decision:
+    """Return whether two effects can be named together."""
+    first, second = pair
+    is_implausible = any(
+        size_beyond_range(search, entry, beside=other) is not None
+        for entry, other in ((first, second), (second, first))
+    )
+    if is_implausible or _explained(search, pair) < decision.EXPLAINED:
+        return Decision(Verdict.UNKNOWN)
+    return Decision(Verdict.NAMED, tuple(pair), stability=stability)
 
 
 def size_beyond_range(search: Search, entry: Ranked, beside: Ranked | None = None) -> float | None:

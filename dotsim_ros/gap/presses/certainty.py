@@ -38,7 +38,7 @@ def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tup
     evidence = search.evidence.without(change)
     screen = Screen(evidence, segments)
     sizes, shapes = [], []
-    for counts in search.bootstraps():
+    for counts in search.bootstraps:
         _, gains, tried = screen.tries(evidence.residual, counts)
         best = int(np.argmax(gains))
         sizes.append(tried[best])
@@ -124,7 +124,7 @@ def stability_of(
 
     Args:
         search: the case.
-        ranked: the effects.
+        ranked: the effects that may be named.
         named: one, or two that act together.
         alternatives: those that are not distinguished from the first.
     """
@@ -136,7 +136,7 @@ def stability_of(
             segments.append(segment)
             owners.append(entry)
     same = np.ones(BOOTSTRAPS, dtype=bool)
-    repetitions = search.bootstraps()
+    repetitions = search.bootstraps
     for entry in named:
         others = [other for other in named if other is not entry]
         accepted = {entry.effect.name, *_names(alternatives)}

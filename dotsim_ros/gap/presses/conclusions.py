@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +16,12 @@ from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
 from dotsim_ros.effects.simulate import request_of
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, ChannelGap, Findings, Verdict
-from dotsim_ros.gap.presses.answer import SearchAnswer, size_beyond_range, sizes_by_channel
+from dotsim_ros.gap.presses.answer import (
+    Decision,
+    SearchAnswer,
+    size_beyond_range,
+    sizes_by_channel,
+)
 from dotsim_ros.gap.presses.assumptions import GEL_CONSTANTS, values_after
 from dotsim_ros.gap.presses.certainty import close_pairs
 from dotsim_ros.gap.presses.evidence import Case
@@ -50,22 +54,21 @@ def findings_of(
     case, request = search.case, search.request
     measured = [k for k, t in enumerate(case.trajectories) if not t.is_reference]
     judged = search.held_out or measured
-    residuals, refitted = _with_effects(search, answer.named)
+    decided, ranked = answer.decision, answer.ranked
+    residuals, refitted = _with_effects(search, decided.named)
     closed: Closed | None = None
     left_open: float | None = None
-    if answer.named:
+    if decided.named:
         closed = share_closed(residuals, judged, search.random)
         if closed is None:
             search.warnings.append("the held-out trajectories show no gap that could be closed")
         elif search.held_out and leaves_open(closed):
             # What explains the searched trajectories alone is no explanation.
             left_open, closed = closed.share, None
-            answer = replace(
-                answer, verdict=Verdict.UNKNOWN, named=[], alternatives=[], stability=None
-            )
+            decided = Decision(Verdict.UNKNOWN)
             residuals, refitted = _with_effects(search, [])
-    named, ranked, verdict = answer.named, answer.ranked, answer.verdict
-    stability = answer.stability
+    named, verdict = decided.named, decided.verdict
+    doubt, stability = decided.doubt, decided.stability
     if named and stability is not None and stability < decision.STABLE_SHARE:
         search.warnings.append(
             f"the name is not stable: {stability:.0%} of {BOOTSTRAPS} bootstrap repetitions over "
@@ -94,10 +97,12 @@ def findings_of(
         sentence=wording.sentence(
             verdict,
             [(e.effect, e.estimates) for e in named],
-            [e.effect for e in answer.alternatives],
+            [e.effect for e in decided.alternatives],
             gaps,
             nearest=ranked[0].effect if ranked else None,
-            doubted=[entry.effect for entry in answer.doubted],
+            doubted=""
+            if doubt is None
+            else wording.amid_all([e.effect for e in doubt.effects], are_two=doubt.are_two),
             stability=stability,
             sizes=sizes_by_channel(search, ranked[0]) if is_unknown and ranked else None,
             left_open=left_open,
@@ -106,7 +111,7 @@ def findings_of(
             made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
         ),
         named=tuple(e.effect.name for e in named),
-        alternatives=tuple(e.effect.name for e in answer.alternatives),
+        alternatives=tuple(e.effect.name for e in decided.alternatives),
         statistic=answer.statistic,
         threshold=answer.threshold,
         alpha=request.alpha,

@@ -33,21 +33,18 @@ class Evidence:
         residual: (n,) measured minus simulated.
         nuisance: (n, q) what a nuisance does when it moves by one deviation of its prior.
         trajectory: (n,) number of the trajectory of each.
-        counts: (T,) how often each trajectory counts; None for once each.
     """
 
     residual: FloatArray
     nuisance: FloatArray
     trajectory: IntArray
-    counts: FloatArray | None = None
 
     def of(self, trajectories: Sequence[int]) -> Evidence:
         """Return the part of some trajectories, numbered anew in the order given."""
         parts = [np.flatnonzero(self.trajectory == t) for t in trajectories]
         rows = np.concatenate(parts)
         numbers = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-        counts = None if self.counts is None else self.counts[list(trajectories)]
-        return Evidence(self.residual[rows], self.nuisance[rows], numbers, counts)
+        return Evidence(self.residual[rows], self.nuisance[rows], numbers)
 
     def rows_of(self, trajectories: Sequence[int]) -> IntArray:
         """Return the rows that `of` takes."""
@@ -64,10 +61,6 @@ class Evidence:
     def with_residual(self, residual: FloatArray) -> Evidence:
         """Return the same with another residual."""
         return replace(self, residual=residual)
-
-    def counted(self, counts: FloatArray) -> Evidence:
-        """Return the same with each trajectory counted so often, (T,)."""
-        return replace(self, counts=counts)
 
 
 @dataclass(frozen=True)
@@ -131,7 +124,7 @@ def products(design: FloatArray, evidence: Evidence) -> Products:
         np.stack([design[rows].T @ residual[rows] for rows in parts]),
         np.array([residual[rows] @ residual[rows] for rows in parts]),
         np.array([float(len(rows)) for rows in parts]),
-        np.ones(len(parts)) if evidence.counts is None else evidence.counts,
+        np.ones(len(parts)),
     )
 
 

@@ -179,7 +179,7 @@ def _run(
     ranked = screen(search, variants)
     gains, pattern_gains = null_gains(search, ranked, decision.NULL_DRAWS)
     answer = answer_of(search, ranked, gains, pattern_gains)
-    named = answer.named
+    named = answer.decision.named
     for entry in named:
         others = [other for other in named if other is not entry]
         entry.estimates = estimates_of(search, entry, others)

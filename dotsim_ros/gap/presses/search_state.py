@@ -182,6 +182,7 @@ class Search:
         measured = sum(not t.is_reference for t in self.case.trajectories)
         return self.case.solver.solve_count + variants * measured <= self.request.budget
 
+    @cached_property
     def bootstraps(self) -> FloatArray:
-        """Return (BOOTSTRAPS, T) how often each chosen trajectory counts in each repetition."""
+        """(BOOTSTRAPS, T) how often each chosen trajectory counts in each repetition."""
         return bootstrap_weights(len(self.chosen), BOOTSTRAPS, self.random)

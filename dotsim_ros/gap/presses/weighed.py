@@ -114,6 +114,8 @@ def with_scale(
         sentence=f"{wording.weighed(effect, estimate, scale.names)} {findings.sentence}".strip(),
         named=(*findings.named, EFFECT),
         candidates=(*others, candidate),
+        # Weights are no trajectories: what was doubted of the presses is in the sentence.
+        stability=findings.stability if findings.named else None,
     )
     effects = () if overlay is None else overlay.effects
     found = FoundEffect(EFFECT, (estimate,))

@@ -111,7 +111,12 @@ def _at_a_glance(f: Findings, warns_first: bool) -> Section | None:
             f"Share of the gap closed on the held-out trajectories: {percent(f.share_closed)}"
             f"{interval}."
         )
-    if f.stability is not None:
+    if f.stability is not None and not f.named:
+        items.append(
+            f"{percent(f.stability)} of bootstrap repetitions over trajectories ask for what comes "
+            f"nearest, expected {percent(decision.LIKELY)} at least to name it."
+        )
+    elif f.stability is not None:
         stable = "" if f.stability >= decision.STABLE_SHARE else ": the name is not stable"
         items.append(
             f"{percent(f.stability)} of bootstrap repetitions over trajectories give the same "

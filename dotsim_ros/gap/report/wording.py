@@ -99,7 +99,7 @@ def sentence(
     nearest: Effect | None,
     sizes: tuple[float, float] | None,
     beyond: float | None,
-    doubted: Sequence[Effect] = (),
+    doubted: str = "",
     stability: float | None = None,
     left_open: float | None = None,
     place: str,
@@ -115,7 +115,8 @@ def sentence(
         nearest: the effect that comes nearest, where none is named.
         sizes: of the nearest, as the skin and as the force give it, where they disagree.
         beyond: size of the nearest that the data ask for, where it is beyond its range.
-        doubted: effects that are not named because too few bootstrap repetitions ask for them.
+        doubted: the effects that are not named because too few bootstrap repetitions ask for them,
+            as `amid_all` puts them.
         stability: share of the repetitions that do.
         left_open: share of the held-out trajectories' gap that the nearest closes, where that is
             why it is not named.
@@ -129,9 +130,8 @@ def sentence(
     if doubted and stability is not None:
         return (
             f"Not decided: simulation and measurement disagree, most in {place}, and what explains "
-            f"it best is: {' and '.join(amid(effect.title) for effect in doubted)}. Only "
-            f"{stability:.0%} of bootstrap repetitions over trajectories ask for it; record more "
-            "trajectories."
+            f"it best is: {doubted}. Only {stability:.0%} of bootstrap repetitions over "
+            "trajectories ask for it; record more trajectories."
         )
     if verdict is Verdict.UNKNOWN:
         text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
@@ -327,6 +327,12 @@ def learnt_from_reference(effects: Sequence[Effect], source: str) -> str:
         f"the file of the images' noise does not hold {', '.join(e.name for e in effects)}: their "
         f"limits come from {source}, the reference, in which no effect is taken to be missing"
     )
+
+
+def amid_all(effects: Sequence[Effect], *, are_two: bool) -> str:
+    """Return the titles of two effects that act together, or of those that cannot be told apart, as
+    they stand within a sentence."""
+    return (" and " if are_two else " or ").join(amid(effect.title) for effect in effects)
 
 
 def amid(title: str) -> str:
