@@ -54,12 +54,16 @@ _before: list[int] = []
 @contextmanager
 def single_threaded() -> Iterator[None]:
     """Keep NumPy's and SciPy's linear algebra on one thread within the block, or the function that
-    this decorates; the number of before comes back when the last block, of any thread, ends."""
+    this decorates; the number of before comes back when the last block, of any thread, ends.
+
+    It is one number for the whole process: other threads have one, too, while a block lasts. An
+    OpenBLAS that was built with OpenMP, as the wheels' are not, has a number for each thread.
+    """
     global _blocks, _before
     with _LOCK:
         if _blocks == 0:
             _before = [library.num_threads for library in _libraries()]
-            keep_single_threaded()
+            _set([1] * len(_before))
         _blocks += 1
     try:
         yield
@@ -71,5 +75,9 @@ def single_threaded() -> Iterator[None]:
 
 
 def keep_single_threaded() -> None:
-    """Keep the linear algebra of this process on one thread for good."""
-    _set([1] * len(_libraries()))
+    """Keep the linear algebra of this process on one thread for good: for what holds nothing else,
+    such as a node, or a worker once it has loaded all that it works with."""
+    global _before
+    with _LOCK:
+        _before = [1] * len(_libraries())
+        _set(_before)

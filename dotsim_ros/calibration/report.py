@@ -48,8 +48,8 @@ ONE_PRESS = (
 )
 EFFECTIVE = (
     "The constants are effective ones, with which this model fits these presses: the model's grid, "
-    "contact and law shift them from the material's own. The wider intervals are those of the "
-    "material's: they hold what this shift was on other units, domes that another solver pressed"
+    "contact and law shift them from the material's own. Where the material's own has an interval, "
+    "it holds what this shift was on other units, domes that another solver pressed"
 )
 FIGURES, PAGE = "report.json", "report.html"
 
@@ -129,7 +129,8 @@ def _shown(
     ends = combination.low[index], combination.high[index]
     low, high = _interval(calibration, index, point, ends)
     error, material = parameter.model_error, None
-    if error is not None:
+    is_at_bound = _is_at_bound(calibration, index, point)
+    if error is not None and not is_at_bound:
         reach = [float(np.hypot(end - point[index], 1.96 * error)) for end in ends]
         material = _interval(
             calibration, index, point, (point[index] - reach[0], point[index] + reach[1])
@@ -139,7 +140,7 @@ def _shown(
         "low": low,
         "high": high,
         "material": None if material is None else list(material),
-        "at_bound": _is_at_bound(calibration, index, point),
+        "at_bound": is_at_bound,
     }
 
 
@@ -294,9 +295,10 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                     Table(head, estimates),
                     *([Paragraph(ONE_PRESS)] if len(c.fits) == 1 else []),
                     Paragraph(
-                        "Intervals are bootstraps over presses. An error that all presses have in "
-                        f"common, such as the {100 * c.problem.noise.force_discretisation:.0f} % "
-                        "that the force is stated to have, is in none of them. " + EFFECTIVE + "."
+                        "Intervals of the fits are bootstraps over presses. An error that all "
+                        "presses have in common, such as the "
+                        f"{100 * c.problem.noise.force_discretisation:.0f} % that the force is "
+                        "stated to have, is in none of them. " + EFFECTIVE + "."
                     ),
                     Gallery(_plot_single_fits(c)),
                 ),
@@ -372,7 +374,7 @@ def _estimate(shown: dict[str, Any]) -> str:
 
 
 def _material(shown: dict[str, Any]) -> str:
-    if shown["at_bound"] or shown["material"] is None:
+    if shown["material"] is None:
         return "not known"
     low, high = shown["material"]
     return f"{_number(low)} to {_number(high)}"

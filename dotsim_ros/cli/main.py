@@ -76,9 +76,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         A wrong command line exits with 2, as argparse does, Ctrl-C with 130, SIGTERM with 143.
     """
     chosen = _overview().parse_args(arguments)
-    # One for each process that a command starts, and for this one where NumPy is yet to be loaded:
-    # `dotsim_ros.cores` says why.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if "OMP_NUM_THREADS" not in os.environ:
+        # For each process that a command starts, and for this one where NumPy is yet to be loaded:
+        # `dotsim_ros.cores` says why.
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with _ending_on_terminate():
             return _run(chosen.verb, chosen.rest)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.effects.effect import FORCE
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.decision import ALIKE, APART
@@ -40,6 +41,7 @@ FOUND = 8.0
 pass a limit of about 40 (`decision.HEAVIER` times the threshold of simulated nulls)."""
 
 
+@single_threaded()
 def plan(request: GapRequest) -> dict[str, Any]:
     """Return what the protocols of a data set can identify.
 

@@ -16,7 +16,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-from dotsim_ros.cores import available_core_count
+from dotsim_ros.cores import available_core_count, keep_single_threaded
 from dotsim_ros.gel.implicit.gel import GelState
 from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter
@@ -210,6 +210,7 @@ def _work(
     pipe: Connection, specification: SensorSpecification, indenter: Indenter, count: int
 ) -> None:
     """Solve some environments until the pipe is closed."""
+    keep_single_threaded()
     try:
         _serve(pipe, specification, indenter, count)
     except (EOFError, BrokenPipeError, KeyboardInterrupt):

@@ -45,6 +45,7 @@ class WorkerContext(SpawnContext):
 def _begin(starter: Connection, initialize: Callable[..., None], given: tuple[Any, ...]) -> None:
     threading.Thread(target=_end_with, args=(starter,), daemon=True).start()
     initialize(*given)
+    # By now the libraries are loaded whose threads are meant.
     keep_single_threaded()
 
 

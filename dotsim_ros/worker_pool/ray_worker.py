@@ -56,6 +56,10 @@ class RayWorker:
 
         initialize, given = unpack(data, arrays)
         initialize(*given)
+        from dotsim_ros.cores import keep_single_threaded
+
+        # Whatever the raylet was started with: last digits must not depend on who found them.
+        keep_single_threaded()
 
     def work(self, data: bytes, *arrays: Any) -> tuple[bool, Any]:
         """Do packed work; return whether it could be done, and its answer or its exception."""

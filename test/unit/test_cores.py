@@ -10,15 +10,17 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from importlib import import_module
 
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from dotsim_ros import Pose, TactileSensor
-from dotsim_ros.cores import available_core_count, single_threaded
+from dotsim_ros.cores import available_core_count, keep_single_threaded, single_threaded
 from dotsim_ros.gel.implicit.gel import World
 from dotsim_ros.gel.implicit.newton import Point
 from dotsim_ros.gel.make import SingleImplicitGel
+from dotsim_ros.worker_pool.processes import open_worker_pool
 
 pytestmark = pytest.mark.skipif(
     os.cpu_count() == 1, reason="a single core has one thread, whatever is asked for"
@@ -26,7 +28,15 @@ pytestmark = pytest.mark.skipif(
 
 
 def threads() -> set[int]:
-    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
+    """Return the numbers of threads of the libraries that NumPy and SciPy have: OpenCV brings one,
+    too, which solves nothing here."""
+    return {
+        one["num_threads"]
+        for one in threadpool_info()
+        if one["user_api"] == "blas"
+        and "cv2" not in one["filepath"]
+        and "opencv" not in one["filepath"]
+    }
 
 
 @pytest.fixture
@@ -105,3 +115,20 @@ def test_a_command_and_what_it_starts_have_one_thread() -> None:
     own, started = done.stdout.splitlines()
     assert set(own) - set("[], ") == {"1"}
     assert set(started) - set("[], ") == {"1"}
+
+
+@pytest.mark.usefixtures("_two_threads")
+def test_what_keeps_one_thread_for_good_keeps_it_where_a_block_is_open() -> None:
+    with single_threaded():
+        keep_single_threaded()
+    assert threads() == {1}
+
+
+@pytest.mark.usefixtures("_two_threads")
+def test_workers_have_one_thread_each() -> None:
+    unset = {name: value for name, value in os.environ.items() if "NUM_THREADS" not in name}
+    with pytest.MonkeyPatch.context() as patch:
+        for name in set(os.environ) - set(unset):
+            patch.delenv(name)
+        with open_worker_pool(1, import_module, "scipy.linalg") as pool:
+            assert pool.submit(threads).result() == {1}

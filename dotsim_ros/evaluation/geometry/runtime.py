@@ -208,7 +208,7 @@ def runtime_page(figures: Mapping[str, Any]) -> str:
         "geometry tables. The explicit gel is neo-Hookean with the sensor's moduli at small "
         "strain, its mass scaled until the substep is stable. Frames/s are by the clock, and fall "
         "with what else the machine does; frames/CPU s are what one core gives that does nothing "
-        "else, if the linear algebra runs on one thread (OMP_NUM_THREADS=1).\n",
+        "else.\n",
         markdown_table(["method"], rows, RUNTIME_COLUMNS),
         entry_list(figures["provenance"]),
     ]

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.cores import single_threaded
 from dotsim_ros.effects.effect import IMAGE, Effect
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
@@ -62,6 +63,7 @@ LEAST_TRAJECTORIES = 4
 RESAMPLED = 200
 
 
+@single_threaded()
 def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
     """Return what the images of a data set show in which nothing is missing.
 

@@ -354,10 +354,10 @@ class OpticalSearch:
         return np.stack([part.T @ part for part in parts])
 
     def score_products(self, products: FloatArray) -> list[EffectScore]:
-        """Return the scores of all effects, best first, of trajectories drawn with repetition.
+        """Return the scores of all effects, best first, of trajectories that count by shares.
 
         Args:
-            products: (M, M) sum of `products` over those drawn.
+            products: (M, M) sum of `products` over trajectories, each times its share.
         """
         count = self._raw.shape[1]
         nuisances = slice(count, count + len(self._deviations))

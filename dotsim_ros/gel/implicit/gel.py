@@ -257,7 +257,7 @@ class ImplicitGel:
         if not exact or solver.refined:
             # Trial gels of a calibration, many and each used for little, are not refined here.
             compliance = (
-                kept_compliance(shape, skin.rest_position_m, self._single, material.law)
+                kept_compliance(shape, skin.rest_position_m, d, material.law)
                 if solver.refined and bond is None
                 else inverse_at_rest(self._single)
             )

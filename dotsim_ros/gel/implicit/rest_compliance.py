@@ -16,16 +16,17 @@ from dotsim_ros.cache import content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
+from dotsim_ros.gel.discretization import Discretization
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.tangent import inverse_at_rest
-from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
+from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
 
 DECIDED_BY = ("dotsim_ros.gel.implicit.rest_compliance",)
 """The code, with all that it imports, that decides a table."""
 
 
 def kept_compliance(
-    shape: Body, skin_position_m: FloatArray, body: ElasticBody, law: ElasticLaw
+    shape: Body, skin_position_m: FloatArray, grid: Discretization, law: ElasticLaw
 ) -> Float32Array:
     """Return the (3 N, 3 N) inverse of a bonded gel's stiffness at rest, m/N, from the cache if it
     is there.
@@ -33,18 +34,18 @@ def kept_compliance(
     Args:
         shape: the gel's.
         skin_position_m: (V, 3) rest positions of the markers, which the grid must hold.
-        body: the discretised gel.
+        grid: of the gel.
         law: its material; only its Poisson's ratio matters for the cache.
     """
     youngs, bulk = small_strain_moduli_pa(law)
-    grid = body.discretization
     key = content_key(
         DECIDED_BY, shape, grid.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY, skin_position_m
     )
     path = cache_directory() / f"rest-{key}.npz"
     stored = load_arrays(path, {"compliance": ArrayForm((3 * grid.node_count,) * 2)})
     if stored is None:
-        stored = {"compliance": inverse_at_rest(body) * np.float32(youngs)}
+        # At 1 Pa, so that its last digits do not depend on which modulus asked for it first.
+        unit = ElasticBody(grid, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
+        stored = {"compliance": inverse_at_rest(unit)}
         store_arrays(path, stored)
-    result: Float32Array = stored["compliance"].astype(np.float32, copy=False) / np.float32(youngs)
-    return result
+    return np.asarray(stored["compliance"] / np.float32(youngs), dtype=np.float32)
