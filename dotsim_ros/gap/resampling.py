@@ -15,6 +15,9 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray
 
+BOOTSTRAPS = 100
+"""Draws behind an interval or a stability: a share of them is known to 5 %."""
+
 
 def bootstrap_weights(count: int, draws: int, random: np.random.Generator) -> FloatArray:
     """Return (draws, count) how much each of `count` trajectories counts in each draw: uniform on

@@ -143,6 +143,16 @@ def test_two_effects_at_once_are_both_named(searched):
     assert {one.effect.name for one in answer.named} == {"vignetting", "led_imbalance_red"}
     (loss,) = answer.estimates["led_imbalance_red"]
     assert loss.value == pytest.approx(0.1, abs=0.03)
+    assert answer.stability == 1.0
+
+
+def test_a_second_effect_that_one_trajectory_alone_shows_is_not_stable(searched):
+    throughout = residuals_with(vignetted, 2)
+    both = residuals_with(lambda p: vignetted(p) * np.array([0.95, 0.9975, 1.0]), 2)
+    answer = searched.answer([both[0], *throughout[1:]])
+    assert [one.effect.name for one in answer.named] == ["vignetting", "led_imbalance_red"]
+    # How much that one trajectory counts in a draw decides.
+    assert 0.2 < answer.stability < 0.67
 
 
 def darker_edges(loss):

@@ -17,7 +17,6 @@ is unknown, unless an effect that takes off as much is within its own range.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,13 +41,12 @@ from dotsim_ros.gap.images.search import (
     signatures_of,
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
-from dotsim_ros.gap.resampling import bootstrap_weights
+from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
 
 ROUNDS = 2
 """How often a signature is made anew."""
 SMALLEST_STEP = 0.2
 """A signature is made with this share of its probe at least: shorter ones are all rounding."""
-BOOTSTRAPS = 100
 MOST_EFFECTS = 2
 
 
@@ -100,8 +98,7 @@ class OpticalAnswer:
         explained: share of what could be removed that the best effects take away.
         excess, largest_excess: mean square of the whitened residual without effects, and what
             1 - alpha of data without any effect stay below.
-        stability: share of bootstrap repetitions over trajectories whose first effect is the one
-            named, or one of the set.
+        stability: share of bootstrap repetitions over trajectories that give the same answer.
         estimates: the parameters of each named effect.
         beyond: why the effect that explains most is not named, where it asks for too large a size.
     """
@@ -193,7 +190,7 @@ class ImageSearch:
             verdict = Verdict.SET if alternatives else Verdict.NAMED
             weights = bootstrap_weights(len(self.shots), BOOTSTRAPS, self._random)
             estimates = self._estimates(measured, named, weights)
-            stability = self._stability(measured, {named[0].effect.name, *alternatives}, weights)
+            stability = self._stability(measured, named, alternatives, weights)
         else:
             named = []
         return OpticalAnswer(
@@ -354,7 +351,7 @@ class ImageSearch:
         found = {}
         for one in named:
             others = [other for other in named if other is not one]
-            rest = self._without(measured, others) if others else list(measured)
+            rest = self._without(measured, others)
             search = self._searching({one.effect.name: (one.signature,)})
             products = search.products(rest)
             values = [
@@ -373,15 +370,26 @@ class ImageSearch:
         return found
 
     def _stability(
-        self, measured: Sequence[FloatArray], names: AbstractSet[str], weights: FloatArray
+        self,
+        measured: Sequence[FloatArray],
+        named: Sequence[Fitted],
+        alternatives: Sequence[str],
+        weights: FloatArray,
     ) -> float:
-        """Return the share of bootstrap repetitions that rank one of some effects first."""
-        products = self.search.products(measured)
-        same = [
-            self.search.score_products(np.tensordot(weight, products, axes=1))[0].name in names
-            for weight in weights
-        ]
-        return float(np.mean(same))
+        """Return the share of bootstrap repetitions, (draws, shots) weights, that give the same
+        answer: the effect that is named, or one of the set, comes first and is past the threshold;
+        of two named, each beside the other."""
+        same = np.ones(len(weights), dtype=bool)
+        for one in named:
+            others = [other for other in named if other is not one]
+            taken = {other.effect.name for other in others}
+            accepted = {one.effect.name, *alternatives}
+            products = self.search.products(self._without(measured, others))
+            for number, weight in enumerate(weights):
+                scores = self.search.score_products(np.tensordot(weight, products, axes=1))
+                first = next(score for score in scores if score.name not in taken)
+                same[number] &= first.statistic > self.threshold and first.name in accepted
+        return float(same.mean())
 
 
 def mean_squares(

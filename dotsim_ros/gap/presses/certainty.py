@@ -16,7 +16,8 @@ from dotsim_ros.gap.presses.evidence import Segment
 from dotsim_ros.gap.presses.inference import Evidence, fit_nuisances
 from dotsim_ros.gap.presses.isolability import pairs_of
 from dotsim_ros.gap.presses.screening import Screen
-from dotsim_ros.gap.presses.search_state import BOOTSTRAPS, Ranked, Search
+from dotsim_ros.gap.presses.search_state import Ranked, Search
+from dotsim_ros.gap.resampling import BOOTSTRAPS
 
 CHI_SQUARE = 3.84
 """95 % of one degree of freedom."""

@@ -36,8 +36,9 @@ from dotsim_ros.gap.presses.locate import (
     worst_frame,
 )
 from dotsim_ros.gap.presses.made_up import made_up
-from dotsim_ros.gap.presses.search_state import BOOTSTRAPS, PATTERN_DEVIATION, Ranked, Search
+from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Search
 from dotsim_ros.gap.report import wording
+from dotsim_ros.gap.resampling import BOOTSTRAPS
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.measured.measurement import Measurement
 from dotsim_ros.twin.follow import SolveError

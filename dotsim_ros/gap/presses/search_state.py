@@ -21,13 +21,12 @@ from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
-from dotsim_ros.gap.resampling import bootstrap_weights
+from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.worker_pool.pool import Crew
 
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, how much of it is done, and of how much."""
-BOOTSTRAPS = 100
 PATTERN_DEVIATION = 20.0
 """Prior of a pattern, in its percents of the press."""
 
