@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from dotsim_ros.evaluation.classification.real_ball import BALL
-from dotsim_ros.evaluation.classification.study import BOUND
+from dotsim_ros.evaluation.optics.names import BOUND
 from dotsim_ros.evaluation.table import Column, markdown_table
 
 COLUMNS = (

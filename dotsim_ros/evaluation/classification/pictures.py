@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from dotsim_ros.evaluation.classification.study import BOUND
+from dotsim_ros.evaluation.optics.names import BOUND
 from dotsim_ros.files import whole_file
 
 SHOWN = ("ours", "paper", BOUND)

@@ -43,7 +43,7 @@ from dotsim_ros.evaluation.optics.models import (
     code_digest,
     factory_of,
 )
-from dotsim_ros.evaluation.optics.names import CLASSIFIED_BY
+from dotsim_ros.evaluation.optics.names import BOUND, CLASSIFIED_BY
 from dotsim_ros.evaluation.optics.rows import by_name
 from dotsim_ros.evaluation.optics.source import clipped_presses, refined_footage
 from dotsim_ros.files import write_json
@@ -65,8 +65,6 @@ from dotsim_ros.twin.footage import (
 )
 from dotsim_ros.worker_pool.pool import Crew, open_pool
 
-BOUND = "bound"
-"""The row that learns from measured images of other trajectories: no simulation passes it."""
 APART = 5
 """Every fifth simulated press is not learnt from."""
 DECIDED_BY = (

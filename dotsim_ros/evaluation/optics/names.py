@@ -26,7 +26,9 @@ NAMES = (
 )
 OPTIONAL = (*MOBILE, "unet")
 """Models that are compared only on request."""
-CLASSIFIED_BY = ("bound", "idle", "tacto", "taxim", "difftactile", *PUBLISHED, "carried", "ours")
-"""What the classifiers learn from: images of these models, or measured ones (`bound`)."""
+BOUND = "bound"
+"""The row that learns from measured images of other trajectories: no simulation passes it."""
+CLASSIFIED_BY = (BOUND, "idle", "tacto", "taxim", "difftactile", *PUBLISHED, "carried", "ours")
+"""What the classifiers learn from: images of these models, or measured ones (`BOUND`)."""
 BLIND_OR_SLOW = ("idle", "paper_direct", *OPTIONAL)
 """Of these, what is left out unless it is asked for: it shows no contact, or trains for hours."""
