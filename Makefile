@@ -22,8 +22,11 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-# Two at a time, a file each, in the order in which they are named: long files must not come last.
-TWO := -n 2 --dist loadfile --no-loadscope-reorder
+# Several at a time, a file each, in the order in which they are named: long files must not come
+# last. Tests of nodes mostly wait.
+IN_ORDER := --dist loadfile --no-loadscope-reorder
+SOLVING := -n 2 $(IN_ORDER)
+WAITING := -n 3 $(IN_ORDER)
 
 # What the tests saw of bad input and faults, for docs/faults.md.
 FAULTS ?= $(OUT)/faults.json
@@ -62,11 +65,14 @@ demo: setup
 demo-loop: setup
 	$(RUN) dotsim_ros demo-loop --out $(OUT)/demo-loop
 
+# Each part runs, whatever those before it found.
 test: setup
 	@rm -f $(FAULTS)
-	$(RUN) python -m pytest $(TWO) --faults=$(FAULTS) $(PYTEST_OPTIONS) test/physics test/unit
-	$(RUN) python -m pytest $(TWO) -m "not timed" --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
-	$(RUN) python -m pytest -m timed --faults=$(FAULTS) $(PYTEST_OPTIONS) test/ros
+	export $(RUN); tests="python -m pytest --faults=$(FAULTS) $(PYTEST_OPTIONS)"; failed=0; \
+	$$tests $(SOLVING) test/physics test/unit || failed=1; \
+	$$tests $(WAITING) -m "not timed" test/ros || failed=1; \
+	$$tests -m timed test/ros || failed=1; \
+	exit $$failed
 
 faults: setup
 	@rm -f $(FAULTS)
