@@ -125,6 +125,67 @@ def test_an_effect_of_one_size_in_skin_and_force_is_named(
     assert sizes_by_channel(search, answer.decision.named[0]) is None
 
 
+Direction = tuple[list[np.ndarray], list[np.ndarray]]
+
+
+def shaped(direction: Direction, time: float) -> list[np.ndarray]:
+    """Return what an effect does at its full size: its shape turns it to another direction."""
+    along, across = np.cos(np.log(time)), np.sin(np.log(time))
+    return [along * one + across * other for one, other in zip(*direction, strict=True)]
+
+
+class ShapedCase(Case):
+    """Effects that are simulated by a formula."""
+
+    directions: dict[str, Direction]
+
+    def _simulate(self, wanted, progress=None):  # type: ignore[no-untyped-def]
+        found = []
+        for variant, size, numbers in wanted:
+            full = shaped(self.directions[variant.effect.name], variant.shape["time"])
+            found.append([size * full[k] for k in numbers])
+            self.solver.solve_count += len(numbers)
+        return found, []
+
+
+@pytest.mark.parametrize(("budget", "most"), [(None, 6), (TRAJECTORIES, 1), (0, 0)])
+def test_a_shape_between_those_tried_is_simulated_where_there_is_budget_for_it(
+    random: np.random.Generator, budget: int | None, most: int
+) -> None:
+    time = EffectParameter("time", "s", None, 0.1, 10.0, (0.3, 1.0, 3.0))
+    names = ("first", "second")
+    library = {
+        name: replace(EFFECT, name=name, parameters=(*EFFECT.parameters, time)) for name in names
+    }
+
+    def drawn() -> list[np.ndarray]:
+        return [DEVIATION * random.standard_normal(SHAPE) for _ in range(TRAJECTORIES)]
+
+    directions = {name: (drawn(), drawn()) for name in names}
+    first, second = (shaped(directions[name], 1.4) for name in names)
+    observed = [
+        0.8 * one + 0.4 * other + random.standard_normal(SHAPE)
+        for one, other in zip(first, second, strict=True)
+    ]
+    solver = SimpleNamespace(solve_count=0)
+    plain = case_of(observed, random)
+    case = ShapedCase(plain.trajectories, plain.nuisances, library, solver, None, None)
+    case.directions = directions
+    variants = [variant for effect in library.values() for variant in case.variants(effect)]
+    case.extend([(variant, 1.0) for variant in variants])
+    solver.solve_count = 0
+    search = replace(search_of(first, 0.0, 0.0, random), case=case)
+    search.request = replace(search.request, budget=budget)
+    ranked = screen(search, variants)
+    answer = answer_of(search, ranked, *null_gains(search, ranked, NULLS))
+    tried = [variant for entry in answer.ranked for variant in entry.variants]
+    assert min(most, 1) <= len(tried) - len(variants) <= most
+    assert all(len(variant.node) > 1 for variant in tried)
+    assert answer.ranked[0].effect.name == "first"
+    if budget != 0:
+        assert answer.ranked[0].trial.variant.shape["time"] == pytest.approx(1.4, rel=0.2)
+
+
 @pytest.mark.parametrize(("skin", "force"), [(0.8, 0.0), (0.0, 0.8)])
 def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
     change: list[np.ndarray], random: np.random.Generator, skin: float, force: float

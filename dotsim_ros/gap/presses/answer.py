@@ -173,20 +173,23 @@ def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
     """Simulate the best effects at the sizes found, again and again; return them in order."""
     for _ in range(ROUNDS):
         close = _close(ranked)
-        wanted: list[tuple[Variant, float]] = []
+        wanted: list[tuple[Ranked, Variant, float]] = []
         for entry in close:
             variant, size = _better_variant(search, entry), entry.trial.size
             nearest = min(abs(size - node) for node in variant.node)
             if nearest > SMALL_SHARE * max(abs(size - variant.absent), 1e-12):
-                wanted.append((variant, size))
-        wanted = [pair for k, pair in enumerate(wanted) if search.has_budget(k + 1)]
+                wanted.append((entry, variant, size))
+        wanted = [one for k, one in enumerate(wanted) if search.has_budget(k + 1)]
         if not wanted:
             break
         search.case.extend(
-            wanted,
+            [(variant, size) for _, variant, size in wanted],
             progress=lambda done, total: search.progress("refit", done, total),
             among=search.chosen,
         )
+        for entry, variant, _ in wanted:
+            if all(variant is not known for known in entry.variants):
+                entry.variants.append(variant)
         for entry in close:
             segments = search.segments(entry.variants)
             entry.trial = best_trial(search.evidence, segments, search.base.objective)
@@ -205,8 +208,8 @@ def _close(ranked: Sequence[Ranked]) -> list[Ranked]:
 
 
 def _better_variant(search: Search, entry: Ranked) -> Variant:
-    """Return the variant to simulate next: between the shapes tried, where a parabola through their
-    gains has its top; the best one tried where there is no such place."""
+    """Return the variant to simulate next: a new one between the shapes tried, where a parabola
+    through their gains has its top; the best one tried where there is no such place."""
     best = entry.trial.variant
     names = list(best.shape)
     if len(names) != 1:
@@ -231,7 +234,6 @@ def _better_variant(search: Search, entry: Ranked) -> Variant:
         return best
     variant = search.case.variants(entry.effect)[0]
     variant.shape = {name: top}
-    entry.variants.append(variant)
     return variant
 
 
