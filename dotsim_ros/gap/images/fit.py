@@ -189,8 +189,12 @@ class ImageSearch:
                 alternatives = self._alternatives(measured, scores, named[0])
             verdict = Verdict.SET if alternatives else Verdict.NAMED
             weights = bootstrap_weights(len(self.shots), BOOTSTRAPS, self._random)
-            estimates = self._estimates(measured, named, weights)
-            stability = self._stability(measured, named, alternatives, weights)
+            alone = [
+                (one, self._without(measured, [other for other in named if other is not one]))
+                for one in named
+            ]
+            estimates = self._estimates(alone, weights)
+            stability = self._stability(alone, alternatives, weights)
         else:
             named = []
         return OpticalAnswer(
@@ -344,14 +348,12 @@ class ImageSearch:
         )
 
     def _estimates(
-        self, measured: Sequence[FloatArray], named: Sequence[Fitted], weights: FloatArray
+        self, alone: Sequence[tuple[Fitted, Sequence[FloatArray]]], weights: FloatArray
     ) -> dict[str, tuple[Estimate, ...]]:
-        """Return the parameters of named effects with intervals by a bootstrap over trajectories,
-        (draws, shots) weights."""
+        """Return the parameters of named effects, each with the residuals that the others leave,
+        with intervals by a bootstrap over trajectories, (draws, shots) weights."""
         found = {}
-        for one in named:
-            others = [other for other in named if other is not one]
-            rest = self._without(measured, others)
+        for one, rest in alone:
             search = self._searching({one.effect.name: (one.signature,)})
             products = search.products(rest)
             values = [
@@ -371,8 +373,7 @@ class ImageSearch:
 
     def _stability(
         self,
-        measured: Sequence[FloatArray],
-        named: Sequence[Fitted],
+        alone: Sequence[tuple[Fitted, Sequence[FloatArray]]],
         alternatives: Sequence[str],
         weights: FloatArray,
     ) -> float:
@@ -380,11 +381,11 @@ class ImageSearch:
         answer: the effect that is named, or one of the set, comes first and is past the threshold;
         of two named, each beside the other."""
         same = np.ones(len(weights), dtype=bool)
-        for one in named:
-            others = [other for other in named if other is not one]
-            taken = {other.effect.name for other in others}
+        named = {one.effect.name for one, _ in alone}
+        for one, rest in alone:
+            taken = named - {one.effect.name}
             accepted = {one.effect.name, *alternatives}
-            products = self.search.products(self._without(measured, others))
+            products = self.search.products(rest)
             for number, weight in enumerate(weights):
                 scores = self.search.score_products(np.tensordot(weight, products, axes=1))
                 first = next(score for score in scores if score.name not in taken)
