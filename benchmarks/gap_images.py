@@ -170,6 +170,8 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parser.parse_args()
     begun_s = time.monotonic()
+    # Before the noise is written, which may be a file that the repository holds.
+    made_by = provenance()
     sensor = load_sensor(arguments.sensor)
     card = read_network(given_path(sensor.camera.residual))
     effects = [effect for effect in load_effects().values() if effect.image is not None]
@@ -189,7 +191,7 @@ def main() -> int:
     the_other_way = nulls(study, swapped, fitted, arguments.nulls, 2)
     cases = [(LAWS[name], size) for name in arguments.laws for size in LAWS[name].sizes]
     figures = {
-        "provenance": provenance(),
+        "provenance": made_by,
         "source": source,
         "pictures": sum(len(shot.measured) for shot in study.case.shots),
         "held_out": held_out,
