@@ -11,6 +11,11 @@ import time
 SHOWN_PARTS = 10
 """So many times a step is printed."""
 
+TOLD_FROM = 0.25
+TOLD_AFTER_S = 60.0
+"""The time left is told once this share of a step is done, or it has gone on for so long: what
+several workers have begun and not finished makes the first rates too low."""
+
 
 class PrintedProgress:
     """Prints each step's share and the time that is left of it, at the rate that it went so far."""
@@ -26,9 +31,10 @@ class PrintedProgress:
         if part == self._shown or not done:
             return
         self._shown = part
-        went = done - self._begun_at
+        went, took_s = done - self._begun_at, now_s - self._begun_s
         # Of the first that is told the duration is not known.
-        left = f", {(now_s - self._begun_s) / went * (total - done):.0f} s left" if went else ""
+        is_known = went > 0 and (done >= TOLD_FROM * total or took_s >= TOLD_AFTER_S)
+        left = f", {took_s / went * (total - done):.0f} s left" if is_known else ""
         print(f"{step}: {done}/{total}{left}", file=sys.stderr, flush=True)
 
 

@@ -26,6 +26,13 @@ def test_the_time_left_follows_the_rate_since_the_first_is_told(
     told("refit", 5, 10)
     clock[0] += 3.0
     told("refit", 8, 10)
+    # Of a short time and a small share nothing is concluded.
+    told("tables", 0, 100)
+    clock[0] += 10.0
+    told("tables", 20, 100)
+    clock[0] += 50.0
+    told("tables", 24, 100)
+    told("tables", 30, 100)
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
         "solve: 13/40, 54 s left",
@@ -34,21 +41,30 @@ def test_the_time_left_follows_the_rate_since_the_first_is_told(
         # How long the first five took is not known.
         "refit: 5/10",
         "refit: 8/10, 2 s left",
+        "tables: 20/100",
+        "tables: 30/100, 140 s left",
     ]
+    told("nulls", 0, 1000)
+    clock[0] += progress.TOLD_AFTER_S
+    told("nulls", 100, 1000)
+    assert capsys.readouterr().err.splitlines() == ["nulls: 100/1000, 540 s left"]
 
 
 def test_solves_count_over_the_steps_that_are_planned() -> None:
     told: list[tuple[str, int, int]] = []
     solving = SolveProgress(lambda *one: told.append(one), later=60)
     solving(0, 40)
+    solving(20, 40)
     solving(40, 40)
     solving.begin_last()
     # Some of what was planned is known already.
     solving(0, 50)
     solving(50, 50)
+    # A press of the first step counts for 1.65 of the later ones.
     assert told == [
-        ("solve", 0, 100),
-        ("solve", 40, 100),
-        ("solve", 40, 90),
-        ("solve", 90, 90),
+        ("solve", 0, 126),
+        ("solve", 33, 126),
+        ("solve", 66, 126),
+        ("solve", 66, 116),
+        ("solve", 116, 116),
     ]

@@ -41,6 +41,7 @@ from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
 from dotsim_ros.measured.plausibility import check_same_shape
+from dotsim_ros.worker_pool.pool import worker_count
 
 
 def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:
@@ -150,7 +151,15 @@ def _plan(
         for one in nuisance_requests(recording, values, library)
     ]
     screening = planned_requests(measured, values, library, request.candidates)
-    solver.prepare([*calibration, *screening], lambda done, total: progress("tables", done, total))
+    workers = worker_count(request.workers)
+
+    def tell_tables(done: int, total: int) -> None:
+        # Told in rounds: each worker makes one at a time, and all take equally long.
+        rounds = -(-total // workers)
+        progress("tables", rounds if done == total else done // workers, rounds)
+
+    progress("tables", 0, 1)
+    solver.prepare([*calibration, *screening], tell_tables)
     # Which of the repeated ones is held out makes no difference here.
     held_out = one_of_each([protocol_of(r) for r in measured], np.random.default_rng(0))
     searched = [r for place, r in enumerate(measured) if place not in held_out]
