@@ -20,6 +20,12 @@ VERB_MODULE = "dotsim_ros.cli.{verb}"
 """Where the command line finds a verb; the function `_SUBJECT` in it runs one of its subjects."""
 STARTED = {
     "benchmarks/closed_loop.py": ("tactile_sim", "tactile_policy", "xarm_sim"),
+    "benchmarks/drop_in.py": ("tactile_sim",),
+    "benchmarks/environments.py": (
+        "dotsim_ros.tasks.environments.ball",
+        "dotsim_ros.tasks.environments.box_yaw",
+    ),
+    "benchmarks/find_gap.py": ("dotsim_ros.cli.find_gap",),
     "benchmarks/interrupts.py": (
         "indenter_player",
         "tactile_policy",
@@ -28,6 +34,7 @@ STARTED = {
         "xarm_adapter",
         "xarm_sim",
     ),
+    "benchmarks/live.py": ("dotsim_ros.cli.live",),
     "benchmarks/loop_faults.py": ("tactile_sim", "tactile_policy", "xarm_sim"),
     "benchmarks/realtime.py": ("tactile_sim",),
     "benchmarks/simulated_loop.py": ("tactile_sim", "tactile_policy", "tactile_record", "xarm_sim"),
@@ -35,7 +42,8 @@ STARTED = {
     "benchmarks/soak.py": ("tactile_sim",),
     "evaluate trajectory": ("tactile_sim", "tactile_policy", "xarm_sim"),
 }
-"""Executables that a script or a verb starts as processes, which no import shows."""
+"""What a script or a verb starts as processes, or Gymnasium loads, and no import shows: executables
+and modules."""
 MOVED: dict[str, str] = {}
 """Scripts that have got another path since results were made with them, and that path."""
 WITH_SUBJECTS = ("evaluate",)
@@ -216,13 +224,14 @@ def _only(function: str, source: bytes, path: str) -> bytes:
     return ast.unparse(ast.Module(kept, [])).encode()
 
 
-def _modules_of(executables: Sequence[str], sources: Mapping[str, bytes]) -> list[str]:
-    """Return the modules of executables, as the package installs them."""
+def _modules_of(started: Sequence[str], sources: Mapping[str, bytes]) -> list[str]:
+    """Return the modules of what is started, of executables as the package installs them."""
+    executables = [name for name in started if "." not in name]
     if not executables:
-        return []
+        return list(started)
     written = sources[_ENTRY_POINTS].decode() if _ENTRY_POINTS in sources else ""
     known = dict(re.findall(r'"(\w+) = ([\w.]+):\w+"', written))
     missing = sorted(set(executables) - set(known))
     if missing:
         raise FileNotFoundError(f"{_ENTRY_POINTS} installs no {', '.join(missing)}")
-    return [known[executable] for executable in executables]
+    return [known.get(name, name) for name in started]

@@ -386,4 +386,5 @@ def test_every_result_of_this_package_has_its_code(tool):
     checkout = tool.Checkout(ROOT)
     for command in by_code.values():
         behind, _ = measured_code.files_behind(command, checkout.now)
-        assert len(behind) > 3, (command, behind)
+        # Fewer are what a script holds that starts its program unseen; name that in `STARTED`.
+        assert len(behind) > 20, (command, behind)
