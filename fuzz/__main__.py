@@ -12,7 +12,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from fuzz.run import TargetSummary, attempt, limit_growth, run_target
+from fuzz.run import TargetSummary, attempt, limit_growth, prepare_in, run_target
 from fuzz.targets import TARGETS
 
 WORKER_COUNT = 2
@@ -47,10 +47,10 @@ def main() -> int:
 
 
 def _one(name: str, case: int) -> int:
-    with tempfile.TemporaryDirectory(prefix="fuzz_prepared_") as folder:
-        prepared = TARGETS[name].prepare(Path(folder))
+    with tempfile.TemporaryDirectory(prefix="fuzz_run_") as folder:
+        prepared, cases = prepare_in(TARGETS[name], Path(folder))
         limit_growth()
-        wrong = attempt(TARGETS[name], prepared, case)
+        wrong = attempt(TARGETS[name], prepared, case, cases)
     print(wrong or f"{name} {case}: answered as it should")
     return int(wrong is not None)
 

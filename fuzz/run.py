@@ -51,9 +51,17 @@ class TargetSummary:
     found: tuple[Found, ...]
 
 
-def attempt(target: Target, prepared: object, case: int) -> str | None:
-    """Run one case in an empty folder; return what went wrong, or None."""
-    folder = Path(tempfile.mkdtemp(prefix=f"fuzz_{target.name}_"))
+def prepare_in(target: Target, folder: Path) -> tuple[object, Path]:
+    """Prepare a target in a folder; return what it prepared, and a folder for its cases."""
+    prepared, cases = folder / "prepared", folder / "cases"
+    for each in (prepared, cases):
+        each.mkdir(exist_ok=True)
+    return target.prepare(prepared), cases
+
+
+def attempt(target: Target, prepared: object, case: int, parent: Path) -> str | None:
+    """Run one case in an empty folder of `parent`; return what went wrong, or None."""
+    folder = Path(tempfile.mkdtemp(prefix=f"fuzz_{target.name}_", dir=parent))
     try:
         target.attempt(prepared, Random(f"{target.name} {case}"), folder)
     except MemoryError:
@@ -70,7 +78,8 @@ def run_target(target: Target, *, seconds: float, first_case: int) -> TargetSumm
     begun = time.monotonic()
     case, count = first_case, 0
     found: list[Found] = []
-    with tempfile.TemporaryDirectory(prefix="fuzz_prepared_") as folder:
+    # A process that is killed leaves its case's folder, which goes with this one.
+    with tempfile.TemporaryDirectory(prefix="fuzz_run_") as folder:
         while (left_s := seconds - (time.monotonic() - begun)) > 0.0:
             case, tried, more = _run_process(target, Path(folder), case, left_s)
             count += tried
@@ -124,12 +133,12 @@ def _work(target: Target, folder: Path, case: int, seconds: float, out: Connecti
         os.dup2(quiet, 2)
         sys.stdout = sys.stderr = open(os.devnull, "w")  # noqa: SIM115
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    prepared = target.prepare(folder)
+    prepared, cases = prepare_in(target, folder)
     limit_growth()
     out.send((None, None))
     begun = time.monotonic()
     while time.monotonic() - begun < seconds:
-        out.send((case, attempt(target, prepared, case)))
+        out.send((case, attempt(target, prepared, case, cases)))
         case += 1
     os._exit(0)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import tempfile
 import time
 from pathlib import Path
 from random import Random
@@ -53,13 +54,16 @@ def _hold(_prepared: object, random: Random, folder: Path) -> None:
     ],
 )
 def test_what_goes_wrong_is_found(
-    attempt: object, words: str, monkeypatch: pytest.MonkeyPatch
+    attempt: object, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(run, "HANG_S", 0.5)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     target = Target("planted", lambda folder: None, attempt)  # type: ignore[arg-type]
     summary = run.run_target(target, seconds=0.3, first_case=7)
     assert summary.found[0].words.startswith(words)
     assert summary.found[0].case == 7
+    # A killed process leaves nothing behind.
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_is_answered_is_no_finding() -> None:
