@@ -38,7 +38,10 @@ def test_exact_takes_any_motion_in_one_frame() -> None:
 def test_auto_tells_its_profile_and_goes_down_when_frames_miss_their_deadline() -> None:
     # First slow enough for a busy machine to begin with an exact profile; then far beyond what any
     # machine computes: every frame of a motion misses its deadline.
-    with sensor(profile="auto", diagnostics_period_s=0.1, rate_hz=1.0) as (executable, client):
+    with sensor(profile="auto", diagnostics_period_s=0.1, rate_hz=1.0, input_timeout_s=1.5) as (
+        executable,
+        client,
+    ):
         client.wait_for_state("frames", lambda state: "profile_changes" in state.values)
         assert "of auto: a frame takes exact" in executable.log
         assert client.set_parameters(rate_hz=240.0).successful
