@@ -28,13 +28,13 @@ import numpy as np
 import warp as wp
 
 from dotsim_ros.files import write_json
+from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.provenance import provenance
 
 GOAL_S = 300.0
 JUDGED_S = 5.0
 WITHIN = 1.0 / 3.0
-ENDED = {0, 10, 11, 12}
-"""How the command ends where it has an answer."""
+ANSWERED = {verdict.exit_status for verdict in Verdict if verdict is not Verdict.UNUSABLE}
 
 
 def steps_of(told: list[tuple[float, str]]) -> list[dict[str, Any]]:
@@ -84,7 +84,7 @@ def cold_run(measured: Path, options: list[str], kernels: Path) -> dict[str, Any
         told = [(time.monotonic() - begun_s, line.rstrip()) for line in process.stdout]
         status = process.wait()
         took_s = time.monotonic() - begun_s
-    if status not in ENDED:
+    if status not in ANSWERED:
         raise RuntimeError("\n".join([f"{measured}: exit status {status}", *(t for _, t in told)]))
     return {"set": measured.name, "exit_status": status, "wall_s": took_s, "steps": steps_of(told)}
 
