@@ -91,9 +91,10 @@ def run(arguments: argparse.Namespace) -> int:
         lambda text: print(text, flush=True),
         failed_again=arguments.retry,
     )
-    _, records = read_series(arguments.out)
-    made = sum(len(record.made) for record in records)
-    failed = sum(len(record.failures) for record in records)
+    index, records = read_series(arguments.out)
+    commissioning = index.get("commissioning") or {"made": (), "failures": ()}
+    made = sum(len(record.made) for record in records) + len(commissioning["made"])
+    failed = sum(len(record.failures) for record in records) + len(commissioning["failures"])
     megabytes = 1e-6 * size_bytes(arguments.out)
     print(f"{len(records)} sets, {made} trajectories, {failed} failed, {megabytes:.1f} MB")
     return 1 if failed else 0

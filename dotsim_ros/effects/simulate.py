@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -77,6 +78,12 @@ class EffectSolver:
         self._rest_m = skin.rest_position_m
         material = specification.material
         self._relaxation = PronySeries(material.prony_shares, material.prony_times_s)
+        self._asked: set[tuple[Any, ...]] = set()
+
+    @property
+    def asked_count(self) -> int:
+        """Solves that were asked for, those included that were on disk; each counts once."""
+        return len(self._asked)
 
     @property
     def solve_count(self) -> int:
@@ -108,6 +115,7 @@ class EffectSolver:
         self, requests: Sequence[EffectRequest], progress: Progress | None = None
     ) -> tuple[list[SimulatedPress | None], list[str]]:
         """Return as `run`, None for those that could not be solved, and why not."""
+        self._asked |= {self._solved_of(request) for request in requests}
         solved = self._presses.run_each([self._solve_request(r) for r in requests], progress)
         results: list[SimulatedPress | None] = []
         failures = []
@@ -121,6 +129,11 @@ class EffectSolver:
 
     def _active(self, request: EffectRequest) -> list[Active]:
         return [Active(self._library[name], dict(values)) for name, values in request.effects]
+
+    def _solved_of(self, request: EffectRequest) -> tuple[Any, ...]:
+        """Return what requests of one solve have in common."""
+        effects = [one for one in request.effects if self._library[one[0]].needs_solve]
+        return request.recording.name, request.values, request.shift_m, *effects
 
     def _solve_request(self, request: EffectRequest) -> SolveRequest:
         """Return what is to be solved: the gel and the poses as the effects make them."""
@@ -140,7 +153,7 @@ class EffectSolver:
             recording.indenter,
             tuple(poses),
             press.stamp_s,
-            replace(term.values, youngs_modulus_pa=request.values.youngs_modulus_pa),
+            term.values,
             PronySeries(term.prony_shares, term.prony_times_s),
         )
 

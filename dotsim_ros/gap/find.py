@@ -28,6 +28,7 @@ from dotsim_ros.gap.presses.search_state import GapRequest, Progress
 from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.measured.data_set import DataSet, read_data_set
+from dotsim_ros.measured.measurement import holds_skin_or_force
 from dotsim_ros.replacement import finish_replacement
 from dotsim_ros.specification import SensorSpecification, given_sensor
 from dotsim_ros.twin.simulator import check_is_quasi_static
@@ -38,9 +39,11 @@ CHANNELS = (*MECHANICAL, IMAGE)
 
 
 def channels_of(measured: Path) -> tuple[str, ...]:
-    """Return the channels that are used where none were asked for: skin, force, and the images
-    where the bags of a data set hold them and idle images lie beside them."""
-    return CHANNELS if all(holds_images(measured)) else MECHANICAL
+    """Return the channels that are used where none were asked for: skin and force, unless all that
+    the bags of a data set hold is images, and the images where idle ones lie beside them."""
+    if not all(holds_images(measured)):
+        return MECHANICAL
+    return CHANNELS if holds_skin_or_force(measured) else (IMAGE,)
 
 
 @single_threaded()
@@ -78,7 +81,8 @@ def find_gap(
         channels: of "skin", "force" and "image"; by default all that the data hold.
         candidates: names of the effects to look for; by default all.
         alpha: chance of a name on data without an effect.
-        budget: most solves of a trajectory; by default no limit.
+        budget: solves of a trajectory after which the sizes of the best effects are refined no
+            more; the first look at every effect is always taken. By default no limit.
         seed: of all draws.
         workers: how many processes, or workers of Ray.
         discrepancy: file of the model's own error; by default the shipped one.

@@ -225,9 +225,9 @@ class Findings:
         p_value: share of simulated nulls with a larger score.
         mode: "absolute" or "differential".
         candidates: in the order of their rank.
-        calibrated: the nuisances as fitted, with their prior's centre as `low` to `high`.
+        calibrated: the nuisances as fitted, with their prior's range of 95 % as `low` to `high`.
         places: where the gap is.
-        gaps: by channel on the held-out trajectories.
+        gaps: by channel on the held-out trajectories; on all where none is held out.
         share_closed, share_closed_low, share_closed_high: of the gap, with its interval; None if
             nothing was added.
         fallback: of an unknown effect, the gaps of the held-out trajectories with a smooth

@@ -13,9 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
+from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.measured.reading import BadBagError, few_of, read_motion, read_observation
 from dotsim_ros.measured.recording import Recording, phases_of
+from dotsim_ros.measured.session import Span, session_starts, span_of
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
 
 CHANNELS = ("pose", "wrench", "skin")
@@ -42,6 +44,24 @@ class Measurement:
     recordings: tuple[Recording, ...]
     warnings: tuple[str, ...]
     digest: str
+
+
+def holds_skin_or_force(directory: str | Path, *, topics: Topics = MEASURED_TOPICS) -> bool:
+    """Return whether a bag of a data set holds the skin or the force; a bag that cannot be read
+    counts as one that does, so that reading it tells what is wrong.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_data_set`.
+    """
+    for entry in read_data_set(directory).entries:
+        try:
+            with BagReader(entry.bag) as bag:
+                there = bag.topics()
+        except (OSError, ValueError):
+            return True
+        if topics.skin in there or topics.wrench in there:
+            return True
+    return False
 
 
 def read_measurement(
@@ -72,18 +92,17 @@ def read_measurement(
     ]
     skin = data_set.skin_mesh() if data_set.has_skin_mesh else own_skin
     digest = hashlib.sha256((folder / INDEX).read_bytes())
-    recordings: list[Recording] = []
-    session_s = 0.0
+    found: list[Recording | None] = []
     for entry in data_set.entries:
         try:
-            recording = _read(data_set, entry, skin, session_s, indenters, topics)
+            recording = _read(data_set, entry, skin, indenters, topics)
         except (BadBagError, FileNotFoundError, ValueError) as error:
             warnings.append(f"{entry.name} was left out: {error}")
+            found.append(None)
             continue
-        recordings.append(recording)
-        stamp_s = recording.press.stamp_s
-        session_s += float(stamp_s[-1] - stamp_s[0])
+        found.append(recording)
         _add(digest, recording)
+    recordings = _in_session(found, data_set, topics)
     if not recordings:
         raise ValueError(f"{folder}: no trajectory can be used: {few_of(warnings)}")
     return Measurement(folder, skin, tuple(recordings), tuple(warnings), digest.hexdigest()[:16])
@@ -106,15 +125,15 @@ def read_poses(
         ValueError: no trajectory of it has poses.
     """
     data_set = read_data_set(directory)
-    recordings: list[Recording] = []
+    found: list[Recording | None] = []
     warnings = []
-    session_s = 0.0
     for entry in data_set.entries:
         try:
             press = read_motion(entry, topics=topics)
             indenter = find_indenter(data_set, entry.indenter, indenters)
         except (FileNotFoundError, ValueError) as error:
             warnings.append(f"{entry.name} was left out: {error}")
+            found.append(None)
             continue
         count = press.frame_count
         planned = replace(
@@ -124,8 +143,8 @@ def read_poses(
         )
         depth_m = np.asarray(tip_depth_m(skin, press.poses))
         phase = phases_of(press.poses, press.stamp_s, depth_m)
-        recordings.append(Recording(planned, indenter, session_s, depth_m, phase))
-        session_s += float(press.stamp_s[-1] - press.stamp_s[0])
+        found.append(Recording(planned, indenter, 0.0, depth_m, phase))
+    recordings = _in_session(found, data_set, topics)
     if not recordings:
         raise ValueError(f"{directory}: no trajectory has poses: {few_of(warnings)}")
     return tuple(recordings), tuple(warnings)
@@ -139,7 +158,6 @@ def _read(
     data_set: DataSet,
     entry: DataSetEntry,
     skin: SkinMesh,
-    session_s: float,
     indenters: str | Path | None,
     topics: Topics,
 ) -> Recording:
@@ -154,7 +172,26 @@ def _read(
     press, indenter = found.press, found.indenter
     depth_m = np.asarray(tip_depth_m(skin, press.poses))
     phase = phases_of(press.poses, press.stamp_s, depth_m)
-    return Recording(press, indenter, session_s, depth_m, phase)
+    return Recording(press, indenter, 0.0, depth_m, phase)
+
+
+def _in_session(
+    found: Sequence[Recording | None], data_set: DataSet, topics: Topics
+) -> list[Recording]:
+    """Return the recordings with the time of each in the session, to which trajectories that are
+    left out belong, too."""
+    spans: list[Span | None] = []
+    for entry, recording in zip(data_set.entries, found, strict=True):
+        if recording is None:
+            spans.append(span_of(entry, topics))
+        else:
+            stamp_s = recording.press.stamp_s
+            spans.append((float(stamp_s[0]), float(stamp_s[-1])))
+    return [
+        replace(recording, session_s=start_s)
+        for recording, start_s in zip(found, session_starts(spans), strict=True)
+        if recording is not None
+    ]
 
 
 def protocol_of(recording: Recording) -> str:

@@ -40,8 +40,8 @@ class Recording:
     Attributes:
         press: poses, stamps, skin and force as measured.
         indenter: what pressed.
-        session_s: time from the start of the data set's first trajectory to that of this one, as
-            far as it is known: trajectories in the order of the index, one after the other.
+        session_s: time from the start of the data set's first trajectory to that of this one, by
+            `session_starts`.
         depth_m: (F,) how deep the tip is below the skin at rest, along the skin's normal.
         phase: (F,) what the indenter does.
     """

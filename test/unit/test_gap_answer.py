@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter
-from dotsim_ros.effects.overlay import Estimate
+from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, active_effects
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.decision import EXPLAINED
-from dotsim_ros.gap.findings import Verdict
+from dotsim_ros.gap.findings import ChannelGap, Verdict
 from dotsim_ros.gap.presses.answer import (
     SearchAnswer,
     answer_of,
@@ -26,7 +26,7 @@ from dotsim_ros.gap.presses.answer import (
     sizes_by_channel,
 )
 from dotsim_ros.gap.presses.assumptions import SHARED, PressNuisance
-from dotsim_ros.gap.presses.certainty import stability_of
+from dotsim_ros.gap.presses.certainty import estimates_of, stability_of
 from dotsim_ros.gap.presses.conclusions import leaves_open
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, Whitening
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory, Variant
@@ -86,7 +86,7 @@ def case_of(observed: list[np.ndarray], random: np.random.Generator) -> Case:
     trajectories = [trajectory_of(one, random) for one in observed]
     # Sizes are not refined: the effect is linear, and there is nothing to solve.
     nuisances = [PressNuisance("E", "log", 0.1, SHARED)]
-    nothing = SimpleNamespace(solve_count=0)
+    nothing = SimpleNamespace(asked_count=0)
     return Case(trajectories, nuisances, {EFFECT.name: EFFECT}, nothing, None, None)
 
 
@@ -144,11 +144,11 @@ class ShapedCase(Case):
         for variant, size, numbers in wanted:
             full = shaped(self.directions[variant.effect.name], variant.shape["time"])
             found.append([size * full[k] for k in numbers])
-            self.solver.solve_count += len(numbers)
+            self.solver.asked_count += len(numbers)
         return found, []
 
 
-@pytest.mark.parametrize(("budget", "most"), [(None, 6), (TRAJECTORIES, 1), (0, 0)])
+@pytest.mark.parametrize(("budget", "most"), [(None, 6), (1, 1), (0, 0)])
 def test_a_shape_between_those_tried_is_simulated_where_there_is_budget_for_it(
     random: np.random.Generator, budget: int | None, most: int
 ) -> None:
@@ -167,13 +167,13 @@ def test_a_shape_between_those_tried_is_simulated_where_there_is_budget_for_it(
         0.8 * one + 0.4 * other + random.standard_normal(SHAPE)
         for one, other in zip(first, second, strict=True)
     ]
-    solver = SimpleNamespace(solve_count=0)
+    solver = SimpleNamespace(asked_count=0)
     plain = case_of(observed, random)
     case = ShapedCase(plain.trajectories, plain.nuisances, library, solver, None, None)
     case.directions = directions
     variants = [variant for effect in library.values() for variant in case.variants(effect)]
     case.extend([(variant, 1.0) for variant in variants])
-    solver.solve_count = 0
+    solver.asked_count = 0
     search = replace(search_of(first, 0.0, 0.0, random), case=case)
     search.request = replace(search.request, budget=budget)
     ranked = screen(search, variants)
@@ -202,7 +202,7 @@ def test_what_looks_like_an_effect_in_one_channel_alone_is_unknown(
         [],
         [],
         [],
-        nearest=EFFECT,
+        nearest=[EFFECT],
         sizes=sizes,
         beyond=None,
         place="the skin at the rim",
@@ -242,7 +242,7 @@ def test_an_effect_is_not_named_where_the_data_ask_for_more_than_it_can_be(
         [],
         [],
         [],
-        nearest=effect,
+        nearest=[effect],
         sizes=None,
         beyond=beyond,
         place="the skin",
@@ -267,8 +267,9 @@ def test_an_interval_that_reaches_the_end_of_a_range_is_told(low: float, high: f
         (Closed(0.7, 0.3, 0.9, 2.0, 2), False),
         # All of it may be closed.
         (Closed(0.3, -0.3, 1.0, 2.0, 2), False),
-        # One trajectory is no rule, whatever its interval.
+        # One trajectory is no rule, whatever its interval, and it may have none.
         (Closed(-2.4, -2.4, -2.4, 1.4, 1), False),
+        (Closed(-2.4, None, None, 1.4, 1), False),
         # There is hardly a gap.
         (Closed(0.3, -0.3, 0.8, 1.1, 2), False),
     ],
@@ -288,6 +289,8 @@ def test_the_share_that_is_closed_is_that_beyond_the_floor(random: np.random.Gen
     assert closed is not None
     assert closed.share == pytest.approx((9.0 - 4.0) / (9.0 - 1.0))
     assert closed.before == pytest.approx(3.0)
+    # One trajectory tells nothing of how others differ from it.
+    assert (closed.low, closed.high) == (None, None)
     # What the effects do not move says nothing of them.
     assert share_closed(residuals, [1], random) is None
     told = sentence(
@@ -295,13 +298,77 @@ def test_the_share_that_is_closed_is_that_beyond_the_floor(random: np.random.Gen
         [],
         [],
         [],
-        nearest=EFFECT,
+        nearest=[EFFECT],
         sizes=None,
         beyond=None,
         left_open=0.28,
         place="the skin",
     )
     assert "The nearest is: late, but it closes 28% of the held-out trajectories' gap." in told
+    told = sentence(
+        Verdict.UNKNOWN,
+        [],
+        [],
+        [],
+        nearest=[EFFECT, replace(EFFECT, title="Slip")],
+        sizes=None,
+        beyond=None,
+        left_open=0.28,
+        place="the skin",
+    )
+    assert "The nearest is: late and slip, but together they close 28% of the held-out" in told
+
+
+@pytest.mark.parametrize(
+    ("is_held_out", "where"),
+    [(True, "held-out gap"), (False, "gap of the data searched, none being held out")],
+)
+def test_a_gap_is_told_to_be_of_held_out_data_only_where_it_is(
+    is_held_out: bool, where: str
+) -> None:
+    told = sentence(
+        Verdict.NAMED,
+        [(EFFECT, (Estimate("size", "s", 0.5, 0.4, 0.6),))],
+        [],
+        [ChannelGap("force", "N", 0.5, 0.4, 0.1, 0.09)],
+        nearest=[EFFECT],
+        sizes=None,
+        beyond=None,
+        is_held_out=is_held_out,
+        place="the skin",
+    )
+    assert f"; {where}: force 0.4 -> 0.1 N (floor 0.09)." in told
+
+
+def test_a_size_at_the_end_of_its_range_is_one_that_the_sensor_takes(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    parameter = EffectParameter("ratio", "", 1.0, 0.1, 5.0, (0.6, 1.6))
+    effect = replace(EFFECT, parameters=(parameter,))
+    search = search_of([-part for part in change], 1.5, 1.5, random)
+    search.case.library = {effect.name: effect}
+    variant = Variant(effect, {})
+    for size in (0.6, 1.0, 1.6):
+        variant.put(size, [(size - 1.0) * part for part in change])
+    entry = screen(search, [variant])[0]
+    # A node and a step: 0.6 + (0.1 - 0.6) is a rounding below 0.1.
+    assert entry.trial.size < parameter.low
+    estimates = estimates_of(search, entry, ())
+    assert parameter.low <= estimates[0].low <= estimates[0].value <= estimates[0].high
+    found = FoundEffect(effect.name, estimates)
+    active = active_effects(Overlay("sensor", "", (found,)), {effect.name: effect})
+    assert active[0].values == {"ratio": 0.1}
+
+
+def test_a_run_that_finds_its_solves_on_disk_has_the_same_budget(
+    change: list[np.ndarray], random: np.random.Generator
+) -> None:
+    search = search_of(change, 0.5, 0.5, random)
+    search.request = replace(search.request, budget=20)
+    for asked, solved in ((15 * TRAJECTORIES, 0), (15 * TRAJECTORIES, 90)):
+        search.case.solver = SimpleNamespace(asked_count=asked, solve_count=solved)
+        assert search.has_budget(5)
+        assert not search.has_budget(6)
 
 
 def test_without_anything_there_is_no_gap(
@@ -386,7 +453,7 @@ def test_what_too_few_repetitions_ask_for_is_told_as_undecided(
         [],
         [],
         [],
-        nearest=EFFECT,
+        nearest=[EFFECT],
         sizes=None,
         beyond=None,
         doubted=amid_all([entry.effect for entry in doubt.effects], are_two=doubt.are_two),

@@ -94,6 +94,17 @@ def test_forces_are_in_the_axes_of_the_slide(skin: SkinMesh) -> None:
     assert np.all(np.isnan(seen[:, :-3]))
 
 
+@pytest.mark.parametrize("way", [[1.0, 0.0, 0.0], [0.6, -0.8, 0.0]])
+def test_a_slide_there_and_back_has_the_axes_of_its_way_out(
+    skin: SkinMesh, way: list[float]
+) -> None:
+    out = [[0.0, 0.0, 16.0], [0.0, 0.0, 14.0]]
+    out += [[share * way[0], share * way[1], 14.0] for share in (0.5, 1.0, 0.5, 0.0)]
+    axes = places_of(recording_of(out, [0.0, 0.4, 0.5, 0.6, 0.7, 0.8]), skin).axes
+    assert np.allclose(axes[1], way)
+    assert np.allclose(axes @ axes.T, np.eye(3))
+
+
 def test_every_observable_has_a_region() -> None:
     regions = regions_of_observables()
     assert len(regions) == SIZE

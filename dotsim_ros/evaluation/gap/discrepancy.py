@@ -49,11 +49,12 @@ def calibrated_discrepancy(
 
     Args:
         source: of the presses.
-        names: of those to use.
+        names: of those to use; such as cannot be read are left out, as the source's warnings say.
         seed: of the draws.
         is_representative: whether they show how the units differ that will be searched.
     """
     recordings = [r for r in source.measurement.recordings if r.name in names]
+    names = [r.name for r in recordings]
     residuals = _residuals(source, recordings)
     found = _with_bias(source, names, _covariances(source, recordings, residuals))
     gains: dict[str, list[float]] = {}

@@ -54,7 +54,6 @@ from dotsim_ros.gel.values import GelValues, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
@@ -152,7 +151,7 @@ def run_study(
     Raises:
         SolveError: the gel with a hidden law could not be solved.
     """
-    names = [entry.name for entry in read_data_set(source.directory).entries]
+    names = [recording.name for recording in source.measurement.recordings]
     first, second = halves(names, seed)
     found: list[StudyCase] = []
     same_law: list[SameLaw] = []
@@ -183,6 +182,7 @@ def run_study(
         "limit_factors": [dict(one.limit_factors) for one in known],
         "detection_limits": limits,
         "left_out": left_out,
+        "data_warnings": list(source.measurement.warnings),
         "solves": solves,
         "seed": seed,
         "rule_version": decision.RULE_VERSION,

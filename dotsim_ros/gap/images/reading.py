@@ -19,7 +19,8 @@ from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.measured.reading import read_press_images
 from dotsim_ros.measured.recording import Recording, phases_of
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.measured.session import session_starts, span_of
+from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
 
 MOST_IMAGES = 300
 """Most images of a data set that are used; trajectories are thinned evenly to this number."""
@@ -117,14 +118,14 @@ def read_images(
     warnings: list[str] = []
     found: list[ImageTrajectory] = []
     digest = hashlib.sha256(idle_images.tobytes())
-    session_s = 0.0
-    for entry in data_set.entries:
+    starts_s = session_starts([span_of(entry, topics) for entry in data_set.entries])
+    for entry, start_s in zip(data_set.entries, starts_s, strict=True):
+        if entry not in entries:
+            continue
         try:
-            if entry in entries:
-                one = _read(data_set, entry, idle_images, skin, session_s, indenters, topics, most)
-                found.append(one)
-                digest.update(one.measured.tobytes())
-            session_s += _duration_s(entry, topics)
+            one = _read(data_set, entry, idle_images, skin, start_s, indenters, topics, most)
+            found.append(one)
+            digest.update(one.measured.tobytes())
         except (FileNotFoundError, ValueError) as error:
             warnings.append(f"the images of {entry.name} were left out: {error}")
     if not found:
@@ -200,11 +201,6 @@ def _most_frames(counts: Sequence[int]) -> int:
     if all(counts) and sum(counts) <= MOST_IMAGES:
         return MOST_IMAGES
     return max(LEAST_FRAMES, MOST_IMAGES // max(len(counts), 1))
-
-
-def _duration_s(entry: DataSetEntry, topics: Topics) -> float:
-    pose = read_trajectory(entry.bag, topics=topics, channels=("pose",)).pose
-    return 0.0 if pose is None else 1e-9 * float(pose.stamp_ns[-1] - pose.stamp_ns[0])
 
 
 def _read(

@@ -494,7 +494,8 @@ class OpticalSearch:
         gain = float(2.0 * size @ right - size @ gram @ size)
         penalty = self._penalty(name, signature)
         values |= {
-            d.name: d.none + float(s) * d.step for d, s in zip(directions, size, strict=True)
+            d.name: min(max(d.none + float(s) * d.step, d.low), d.high)
+            for d, s in zip(directions, size, strict=True)
         }
         square = float(size @ _weight(gram, variance) @ size)
         explained = gain / max(beyond, gain, _TINY)

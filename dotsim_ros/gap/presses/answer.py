@@ -179,7 +179,14 @@ def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
             nearest = min(abs(size - node) for node in variant.node)
             if nearest > SMALL_SHARE * max(abs(size - variant.absent), 1e-12):
                 wanted.append((entry, variant, size))
-        wanted = [one for k, one in enumerate(wanted) if search.has_budget(k + 1)]
+        within = [one for k, one in enumerate(wanted) if search.has_budget(k + 1)]
+        if len(within) < len(wanted):
+            _warn_once(
+                search,
+                f"the budget of {search.request.budget} solves of a trajectory was spent before "
+                "the best effects were simulated at the sizes found: these are interpolated",
+            )
+            wanted = within
         if not wanted:
             break
         search.case.extend(
@@ -195,6 +202,11 @@ def _refit(search: Search, ranked: list[Ranked]) -> list[Ranked]:
             entry.trial = best_trial(search.evidence, segments, search.base.objective)
         ranked = sorted(ranked, key=lambda entry: entry.trial.gain, reverse=True)
     return ranked
+
+
+def _warn_once(search: Search, text: str) -> None:
+    if text not in search.warnings:
+        search.warnings.append(text)
 
 
 def _close(ranked: Sequence[Ranked]) -> list[Ranked]:

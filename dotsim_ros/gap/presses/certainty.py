@@ -25,6 +25,7 @@ EXCESS = 2.0
 """Least factor by which true data exceed what their covariance predicts: intervals without it hold
 the truth in 85 % of the cases of a half, where 95 are meant."""
 FIRST_STEP = 0.02
+"""Of the way from the best size to the end of its range."""
 HALVINGS = 10
 SHOWN = 6
 """So many of the best effects are set against each other."""
@@ -56,11 +57,10 @@ def estimates_of(search: Search, entry: Ranked, others: Sequence[Ranked]) -> tup
         CHI_SQUARE * excess,
     )
     low, high = np.percentile(sizes, [2.5, 97.5]).tolist()
-    estimates = [
-        Estimate(
-            first.name, first.unit, size, min(low, profiled[0], size), max(high, profiled[1], size)
-        )
-    ]
+    found = (size, min(low, profiled[0], size), max(high, profiled[1], size))
+    # A sum of a node and a step may miss the end of the range, where the sensor refuses it, by one
+    # rounding.
+    estimates = [Estimate(first.name, first.unit, *np.clip(found, first.low, first.high).tolist())]
     for place, parameter in enumerate(entry.effect.parameters[1:]):
         value = entry.trial.variant.shape[parameter.name]
         low, high = np.percentile([s[place] for s in shapes], [2.5, 97.5]).tolist()
@@ -98,17 +98,20 @@ def profile_ends(
     allowed = objective(size) + rise
     found = []
     for end in bounds:
-        inside, outside = size, size + FIRST_STEP * (end - size)
-        while abs(outside - size) < abs(end - size) and objective(outside) < allowed:
+        reach = end - size
+        # As shares of the way to the end, which may be too short to be divided.
+        inside, outside = 0.0, FIRST_STEP
+        while outside < 1.0 and objective(size + outside * reach) < allowed:
             inside, outside = outside, outside + 2.0 * (outside - inside)
-        if abs(outside - size) >= abs(end - size):
-            outside = end
+        if outside >= 1.0:
+            outside = 1.0
             if objective(end) < allowed:
-                inside = end
+                inside = 1.0
         for _ in range(HALVINGS):
             middle = 0.5 * (inside + outside)
-            inside, outside = (middle, outside) if objective(middle) < allowed else (inside, middle)
-        found.append(0.5 * (inside + outside))
+            is_inside = objective(size + middle * reach) < allowed
+            inside, outside = (middle, outside) if is_inside else (inside, middle)
+        found.append(size + 0.5 * (inside + outside) * reach)
     return found[0], found[1]
 
 

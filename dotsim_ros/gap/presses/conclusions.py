@@ -59,6 +59,7 @@ def findings_of(
     residuals, refitted = _with_effects(search, decided.named)
     closed: Closed | None = None
     left_open: float | None = None
+    nearest = ranked[:1]
     if decided.named:
         closed = share_closed(residuals, judged, search.random)
         if closed is None:
@@ -66,6 +67,7 @@ def findings_of(
         elif search.held_out and leaves_open(closed):
             # What explains the searched trajectories alone is no explanation.
             left_open, closed = closed.share, None
+            nearest = list(decided.named)
             decided = Decision(Verdict.UNKNOWN)
             residuals, refitted = _with_effects(search, [])
     named, verdict = decided.named, decided.verdict
@@ -88,6 +90,7 @@ def findings_of(
     shared = case.shared_nuisances()
     fallback: tuple[ChannelGap, ...] = ()
     is_unknown = verdict is Verdict.UNKNOWN
+    alone = len(nearest) == 1
     if is_unknown:
         fallback = channel_gaps(_fallback(search), judged)
     fitted = values_after(case.values, shared, refitted.nuisance[: len(shared)])
@@ -100,15 +103,16 @@ def findings_of(
             [(e.effect, e.estimates) for e in named],
             [e.effect for e in decided.alternatives],
             gaps,
-            nearest=ranked[0].effect if ranked else None,
+            nearest=[e.effect for e in nearest],
             doubted=""
             if doubt is None
             else wording.amid_all([e.effect for e in doubt.effects], are_two=doubt.are_two),
             stability=stability,
-            sizes=sizes_by_channel(search, ranked[0]) if is_unknown and ranked else None,
+            sizes=sizes_by_channel(search, nearest[0]) if is_unknown and alone else None,
             left_open=left_open,
-            beyond=size_beyond_range(search, ranked[0]) if is_unknown and ranked else None,
+            beyond=size_beyond_range(search, nearest[0]) if is_unknown and alone else None,
             place=wording.largest_place(places),
+            is_held_out=bool(search.held_out),
             made_up=made_up(search, gaps) if verdict is Verdict.NO_GAP else None,
         ),
         named=tuple(e.effect.name for e in named),
@@ -147,9 +151,9 @@ def findings_of(
 
 def leaves_open(closed: Closed) -> bool:
     """Return whether named effects leave a clear gap of the held-out trajectories open."""
-    # An interval over one trajectory has no width.
     is_clear = (
         closed.before >= decision.FAR
+        and closed.high is not None
         and closed.high < 1.0
         and closed.trajectories >= decision.TRAJECTORIES_OFF
     )
@@ -198,7 +202,7 @@ def _fallback(search: Search) -> Residuals:
 
 
 def _calibrated(case: Case, fitted: GelValues, refitted: Fit) -> tuple[Estimate, ...]:
-    """Return the nuisances as fitted; the interval is that of their priors."""
+    """Return the nuisances as fitted; the range is that of their priors."""
     result = []
     for (nuisance, _), name, moved in zip(
         case.columns(), case.column_names(), refitted.nuisance.tolist(), strict=True

@@ -139,19 +139,30 @@ def fit_discrepancy(
         recordings: R presses.
         residuals: of each (F, SIZE), NaN where nothing was observed.
         source: what the presses are, in words.
+
+    Raises:
+        ValueError: none of them is deep enough to tell.
     """
     between = np.zeros((SIZE, SIZE))
     within = np.zeros((SIZE, SIZE))
-    frames = 0
+    frames = used = 0
     for recording, residual in zip(recordings, residuals, strict=True):
         judged = recording.depth_m > JUDGED_DEPTH_M
+        if not judged.any():
+            continue
+        used += 1
         scaled = np.nan_to_num(residual / amplitude(recording, recording.press.force_n))[judged]
         for turned in _symmetric(scaled):
             mean = turned.mean(axis=0)
             between += np.outer(mean, mean)
             within += (turned - mean).T @ (turned - mean)
         frames += max(1, int(judged.sum()) - 1)
-    count = 2 * len(recordings)
+    if not used:
+        raise ValueError(
+            f"no frame of {source} is deeper than {1e3 * JUDGED_DEPTH_M:g} mm, so they do not tell "
+            "how far model and measurement are apart; record presses"
+        )
+    count = 2 * used
     return Discrepancy(_shrunk(between / count), _shrunk(within / (2 * frames)), source)
 
 

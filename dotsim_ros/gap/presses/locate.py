@@ -109,15 +109,16 @@ class Closed:
     Attributes:
         share: (RMS0^2 - RMS1^2) / (RMS0^2 - floor^2) in units of the expected deviation; RMS0 is
             that of the recalibrated twin. 1 where what is left is below the floor.
-        low, high: its interval of 95 % by a bootstrap over trajectories.
+        low, high: its interval of 95 % by a bootstrap over trajectories; None for a single one, of
+            which there is none.
         before: RMS0 over the floor.
         trajectories: on how many of them the recalibrated twin is off by more than the floor where
             the effects show.
     """
 
     share: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     before: float
     trajectories: int
 
@@ -134,13 +135,15 @@ def share_closed(
     drawn = random.integers(len(chosen), size=(RESAMPLED, len(chosen)))
     shares = [_share(sums[rows].sum(axis=0)) for rows in drawn]
     finite = [share for share in shares if np.isfinite(share)]
-    low, high = np.percentile(finite, [2.5, 97.5]) if finite else (np.nan, np.nan)
+    low, high = None, None
+    if len(chosen) > 1 and finite:
+        low, high = np.percentile(finite, [2.5, 97.5]).tolist()
     before, _, floor = whole = sums.sum(axis=0)
     share = _share(whole)
     if not np.isfinite(share):
         return None
     off = int(np.count_nonzero(sums[:, 0] > sums[:, 2]))
-    return Closed(share, float(low), float(high), float(np.sqrt(before / floor)), off)
+    return Closed(share, low, high, float(np.sqrt(before / floor)), off)
 
 
 def _squares(residuals: Residuals, t: int) -> tuple[float, float, float]:

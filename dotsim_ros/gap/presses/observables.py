@@ -17,13 +17,16 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.recording import Phase, Recording
+from dotsim_ros.measured.recording import STILL_M, Phase, Recording
 
 RING_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3, 4.5e-3, 6.5e-3, 10.0e-3, np.inf)
 """Edges of the rings, by the distance at rest from the contact's middle."""
 SECTORS = (1, 4, 8, 8, 8, 8, 4)
 REGIONS = ("apex", "contact", "contact", "rim", "rim", "far", "base")
 """What each ring is called in a report."""
+
+FAR_SHARE = 0.9
+"""A pose of a slide is far out from this share of the farthest one's distance on."""
 
 PATCH_COUNT = sum(SECTORS)
 SIZE = 3 * PATCH_COUNT + 3
@@ -72,12 +75,7 @@ def places_of(recording: Recording, skin: SkinMesh) -> Places:
     off_axis = np.linalg.norm(outward - along_axis[:, None] * normal, axis=1)
     off_axis[along_axis < 0.0] = np.inf
     centre = rest[int(np.argmin(off_axis))]
-    if slides:
-        way = poses[slides[-1]].position_m - poses[middle_frame].position_m
-    else:
-        way = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    along = way - (way @ normal) * normal
-    along /= np.linalg.norm(along)
+    along = _slide_direction(np.array([poses[k].position_m - tip for k in slides]), normal)
     axes = np.stack([normal, along, np.cross(normal, along)])
     offset = rest - centre
     distance = np.linalg.norm(offset, axis=1)
@@ -90,6 +88,26 @@ def places_of(recording: Recording, skin: SkinMesh) -> Places:
     patch[skin.on_base] = -1
     count = np.bincount(patch[patch >= 0], minlength=PATCH_COUNT)
     return Places(axes, patch.astype(np.int64), count.astype(np.int64))
+
+
+def _slide_direction(moved_m: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return the unit vector (3,) across the normal that a slide leads along; any across it where
+    nothing slides.
+
+    Args:
+        moved_m: (S, 3) from the contact's middle to each pose of the slide; may be empty.
+        normal: (3,) unit vector.
+    """
+    across = moved_m.reshape(-1, 3)
+    across = across - np.outer(across @ normal, normal)
+    distance = np.linalg.norm(across, axis=1)
+    if len(distance) and distance.max() > STILL_M:
+        # A slide there and back ends where it began: the last pose that is far out leads.
+        far = np.flatnonzero(distance >= FAR_SHARE * distance.max())[-1]
+        return across[far] / distance[far]
+    any_way = np.array([1.0, 0.0, 0.0]) if abs(normal[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    any_way -= (any_way @ normal) * normal
+    return any_way / np.linalg.norm(any_way)
 
 
 def observe(

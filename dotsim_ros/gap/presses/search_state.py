@@ -78,7 +78,7 @@ class GapRequest:
         channels: that are used.
         candidates: names of the effects to look for; empty for all of the library.
         alpha: probability of a name on data without any effect.
-        budget: most solves of a trajectory; None for no limit.
+        budget: solves of a trajectory after which sizes are refined no more; None for no limit.
         seed: of all draws.
         workers: how many processes, or workers of Ray.
         discrepancy: file of the covariances; None for the shipped ones.
@@ -182,11 +182,15 @@ class Search:
         return result
 
     def has_budget(self, variants: int) -> bool:
-        """Return whether so many variants may be simulated along the measured trajectories."""
+        """Return whether so many variants may still be simulated along the trajectories.
+
+        What is asked for counts, not what is solved: a run that finds solves on disk takes the same
+        steps as one that does not.
+        """
         if self.request.budget is None:
             return True
-        measured = sum(not t.is_reference for t in self.case.trajectories)
-        return self.case.solver.solve_count + variants * measured <= self.request.budget
+        asked = self.case.solver.asked_count / len(self.case.trajectories)
+        return asked + variants <= self.request.budget
 
     @cached_property
     def bootstraps(self) -> FloatArray:

@@ -22,6 +22,7 @@ from dotsim_ros.gap.report.text import (
     quantity,
     role_text,
     shown_name,
+    with_prior_text,
 )
 from dotsim_ros.page import Block, Bullets, Gallery, Page, Paragraph, Section, Table
 
@@ -107,9 +108,10 @@ def _at_a_glance(f: Findings, warns_first: bool) -> Section | None:
         interval = ""
         if f.share_closed_low is not None and f.share_closed_high is not None:
             interval = f" ({percent(f.share_closed_low)} to {percent(f.share_closed_high)})"
+        where = "the held-out trajectories" if f.locked else "the trajectories of the search"
         items.append(
-            f"Share of the gap closed on the held-out trajectories: {percent(f.share_closed)}"
-            f"{interval}."
+            f"Share of the gap closed on {where}: {percent(f.share_closed)}{interval}, of what "
+            "the effects move."
         )
     if f.stability is not None and not f.named:
         items.append(
@@ -324,8 +326,9 @@ def _remains(f: Findings) -> Section | None:
         blocks.append(
             Paragraph(
                 "Not physics: a smooth correction by phase and region, fitted beside the twin's "
-                f"constants where no effect fits, changes the residual of the held-out "
-                f"trajectories: {closest}. It is not an effect, it is not in the overlay, and it "
+                f"constants where no effect fits, changes the residual of "
+                f"{'the held-out trajectories' if f.locked else 'the trajectories of the search'}: "
+                f"{closest}. It is not an effect, it is not in the overlay, and it "
                 "does not carry over to other protocols."
             )
         )
@@ -374,7 +377,7 @@ def _calibrated(f: Findings) -> Section | None:
         return None
     return Section(
         "Fitted first, so that a wrong constant is not taken for missing physics",
-        (Bullets(tuple(map(estimate_text, f.calibrated))),),
+        (Bullets(tuple(map(with_prior_text, f.calibrated))),),
     )
 
 

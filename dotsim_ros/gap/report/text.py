@@ -41,10 +41,20 @@ def quantity(value: float, unit: str) -> str:
 
 def estimate_text(estimate: Estimate) -> str:
     """Return a fitted number with its interval."""
+    return _with_range(estimate, "")
+
+
+def with_prior_text(estimate: Estimate) -> str:
+    """Return a fitted number with the range of its prior, where that is what its ends are."""
+    return _with_range(estimate, "prior ")
+
+
+def _with_range(estimate: Estimate, range_name: str) -> str:
     low, high = (f"{shown(end, estimate.unit):.3g}" for end in (estimate.low, estimate.high))
     value = f"{shown(estimate.value, estimate.unit):.3g}"
     name = shown_name(estimate.name, estimate.unit)
-    return f"{name} = {value} ({low} to {high}) {shown_unit(estimate.unit)}".rstrip()
+    unit = shown_unit(estimate.unit)
+    return f"{name} = {value} ({range_name}{low} to {high}) {unit}".rstrip()
 
 
 def percent(share: float | None) -> str:

@@ -96,9 +96,10 @@ def sentence(
     alternatives: Sequence[Effect],
     gaps: Sequence[ChannelGap],
     *,
-    nearest: Effect | None,
+    nearest: Sequence[Effect],
     sizes: tuple[float, float] | None,
     beyond: float | None,
+    is_held_out: bool = True,
     doubted: str = "",
     stability: float | None = None,
     left_open: float | None = None,
@@ -111,10 +112,11 @@ def sentence(
         verdict: the answer.
         named: effects that are added, with their estimates.
         alternatives: effects that cannot be distinguished from the first.
-        gaps: by channel, on the held-out trajectories.
-        nearest: the effect that comes nearest, where none is named.
+        gaps: by channel, on the held-out trajectories, or on all where none is held out.
+        nearest: what comes nearest, where nothing is named: an effect, or two that act together.
         sizes: of the nearest, as the skin and as the force give it, where they disagree.
         beyond: size of the nearest that the data ask for, where it is beyond its range.
+        is_held_out: whether any trajectory is.
         doubted: the effects that are not named because too few bootstrap repetitions ask for them,
             as `amid_all` puts them.
         stability: share of the repetitions that do.
@@ -136,14 +138,15 @@ def sentence(
     if verdict is Verdict.UNKNOWN:
         text = "Unknown effect: simulation and measurement disagree, and no effect of the library "
         text += f"explains it. It is largest in {place}."
-        if nearest is not None:
-            text += f" The nearest is: {amid(nearest.title)}"
-            first = nearest.parameters[0]
+        if nearest:
+            text += f" The nearest is: {amid_all(nearest, are_two=True)}"
+            first = nearest[0].parameters[0]
             unit = f" {first.unit}" if first.unit else ""
             if beyond is not None:
                 text += f", but the data {_asked(first, beyond)}"
             if left_open is not None:
-                text += f", but it closes {left_open:.0%} of the held-out trajectories' gap"
+                closes = "it closes" if len(nearest) == 1 else "together they close"
+                text += f", but {closes} {left_open:.0%} of the held-out trajectories' gap"
             if sizes is not None:
                 text += (
                     f", but the skin gives {first.name} = {sizes[0]:.2g}{unit} and the force "
@@ -160,7 +163,8 @@ def sentence(
         f"{gap.floor:.2g})"
         for gap in gaps
     )
-    text = "; and ".join(parts) + (f"; held-out gap: {closing}." if closing else ".")
+    where = "held-out gap" if is_held_out else "gap of the data searched, none being held out"
+    text = "; and ".join(parts) + (f"; {where}: {closing}." if closing else ".")
     if alternatives:
         others = ", ".join(effect.title for effect in alternatives)
         text += f" The data do not distinguish it from: {others}."
