@@ -10,6 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from dotsim_ros.calibration.idle_files import (
+    DescribedImage,
+    described_image,
+    write_lowered_copy,
+)
 from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters
 from dotsim_ros.calibration.report import summary_lines, write_report
@@ -19,6 +24,7 @@ from dotsim_ros.calibration.run import (
     Calibration,
     CalibrationRequest,
     Progress,
+    face_drop_m,
     run_calibration,
 )
 from dotsim_ros.cores import single_threaded
@@ -33,6 +39,7 @@ LOSSES = (POINTS, CHAMFER, FORCE)
 FITTED = ("E", "nu", "friction")
 OFFSET = "offset"
 """The name by which an offset of the indenter is fitted, which is a press's own."""
+THICKNESS = "thickness"
 MOST_JOINT_STEPS = 4
 
 
@@ -67,7 +74,9 @@ def calibrate(
         sensor: before the fit, a name, a YAML file or a specification: geometry, and where the
             priors are centred.
         out: file (.yaml) to write the calibrated sensor to, with the report in a folder beside it:
-            `report_folder(out)`. None writes nothing.
+            `report_folder(out)`. Where a pad's thickness is fitted and a file beside its idle image
+            states the lights, a copy of both, with the lights moved along, lies there too. None
+            writes nothing.
         fit: of "E", "nu" (or "bulk_modulus"), "friction", "contact_stiffness", "c20", "c30",
             "thickness", and "offset", which is of the indenter, six numbers a press.
         losses: of "points" (vertex to vertex), "chamfer" (without correspondence) and "force"; by
@@ -120,6 +129,8 @@ def calibrate(
         check_output_folder(report_folder(out))
     if run_folder is not None:
         check_output_folder(run_folder)
+    moves = THICKNESS in parameters and specification.gel.shape != "dome"
+    described = described_image(specification) if moves else None
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary) if out is None else report_folder(out) / "run"
         calibration = run_calibration(
@@ -144,6 +155,7 @@ def calibrate(
         )
     named = name or (specification.name if out is None else out.stem)
     calibration = replace(calibration, specification=calibration.named(named))
+    calibration = _as_lit_before(calibration, specification, described, out)
     if out is not None:
         # The sensor first: it is what all the solves were for.
         write_sensor(out, calibration.specification, "\n".join(summary_lines(calibration)))
@@ -156,6 +168,46 @@ def calibrate(
                 "solves nothing anew"
             ) from error
     return calibration
+
+
+def _as_lit_before(
+    calibration: Calibration,
+    before: SensorSpecification,
+    described: DescribedImage | None,
+    out: Path | None,
+) -> Calibration:
+    """Return a calibration whose sensor has its lights as far from a pad's face as before, with
+    remarks on what its file has otherwise than the sensor before.
+
+    Args:
+        calibration: with the sensor under its name.
+        before: the sensor that was given.
+        described: its idle image, where lights that stand beside it come before the sensor's own.
+        out: file of the sensor, which a copy of that image is written beside; None writes none.
+    """
+    sensor, remarks = calibration.specification, []
+    if before.camera.residual and not sensor.camera.residual:
+        remarks.append(
+            f"network: {before.camera.residual} is for the name and the camera of the sensor "
+            "before, and this sensor names none; train one with dotsim_ros train-optics"
+        )
+    drop_m = face_drop_m(sensor, before)
+    if described is not None and drop_m != 0.0:
+        beside = described.image.with_suffix(".yaml")
+        if out is None:
+            remarks.append(
+                f"lights: {beside} has them where they were, and comes before this sensor's own; "
+                "give a file to write the sensor to, and a copy has them as far from the face as "
+                "before"
+            )
+        else:
+            name = write_lowered_copy(described, drop_m, out)
+            sensor = replace(sensor, camera=replace(sensor.camera, idle_image=name))
+            remarks.append(
+                f"lights: as far from the face as before, beside a copy of the idle image, {name}; "
+                f"{beside} has them where they were"
+            )
+    return replace(calibration, specification=sensor, remarks=tuple(remarks))
 
 
 def report_folder(out: Path) -> Path:

@@ -26,7 +26,12 @@ from dotsim_ros.calibration.loss import (
     nearest_partners,
     residuals,
 )
-from dotsim_ros.calibration.parameters import GelParameter, coordinates, with_coordinates
+from dotsim_ros.calibration.parameters import (
+    GelParameter,
+    coordinate_bounds,
+    coordinates,
+    with_coordinates,
+)
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.measured.presses import Press
@@ -130,6 +135,14 @@ class PressFit:
     has_settled: bool = False
 
 
+def within_bounds(problem: FitProblem, point: FloatArray) -> FloatArray:
+    """Return unknowns (n,) with their parameters kept within their bounds."""
+    kept = point.copy()
+    count = len(problem.parameters)
+    kept[:count] = np.clip(kept[:count], *coordinate_bounds(problem.parameters))
+    return kept
+
+
 def simulate(
     simulator: GelSimulator, observation: Observation, problem: FitProblem, point: FloatArray
 ) -> SimulatedPress:
@@ -158,13 +171,14 @@ def linearise(
         simulator: of the sensor.
         observation: the press.
         problem: what is fitted.
-        point: (n,) unknowns.
+        point: (n,) unknowns; parameters beyond their bounds are taken at them, as the model is.
         simulated: the model at the point, if it is known.
 
     Raises:
         SolveError: the model could not be solved at the point or beside it.
     """
     solve_count = 0
+    point = within_bounds(problem, point)
     if simulated is None:
         simulated = simulate(simulator, observation, problem, point)
         solve_count += 1
@@ -180,8 +194,7 @@ def linearise(
             if parameter.field == "youngs_modulus_pa":
                 columns.append(_modulus_column(press, simulated, noise, skin, here))
                 continue
-            # Towards the prior's centre, away from the bounds.
-            step = np.copysign(parameter.step, problem.centre()[index] - point[index])
+            step = _difference(problem, point, index)
         else:
             step = OFFSET_STEPS[index - len(problem.parameters)]
         beside_point = point.copy()
@@ -193,7 +206,7 @@ def linearise(
         columns.append({c: (there[c] - here[c]) / step for c in here})
     jacobian = {c: np.stack([column[c] for column in columns], axis=1) for c in here}
     return PressLinearisation(
-        point=point.copy(),
+        point=point,
         information={c: jacobian[c].T @ jacobian[c] for c in here},
         gradient={c: jacobian[c].T @ here[c] for c in here},
         loss={c: 0.5 * float(here[c] @ here[c]) for c in here},
@@ -201,6 +214,18 @@ def linearise(
         solve_count=solve_count,
         converged=converged,
     )
+
+
+def _difference(problem: FitProblem, point: FloatArray, index: int) -> float:
+    """Return the step of a parameter's difference, which stays within its bounds: beyond them the
+    model is that at the bound, and the difference would tell nothing."""
+    low, high = (ends[index] for ends in coordinate_bounds(problem.parameters))
+    here, size = point[index], problem.parameters[index].step
+    towards_centre = float(np.copysign(size, problem.centre()[index] - here))
+    for step in (towards_centre, -towards_centre):
+        if low <= here + step <= high:
+            return step
+    return max(low - here, high - here, key=abs)
 
 
 def _modulus_column(
@@ -264,7 +289,7 @@ def fit_press(
     while spent + cost <= budget and damping < LARGEST_DAMPING and not has_settled:
         information, gradient, loss = penalised(problem, best)
         step = damped_step(information, gradient, damping)
-        step = _kept_in_bounds(problem, best.point, step)
+        step = within_bounds(problem, best.point + step) - best.point
         promised = -float(gradient @ step + 0.5 * step @ information @ step)
         if promised < SMALLEST_DECREASE:
             has_settled = True
@@ -291,16 +316,6 @@ def fit_press(
 def _is_modulus(problem: FitProblem, index: int) -> bool:
     parameters = problem.parameters
     return index < len(parameters) and parameters[index].field == "youngs_modulus_pa"
-
-
-def _kept_in_bounds(problem: FitProblem, point: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the step with its parameters kept within their bounds."""
-    moved = point + step
-    for index, parameter in enumerate(problem.parameters):
-        ends = [parameter.to_coordinate(value) for value in parameter.bounds]
-        moved[index] = np.clip(moved[index], min(ends), max(ends))
-    result: FloatArray = moved - point
-    return result
 
 
 def _loss_at(

@@ -134,6 +134,12 @@ def coordinates(parameters: Sequence[GelParameter], values: GelValues) -> FloatA
     return np.array([p.to_coordinate(getattr(values, p.field)) for p in parameters])
 
 
+def coordinate_bounds(parameters: Sequence[GelParameter]) -> tuple[FloatArray, FloatArray]:
+    """Return the smallest and the largest coordinates (P,) of the chosen parameters."""
+    ends = np.array([[p.to_coordinate(bound) for bound in p.bounds] for p in parameters])
+    return ends.min(axis=1), ends.max(axis=1)
+
+
 def with_coordinates(
     values: GelValues, parameters: Sequence[GelParameter], coordinate: FloatArray
 ) -> GelValues:

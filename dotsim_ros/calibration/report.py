@@ -97,6 +97,7 @@ def figures(calibration: Calibration, *, seed: int) -> dict[str, Any]:
         "fit_seconds": c.fit_seconds,
         "held_out": _held_out(c),
         "omissions": [asdict(omission) for omission in c.omissions],
+        "remarks": list(c.remarks),
     }
 
 
@@ -185,6 +186,7 @@ def summary_lines(calibration: Calibration) -> list[str]:
         own_m, found_m = c.problem.start.thickness_m, c.values.thickness_m
         if own_m != found_m:
             lines.append(_face_line(own_m, found_m))
+    lines += [one_line(remark) for remark in c.remarks]
     if len(c.fits) == 1:
         lines.append(ONE_PRESS)
     for name in c.frozen:
@@ -294,6 +296,7 @@ def page_of(calibration: Calibration, numbers: dict[str, Any]) -> Page:
                 (
                     Table(head, estimates),
                     *([Paragraph(ONE_PRESS)] if len(c.fits) == 1 else []),
+                    *([Bullets(c.remarks)] if c.remarks else []),
                     Paragraph(
                         "Intervals of the fits are bootstraps over presses. An error that all "
                         "presses have in common, such as the "

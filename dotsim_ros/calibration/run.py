@@ -109,6 +109,7 @@ class Calibration:
         omissions: trajectories that were left out, and why.
         fit_seconds: what fitting took, without reading, tables and judging.
         reasons: why the data do not tell a frozen parameter, and what to do, by its name.
+        remarks: what else the sensor's file has otherwise than the sensor before.
     """
 
     problem: FitProblem
@@ -126,6 +127,7 @@ class Calibration:
     omissions: list[Omission]
     fit_seconds: float
     reasons: dict[str, str] = field(default_factory=dict)
+    remarks: tuple[str, ...] = ()
 
     def named(self, name: str) -> SensorSpecification:
         """Return the calibrated sensor under a name; a network of images stays with its own."""
@@ -273,16 +275,24 @@ def _calibrated(
     )
 
 
+def face_drop_m(fitted: SensorSpecification, before: SensorSpecification) -> float:
+    """Return how far the face of a pad came down by a fit; that of a dome stays where it is."""
+    if fitted.gel.shape == "dome":
+        return 0.0
+    return before.gel.thickness_m - fitted.gel.thickness_m
+
+
 def seen_as_before(fitted: SensorSpecification, before: SensorSpecification) -> SensorSpecification:
     """Return a sensor whose camera and lights are as far from a pad's face as before the fit: its
-    base is at 0, so that the face is where the thickness that was found puts it."""
-    if fitted.gel.shape == "dome":
+    base is at 0, so that the face is where the thickness that was found puts it. A network of
+    images stays with the camera that it was trained for."""
+    lower_m = face_drop_m(fitted, before)
+    if lower_m == 0.0:
         return fitted
-    lower_m = before.gel.thickness_m - fitted.gel.thickness_m
     x, y, z = before.camera.position_m
     return replace(
         fitted,
-        camera=replace(before.camera, position_m=(x, y, z - lower_m)),
+        camera=replace(before.camera, position_m=(x, y, z - lower_m), residual=""),
         lighting=replace(before.lighting, height_m=before.lighting.height_m - lower_m),
     )
 

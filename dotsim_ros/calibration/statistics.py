@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import FORCE, SKIN
-from dotsim_ros.calibration.parameters import coordinates
+from dotsim_ros.calibration.parameters import coordinate_bounds, coordinates
 
 IDENTIFIABLE_SHARE = 0.5
 """A parameter is identifiable if the data leave at most this share of its prior's width."""
@@ -108,9 +108,10 @@ def identifiability(
 
 
 def joint_step(problem: FitProblem, linearisations: Sequence[PressLinearisation]) -> FloatArray:
-    """Return the Gauss-Newton step (P,) of the shared parameters, from the mean of their points."""
+    """Return the Gauss-Newton step (P,) of the shared parameters, from the mean of their points
+    and within their bounds."""
     here, informations, gradients = _stacked(problem, linearisations)
-    return _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
+    return _bounded_step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))[0]
 
 
 def offset_step(
@@ -139,20 +140,25 @@ def joint_estimate(
     Presses may be linearised at different points: each enters with the quadratic that it has about
     its own, so that fits of single presses are weighed by their information. Each replicate draws
     presses with replacement and takes one Gauss-Newton step from their information and gradients:
-    no new solve. Deviations are widened by sqrt(n / (n - 1)) and
-    Student's quantile over the normal one, since n presses are few. One press alone cannot be drawn
-    otherwise: its interval is that of its information and the priors.
+    no new solve. A parameter that ends at a bound stays there in all of them. Deviations are
+    widened by sqrt(n / (n - 1)) and Student's quantile over the normal one, since n presses are
+    few. One press alone cannot be drawn otherwise: its interval is that of its information and the
+    priors.
     """
     here, informations, gradients = _stacked(problem, linearisations)
     n = len(linearisations)
-    best = here + _step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
+    step, held = _bounded_step(problem, here, informations.sum(axis=0), gradients.sum(axis=0))
+    best = here + step
     if n == 1:
         return _from_information(problem, best, informations[0])
     alone = _from_information(problem, best, informations.sum(axis=0))
     drawn = np.random.default_rng(seed).integers(n, size=(replicates, n))
     points = np.array(
         [
-            here + _step(problem, here, informations[d].sum(axis=0), gradients[d].sum(axis=0))
+            here
+            + _step(
+                problem, here, informations[d].sum(axis=0), gradients[d].sum(axis=0), held, step
+            )
             for d in drawn
         ]
     )
@@ -223,12 +229,38 @@ def _stacked(
     return here, informations, gradients + np.einsum("kij,kj->ki", informations, here - points)
 
 
-def _step(
+def _bounded_step(
     problem: FitProblem, here: FloatArray, information: FloatArray, gradient: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return the step (P,) within the bounds, and which (P,) parameters it leaves at one.
+
+    What leads beyond a bound ends there, and the others go where that leaves them: the quadratic
+    says nothing of a model beyond its bounds.
+    """
+    low, high = coordinate_bounds(problem.parameters)
+    held = np.zeros(len(here), dtype=np.bool_)
+    step = _step(problem, here, information, gradient, held, np.zeros(len(here)))
+    while np.any(beyond := ~held & ((here + step < low) | (here + step > high))):
+        held |= beyond
+        ends = np.clip(here + step, low, high) - here
+        step = _step(problem, here, information, gradient, held, ends)
+    return step, held
+
+
+def _step(
+    problem: FitProblem,
+    here: FloatArray,
+    information: FloatArray,
+    gradient: FloatArray,
+    held: BoolArray,
+    ends: FloatArray,
 ) -> FloatArray:
-    count = len(problem.parameters)
-    precision = problem.precision()[:count]
+    """Return the step (P,) to the optimum, with the parameters that are held (P,) where the step
+    `ends` (P,) takes them."""
+    precision = problem.precision()[: len(here)]
     away = here - coordinates(problem.parameters, problem.start)
-    return np.asarray(
-        -np.linalg.solve(information + np.diag(precision), gradient + precision * away)
-    )
+    curvature, slope = information + np.diag(precision), gradient + precision * away
+    step = np.where(held, ends, 0.0)
+    free = ~held
+    step[free] = -np.linalg.solve(curvature[np.ix_(free, free)], (slope + curvature @ step)[free])
+    return step

@@ -18,11 +18,11 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dotsim_ros.calibration.camera.model import CameraModel
     from dotsim_ros.measured.data_set import DataSet
     from dotsim_ros.specification import SensorSpecification
     from dotsim_ros.twin.footage import FilmedData
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--stated",
         default="densetact2",
         help="name or file of the sensor whose camera and lights the fit starts from, and that its "
-        "priors are centred on (densetact2)",
+        "priors are centred on; of the projection and aspect ratio of --sensor's (densetact2)",
     )
     judged = parser.add_mutually_exclusive_group()
     judged.add_argument(
@@ -76,13 +76,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Fit, judge, write the files, and print the figures."""
     from dotsim_ros.calibration.camera.fit import fit_camera
-    from dotsim_ros.calibration.camera.model import LENS, POSITION, CameraModel, read_lights
+    from dotsim_ros.calibration.camera.model import (
+        LENS,
+        POSITION,
+        CameraModel,
+        camera_section,
+        describe_lights,
+        read_lights,
+    )
     from dotsim_ros.calibration.camera.report import (
         draw_sheet,
         fit_figures,
         summary_lines,
     )
     from dotsim_ros.calibration.camera.score import score_frames
+    from dotsim_ros.calibration.idle_files import idle_image_of
     from dotsim_ros.files import write_image, write_json
     from dotsim_ros.geometry.camera import Camera
     from dotsim_ros.measured.data_set import read_data_set
@@ -96,6 +104,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(f"--out is {out}, expected a file that ends in .yaml")
     data_set = read_data_set(arguments.data)
     sensor, stated = load_sensor(arguments.sensor), load_sensor(arguments.stated)
+    check_stated(arguments, stated, sensor)
     train, held_out = split(data_set, arguments)
     given = {"image": arguments.image_topic, "pose": arguments.pose_topic}
     topics = Topics(**{name: topic for name, topic in given.items() if topic is not None})
@@ -113,6 +122,10 @@ def run(arguments: argparse.Namespace) -> int:
         lens_skin = with_measured_skin(to_fit, arguments.data, topics=topics)
     lens = (*LENS, *POSITION) if arguments.position else LENS
     fit = fit_camera(to_fit, start, lens_filmed=lens_skin, lens=lens, progress=_say)
+    # What no file of a sensor takes is refused before one is written.
+    lights_found = describe_lights(fit.model)
+    section = camera_section(fit.model, sensor.camera, idle_image_of(out)[1])
+    fitted = replace(sensor, name=out.stem, camera=section)
     models = {
         "before": start,
         "lens": CameraModel(fit.model.camera, start.lights, start.falloff),
@@ -137,9 +150,36 @@ def run(arguments: argparse.Namespace) -> int:
     write_image(directory / "sheet.png", draw_sheet(_only(filmed, held_out or train), fit.model))
     for path in filter(None, (directory / "report.json", arguments.json)):
         write_json(path, figures)
-    _write_sensor(arguments, sensor, fit.model, filmed, lines)
+    _write_sensor(arguments, sensor, fitted, lights_found, filmed, lines)
     print("\n".join([*lines, f"sensor: {out}", f"report: {directory}"]))
     return 0
+
+
+def check_stated(
+    arguments: argparse.Namespace, stated: SensorSpecification, sensor: SensorSpecification
+) -> None:
+    """Refuse a stated camera that cannot stand in for that of the sensor.
+
+    Raises:
+        ValueError: their projections or their aspect ratios differ.
+    """
+    from dotsim_ros.geometry.camera import Camera
+
+    start, own = stated.camera, sensor.camera
+    try:
+        Camera.from_specification(start).scaled(own.width, own.height)
+    except ValueError:
+        is_alike = False
+    else:
+        is_alike = start.projection == own.projection
+    if not is_alike:
+        raise ValueError(
+            f"--stated {arguments.stated} has a camera of the projection {start.projection} and "
+            f"{start.width}x{start.height} pixels, and the sensor {sensor.name} one of the "
+            f"projection {own.projection} and {own.width}x{own.height}: the fit starts from the "
+            "one and is written as the other; expected the same projection and aspect ratio: name "
+            "with --stated the sensor as its maker states it, or --sensor's own file"
+        )
 
 
 def split(data_set: DataSet, arguments: argparse.Namespace) -> tuple[list[str], list[str]]:
@@ -181,45 +221,35 @@ def split(data_set: DataSet, arguments: argparse.Namespace) -> tuple[list[str], 
 
 
 def _only(filmed: FilmedData, names: list[str]) -> FilmedData:
-    from dataclasses import replace
-
     return replace(filmed, presses=tuple(p for p in filmed.presses if p.name in names))
 
 
 def _write_sensor(
     arguments: argparse.Namespace,
     sensor: SensorSpecification,
-    model: CameraModel,
+    fitted: SensorSpecification,
+    lights: dict[str, dict[str, Any]],
     filmed: FilmedData,
     lines: list[str],
 ) -> None:
     """Write the idle image, its description and the sensor's file, in this order."""
-    from dataclasses import replace
-
-    import yaml
-
-    from dotsim_ros.calibration.camera.model import camera_section, describe_lights
-    from dotsim_ros.files import parameter_path, write_image, write_text
+    from dotsim_ros.calibration.idle_files import idle_image_of, write_description
+    from dotsim_ros.files import write_image
     from dotsim_ros.specification import read_comment, sensor_path, write_sensor
 
     out = arguments.out.resolve()
-    parameters = parameter_path("sensors").resolve().parent
-    if out.parent == parameters / "sensors":
-        image, name = parameters / "images" / f"{out.stem}_idle.png", f"images/{out.stem}_idle.png"
-    else:
-        image = out.with_name(f"{out.stem}_idle.png")
-        name = str(image)
+    image, _ = idle_image_of(out)
     write_image(image, filmed.idle)
     command = (
         f"dotsim_ros calibrate-camera --data {arguments.data.name} --sensor {sensor.name} "
         f"--out {out.name}"
     )
-    write_text(
-        image.with_suffix(".yaml"),
-        f"# The mean idle image of the data set {arguments.data.name}; LEDs, coat and vignetting "
-        f"as fitted by\n#   {command}\n" + yaml.safe_dump(describe_lights(model), sort_keys=False),
+    write_description(
+        image,
+        lights,
+        f"The mean idle image of the data set {arguments.data.name}; LEDs, coat and vignetting "
+        f"as fitted by\n  {command}",
     )
-    fitted = replace(sensor, name=out.stem, camera=camera_section(model, sensor.camera, name))
     # What an earlier fit of the camera said gives way.
     before = read_comment(sensor_path(arguments.sensor))
     comment = [line for line in before if not line.startswith(MARK)]

@@ -58,7 +58,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add("--candidates", nargs="+", default=[], help="effects to look for (all)")
     add("--alpha", type=float, default=0.02, help="chance of a name without an effect (0.02)")
-    add("--budget", type=int, help="solves of a trajectory after which sizes are refined no more (no limit)")
+    add(
+        "--budget",
+        type=int,
+        help="solves of a trajectory after which sizes are refined no more (no limit)",
+    )
     add("--seed", type=int, default=0, help="of all draws (0)")
     add_worker_arguments(parser)
     add("--discrepancy", type=Path, help="file of the model's own error (the shipped one)")

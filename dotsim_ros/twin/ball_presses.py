@@ -14,13 +14,15 @@ sees depends on that little.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray, ImageArray
-from dotsim_ros.gel.make import make_gel, skin_of
+from dotsim_ros.gel.implicit.gel import CORE_CLEARANCE_M, PressTooDeepError
+from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
@@ -36,6 +38,12 @@ CAMERA_DISTANCE_M = 0.03
 """Distance of the camera from the pad's face; such sensors are about as large."""
 FIRST_DEPTH, LAST_DEPTH, DEPTH_COUNT = 0.4 / 2.35, 2.4 / 2.35, 21
 """Depths of the presses that are solved, over the ball's radius."""
+WIDER = 2.0
+"""The deepest of them makes a circle so many times wider than the widest that is asked for; wider
+ones would only take their time, and depth that a pad may not have."""
+CLEARANCE_MARGIN_M = 0.1e-3
+LEAST_PAD_M = round(CORE_CLEARANCE_M + 2.0 * CLEARANCE_MARGIN_M, 9)
+"""Thickness of the thinnest pad that a ball is pressed into."""
 STEP_S = 0.05
 TOUCHING_M = 40.0e-6
 PROFILE_STEP_M = 0.1e-3
@@ -100,15 +108,53 @@ class PressProfiles:
         return moved
 
 
-def press_profiles(sensor: SensorSpecification, ball_radius_m: float) -> PressProfiles:
+def press_depths_m(
+    gel: Gel, thickness_m: float, ball_radius_m: float, widest_m: float
+) -> FloatArray:
+    """Return the depths (D,) to press a ball to, from `FIRST_DEPTH` over `LAST_DEPTH` on.
+
+    They end deep enough for the widest circle of contact, and before the ball is too near the base.
+
+    Args:
+        gel: with the ball.
+        thickness_m: of the pad.
+        ball_radius_m: of the ball.
+        widest_m: radius of the widest circle that is asked for.
+    """
+    depths = ball_radius_m * np.linspace(FIRST_DEPTH, LAST_DEPTH, DEPTH_COUNT)
+    last = float(depths[-1])
+    # By Hertz; a pad's circle is the wider, the thinner it is.
+    share = min(1.0, (WIDER * widest_m) ** 2 / ball_radius_m / last)
+    try:
+        # Between the points of its base the gel takes some balls deeper than its clearance.
+        gel.check_depth(Pose(np.array([0.0, 0.0, thickness_m - share * last])))
+    except PressTooDeepError:
+        share = min(share, (thickness_m - CORE_CLEARANCE_M - CLEARANCE_MARGIN_M) / last)
+    return share * depths
+
+
+def press_profiles(
+    sensor: SensorSpecification, ball_radius_m: float, widest_m: float = math.inf
+) -> PressProfiles:
     """Press a ball into the middle of a pad, ever deeper, and return what its face does.
 
+    Args:
+        sensor: of the pad.
+        ball_radius_m: of the ball.
+        widest_m: radius of the widest circle of contact that is asked for; by default the ball is
+            pressed in as deep as the pad takes it, to little more than its radius.
+
     Raises:
-        ValueError: the gel could not be solved.
+        ValueError: the pad is too thin, or the gel could not be solved.
     """
+    top = sensor.gel.pad_size_m[2]
+    if top < LEAST_PAD_M:
+        raise ValueError(
+            f"the pad is {1e3 * top:g} mm thick, expected {1e3 * LEAST_PAD_M:g} or more: a ball is "
+            f"pressed to {1e3 * CORE_CLEARANCE_M:g} mm above the base at most; check its thickness"
+        )
     skin = skin_of(sensor.gel)
     gel = make_gel(sensor, skin, sphere(ball_radius_m))
-    top = sensor.gel.pad_size_m[2]
     rest = skin.rest_position_m
     distance = np.linalg.norm(rest[:, :2], axis=1)
     # One ring of vertices after the other: their mean has no direction that the grid prefers.
@@ -121,7 +167,7 @@ def press_profiles(sensor: SensorSpecification, ball_radius_m: float) -> PressPr
     radii: list[float] = []
     outward: list[FloatArray] = []
     upward: list[FloatArray] = []
-    for depth in ball_radius_m * np.linspace(FIRST_DEPTH, LAST_DEPTH, DEPTH_COUNT):
+    for depth in press_depths_m(gel, top, ball_radius_m, widest_m):
         pose = Pose(np.array([0.0, 0.0, top - depth]))
         position = gel.step(pose, STEP_S).skin_position_m
         motion = position - rest

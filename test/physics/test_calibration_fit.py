@@ -16,6 +16,7 @@ import trimesh
 import yaml
 from numpy.typing import NDArray
 
+from dotsim_ros.calibration.calibrate import calibrate
 from dotsim_ros.calibration.fitting import (
     FitProblem,
     PressLinearisation,
@@ -24,6 +25,7 @@ from dotsim_ros.calibration.fitting import (
 )
 from dotsim_ros.calibration.loss import CHAMFER, POINTS, SKIN, LossNoise, force_deviation_n
 from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
+from dotsim_ros.calibration.report import figures, summary_lines
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate
 from dotsim_ros.cli.main import main
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
@@ -210,6 +212,21 @@ def test_one_press_is_fitted_from_far_away(skin_loss: str) -> None:
     assert abs(found[2]) < 0.3
 
 
+@pytest.mark.parametrize("beyond", [0.0, 0.3])
+def test_differences_at_a_bound_are_taken_where_the_model_answers(beyond: float) -> None:
+    (parameter,) = chosen_parameters(("nu",))
+    start = replace(values_of(SENSOR), poisson_ratio=parameter.bounds[0])
+    problem = FitProblem((parameter,), start, NOISE, POINTS)
+    wide = replace(parameter, bounds=(0.01, parameter.bounds[1]))
+    found = linearise(simulator(), observed(1), problem, problem.centre() + beyond)
+    expected = linearise(
+        simulator(), observed(1), replace(problem, parameters=(wide,)), problem.centre()
+    )
+    assert found.point == pytest.approx(problem.centre(), abs=1e-12)
+    ratio = found.total()[0] / expected.total()[0]
+    assert ratio == pytest.approx(np.ones((1, 1)), rel=0.5)
+
+
 def test_a_fit_keeps_to_its_budget() -> None:
     problem = problem_of()
     start = linearise(simulator(), observed(2), problem, problem.centre())
@@ -250,10 +267,10 @@ def test_intervals_cover_the_truth_of_simulated_presses() -> None:
     assert np.all(np.mean(covered, axis=0) > 0.88)
 
 
-def write_data_set(directory: Path, seeds: range) -> None:
+def write_data_set(directory: Path, seeds: range, values: GelValues = TRUTH) -> None:
     records = []
     for seed in seeds:
-        press = observed(seed).press
+        press = observed(seed, values).press
         stamp_ns = np.round(1e9 * press.stamp_s).astype(np.int64)
         assert press.skin_position_m is not None
         assert press.force_n is not None
@@ -311,3 +328,21 @@ def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path: Path
     assert values_of(load_sensor(out)) == fitted
     again = [path for path in files if path.stat().st_mtime_ns != written[path]]
     assert again == [torn]
+
+
+def test_a_joint_fit_that_leads_beyond_a_bound_ends_there_and_says_so(tmp_path: Path) -> None:
+    # More compressible than is searched.
+    write_data_set(tmp_path / "data", range(3), replace(TRUTH, poisson_ratio=0.05))
+    found = calibrate(
+        tmp_path / "data",
+        sensor=SENSOR,
+        fit=("E", "nu"),
+        hold_out=0,
+        noise=NOISE,
+        workers=1,
+        solves=20,
+    )
+    assert found.values.poisson_ratio == 0.2
+    assert found.values.youngs_modulus_pa == pytest.approx(TRUTH.youngs_modulus_pa, rel=0.15)
+    assert figures(found, seed=0)["parameters"]["nu"]["joint"]["at_bound"]
+    assert "nu (joint): 0.2, the end of what is searched and no estimate" in summary_lines(found)

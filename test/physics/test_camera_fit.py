@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import yaml
 
+from dotsim_ros.calibration.camera import fit as fit_module
 from dotsim_ros.calibration.camera.fit import fit_camera, rim_circle
 from dotsim_ros.calibration.camera.model import (
     LENS,
@@ -15,15 +17,19 @@ from dotsim_ros.calibration.camera.model import (
     CameraModel,
     RingLights,
     camera_section,
+    describe_lights,
     moved,
 )
 from dotsim_ros.calibration.camera.score import score_frames, summarize_frames
+from dotsim_ros.cli.main import main
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.optics.idle import read_description
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.pattern import render_idle_image
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import GelSpecification, PatternSpecification, load_sensor
+from dotsim_ros.twin import footage
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
 RADIUS_M = 0.01575
@@ -152,3 +158,97 @@ def test_shallow_presses_are_refused(filmed, stated):
     )
     with pytest.raises(ValueError, match="press deeper"):
         fit_camera(shallow, stated, lens=LENS, lights=LIGHTS)
+
+
+def test_the_section_has_the_projection_that_was_fitted():
+    pinhole = Camera.from_specification(load_sensor("gelsight_mini").camera)
+    section = camera_section(
+        CameraModel(pinhole, STATED_LIGHTS), load_sensor("densetact2").camera, ""
+    )
+    written = Camera.from_specification(section)
+    assert section.projection == pinhole.projection
+    assert written.focal_px == pytest.approx(pinhole.focal_px, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "end"),
+    [
+        ("crosstalk", 1.0),
+        ("spread_deg", 120.0),
+        ("exponent", 10.0),
+        ("radius_m", 1e-4),
+        ("height_m", 0.3),
+    ],
+)
+def test_lights_at_the_end_of_what_a_file_takes_stay_there(name, end, stated, tmp_path):
+    at_end = replace(stated, lights=replace(STATED_LIGHTS, **{name: end}))
+    (parameter,) = (p for p in LIGHTS if p.name == name)
+    described = tmp_path / "idle.yaml"
+    for way in (-1.0, 1.0):
+        model = parameter.moved(at_end, way * parameter.step)
+        described.write_text(yaml.safe_dump(describe_lights(model)))
+        read_description(described)
+    ends = {parameter.value(parameter.moved(at_end, w * parameter.step)) for w in (-1.0, 1.0)}
+    assert end in ends
+    assert len(ends) == 2
+
+
+@pytest.fixture
+def command(tmp_path, filmed, monkeypatch):
+    """A fit of the camera to the presses that were filmed, with four bags in name alone."""
+    entries = [
+        {"bag": f"bags/{press.name}", "indenter": "dent", "images": True}
+        for press in filmed.presses
+    ]
+    for entry in entries:
+        (tmp_path / "data" / entry["bag"]).mkdir(parents=True)
+    (tmp_path / "data" / "dataset.yaml").write_text(yaml.safe_dump({"trajectories": entries}))
+    monkeypatch.setattr(footage, "read_filmed_data", lambda *_given, **_known: filmed)
+    line = ["calibrate-camera", "--data", str(tmp_path / "data"), "--skin", "gel"]
+    return [*line, "--out", str(tmp_path / "mine.yaml")]
+
+
+def test_the_command_writes_a_sensor_that_has_the_fitted_camera(
+    command, fit, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(fit_module, "fit_camera", lambda *_given, **_known: fit)
+    assert main([*command, "--sensor", "densetact2"]) == 0
+    sensor = load_sensor(tmp_path / "mine.yaml")
+    assert sensor.camera.idle_image == str(tmp_path / "mine_idle.png")
+    _, lighting, _ = read_description(tmp_path / "mine_idle.yaml")
+    assert lighting.gloss == pytest.approx(fit.model.lights.gloss, abs=1e-6)
+    focal_px = Camera.from_specification(sensor.camera).scaled(240, 180).focal_px
+    assert focal_px == pytest.approx(fit.model.camera.focal_px, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "given", "said"),
+    [
+        ("gelsight_mini", "densetact2", "projection equidistant and 640x480"),
+        ("densetact2", "gelsight_mini", "projection pinhole and 640x480"),
+        ("gelsight_mini", "digit", "one of the projection pinhole and 640x480"),
+    ],
+)
+def test_a_stated_camera_of_another_kind_is_refused_before_the_fit(
+    command, sensor, given, said, capsys, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(footage, "read_filmed_data", None)
+    before = sorted(tmp_path.iterdir())
+    assert main([*command, "--sensor", sensor, "--stated", given]) == 1
+    answer = capsys.readouterr().err
+    assert f"--stated {given} has a camera of the projection" in answer
+    assert said in answer
+    assert "name with --stated the sensor as its maker states it" in answer
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_a_fit_that_no_file_takes_leaves_what_is_there(command, fit, capsys, tmp_path, monkeypatch):
+    image, described = tmp_path / "mine_idle.png", tmp_path / "mine_idle.yaml"
+    for path in (image, described):
+        path.write_text("of an earlier fit")
+    far = replace(fit, model=replace(fit.model, lights=replace(fit.model.lights, gloss=2e3)))
+    monkeypatch.setattr(fit_module, "fit_camera", lambda *_given, **_known: far)
+    assert main([*command, "--sensor", "densetact2"]) == 1
+    assert "gloss is 2000" in capsys.readouterr().err
+    assert image.read_text() == described.read_text() == "of an earlier fit"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["data", "mine_idle.png", "mine_idle.yaml"]

@@ -14,14 +14,22 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dotsim_ros.calibration.calibrate import calibrate
+from dotsim_ros.calibration.loss import LossNoise
 from dotsim_ros.cli.main import main
+from dotsim_ros.files import write_image
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.data_set_writer import write_data_set
 from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.optics.idle import lights_of
+from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
+from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import (
+    CameraSpecification,
     GelSpecification,
     SensorSpecification,
     SolverSpecification,
@@ -72,6 +80,92 @@ def pad_press(simulator: GelSimulator, name: str, ball: Indenter, way: Sequence[
         skin=SkinChannel(stamp_ns, skin_m.astype(np.float32)),
         name=name,
     )
+
+
+def lit_pad(folder: Path) -> SensorSpecification:
+    """Return the pad with an idle image, lights beside it, and a network for its camera."""
+    export = pytest.importorskip("dotsim_ros.learning.export", exc_type=ImportError)
+    from dotsim_ros.learning.neighbourhood import NeighbourhoodModel
+
+    size = width, height = 160, 120
+    image, network = folder / "idle.png", folder / "network"
+    write_image(image, np.full((height, width, 3), 120, dtype=np.uint8))
+    lines = [
+        "# A photograph of somebody's.",
+        "lighting:",
+        "  height_m: -0.002",
+        "  radius_m: 0.012",
+    ]
+    image.with_suffix(".yaml").write_text("\n".join(lines))
+    camera = CameraSpecification(
+        projection="pinhole",
+        width=width,
+        height=height,
+        position_m=(0.0, 0.0, -0.016),
+        half_height_angle_deg=16.0,
+        principal_point_px=(79.5, 59.5),
+        idle_image=str(image),
+        residual=str(network),
+    )
+    hashed = camera_hash(Camera.from_specification(camera))
+    card = NetworkCard(FORMAT, "neighbourhood", PAD.name, hashed, *size, "", "")
+    export.write_network(network, NeighbourhoodModel().eval(), card)
+    gel = replace(PAD.gel, pad_size_m=(0.01, 0.008, THICKNESS_M))
+    return replace(PAD, gel=gel, camera=camera)
+
+
+def test_a_pad_that_was_found_thinner_is_lit_as_before_and_has_no_network_of_another_camera(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pad = lit_pad(tmp_path)
+    before, out = tmp_path / "before.yaml", tmp_path / "fitted.yaml"
+    write_sensor(before, pad, "lit")
+    TactileSensor.load(before)
+    skin = skin_of(pad.gel)
+    press = [(0, 0, -0.3), (0, 0, 0.8), (0, 0, 1.5)]
+    trajectory = pad_press(GelSimulator(pad, skin), "press_0", SMALL_BALL, press)
+    write_data_set(tmp_path / "data", [(trajectory, SMALL_BALL)], skin=skin)
+
+    command = ["calibrate", "--data", str(tmp_path / "data"), "--sensor", str(before)]
+    command += ["--noise-skin-discretisation-m", "1e-5", "--noise-force-discretisation", "0.01"]
+    command += ["--fit", "E", "thickness", "--out", str(out), "--joint-steps", "0"]
+    # The network is for a sensor of this name.
+    assert main([*command, "--solves", "6", "--workers", "1", "--name", PAD.name]) == 0
+    fitted = load_sensor(out)
+    drop_m = THICKNESS_M - fitted.gel.thickness_m
+    assert drop_m > 0.05e-3
+
+    TactileSensor.load(out)
+    assert fitted.camera.residual == ""
+    place_m = [sensor.camera.position_m[2] for sensor in (pad, fitted)]
+    assert place_m[0] - place_m[1] == pytest.approx(drop_m)
+    lights = [lights_of(sensor)[0].lights for sensor in (pad, fitted)]
+    for stood, stands in zip(*lights, strict=True):
+        assert stands.position_m[:2] == stood.position_m[:2]
+        assert stood.position_m[2] - stands.position_m[2] == pytest.approx(drop_m, abs=1e-9)
+    copied = (tmp_path / "fitted_idle.yaml").read_text()
+    assert copied.startswith("# A photograph of somebody's.\n# The lights 0.")
+    assert fitted.camera.idle_image == str(tmp_path / "fitted_idle.png")
+    # What the sensor before is lit by is as it was.
+    assert (tmp_path / "idle.yaml").read_text().endswith("radius_m: 0.012")
+    printed = capsys.readouterr().out
+    assert "this sensor names none; train one with dotsim_ros train-optics" in printed
+    assert "lights: as far from the face as before" in printed
+    remarks = json.loads((tmp_path / "fitted_report" / "report.json").read_text())["remarks"]
+    assert len(remarks) == 2
+
+    found = calibrate(
+        tmp_path / "data",
+        sensor=pad,
+        fit=("E", "thickness"),
+        noise=LossNoise(skin_discretisation_m=1e-5, force_discretisation=0.01),
+        joint_steps=0,
+        solves=6,
+        workers=1,
+        run_folder=tmp_path / "fitted_report" / "run",
+    )
+    assert found.specification.camera.idle_image == pad.camera.idle_image
+    assert "has them where they were" in found.remarks[1]
 
 
 def searched(data: Path, sensor: Path, out: Path) -> dict[str, Any]:

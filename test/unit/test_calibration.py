@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from calibration_result import calibration
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
 from dotsim_ros.calibration.advice import shown_modulus_pa, why_not_identified
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
@@ -21,6 +22,7 @@ from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, LossNoise, nearest_
 from dotsim_ros.calibration.loss import residuals as missed
 from dotsim_ros.calibration.parameters import (
     chosen_parameters,
+    coordinate_bounds,
     coordinates,
     shown_value,
     with_coordinates,
@@ -400,6 +402,32 @@ def test_a_press_beside_the_middle_of_a_pad_is_no_slide() -> None:
             topics=Topics(),
         )
         assert words in found["friction"]
+
+
+def test_a_joint_step_ends_at_the_bounds_and_the_others_go_where_that_leaves_them() -> None:
+    problem = problem_of("E", "c20", "c30")
+    random = np.random.default_rng(4)
+    here = problem.centre()
+    truth = here + np.array([0.3, 0.1, -0.2])
+    presses = []
+    for _ in range(5):
+        # Each parameter makes the same force stiffer: what one may not do the others take over.
+        jacobian = 20.0 * (random.normal(size=(30, 1)) + 0.3 * random.normal(size=(30, 3)))
+        residual = jacobian @ (here - truth) + random.normal(size=30)
+        presses.append(linear_press({FORCE: jacobian}, {FORCE: residual}, here))
+    low, high = coordinate_bounds(problem.parameters)
+    information = sum(press.total()[0] for press in presses)
+    gradient = sum(press.total()[1] for press in presses)
+    root = np.linalg.cholesky(information + np.diag(problem.precision())).T
+    target = -np.linalg.solve(root.T, gradient)
+    expected = lsq_linear(root, target, bounds=(low - here, high - here), tol=1e-14).x
+
+    step = joint_step(problem, presses)
+    assert step == pytest.approx(expected, rel=1e-6)
+    found = joint_estimate(problem, presses, replicates=200)
+    assert found.point[2] == -0.1
+    assert found.point == pytest.approx(here + expected, rel=1e-6)
+    assert np.all((found.low < found.point) & (found.point < found.high))
 
 
 def test_quadratics_about_different_points_combine_as_about_one() -> None:

@@ -29,8 +29,13 @@ from dotsim_ros.measured.importers.fots_balls import (
 )
 from dotsim_ros.measured.importers.taxim_balls import read_taxim_balls
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.specification import GelSpecification, SolverSpecification
+from dotsim_ros.specification import (
+    GelSpecification,
+    SensorSpecification,
+    SolverSpecification,
+)
 from dotsim_ros.twin.ball_presses import (
+    LEAST_PAD_M,
     FlatScene,
     PressProfiles,
     flat_camera,
@@ -194,6 +199,36 @@ def test_deeper_presses_touch_more(profiles: PressProfiles) -> None:
     assert np.all(np.diff(middle) < 0.0)
     assert middle[-1] < -1.9e-3
     assert np.abs(profiles.upward_m[:, -1]).max() < 0.3e-3
+
+
+def test_a_large_ball_is_pressed_as_deep_as_the_pad_takes_it() -> None:
+    found = press_profiles(COARSE, 4.0e-3)
+    assert np.all(np.diff(found.contact_radius_m) > 0.0)
+    # A clearance of 1.5 mm is left of the pad's 4 mm, and a margin.
+    assert found.upward_m[-1].min() == pytest.approx(-2.4e-3, abs=0.1e-3)
+    assert found.contact_radius_m[-1] > 2.8e-3
+
+
+def test_depths_end_where_the_circles_are_twice_as_wide_as_asked() -> None:
+    asked_m = 1.2e-3
+    found = press_profiles(COARSE, 10.0e-3, asked_m)
+    assert found.contact_radius_m[0] < asked_m < 1.5 * asked_m < found.contact_radius_m[-1]
+    assert found.upward_m[-1].min() > -0.7e-3
+
+
+def test_a_thin_pad_is_pressed_and_one_that_is_too_thin_says_so() -> None:
+    def of_thickness(thickness_m: float) -> SensorSpecification:
+        return replace(
+            COARSE,
+            gel=replace(COARSE.gel, pad_size_m=(0.012, 0.012, thickness_m)),
+            solver=replace(COARSE.solver, grid_spacing_m=0.8e-3),
+            camera=replace(COARSE.camera, position_m=(0.0, 0.0, -0.02)),
+        )
+
+    found = press_profiles(of_thickness(LEAST_PAD_M), BALL_RADIUS_M)
+    assert found.upward_m[-1].min() < -0.05e-3
+    with pytest.raises(ValueError, match=r"is 1\.6 mm thick, expected 1\.7 or more"):
+        press_profiles(of_thickness(1.6e-3), BALL_RADIUS_M)
 
 
 def test_the_gel_shows_the_circle_that_was_marked(profiles: PressProfiles) -> None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -15,15 +16,27 @@ import pytest
 from numpy.typing import NDArray
 
 from dotsim_ros.calibration.calibrate import report_folder
-from dotsim_ros.calibration.guided.fit import GuidedRequest, calibrate_guided, scale_of
+from dotsim_ros.calibration.guided.fit import (
+    GuidedRequest,
+    calibrate_guided,
+    network_width_px,
+    scale_of,
+)
 from dotsim_ros.calibration.guided.photographs import LEAST_PRESSES, read_guided_photographs
-from dotsim_ros.calibration.guided.report import CIRCLES, PAGE, summary_lines, write_guided_report
+from dotsim_ros.calibration.guided.report import (
+    CIRCLES,
+    FIGURES,
+    PAGE,
+    summary_lines,
+    write_guided_report,
+)
 from dotsim_ros.cli.main import main
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.learning.neighbourhood import NeighbourhoodRecipe
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
+from dotsim_ros.twin.ball_presses import flat_camera
 
 SIZE = (120, 160)
 BALL_DIAMETER_M = 4.0e-3
@@ -140,6 +153,42 @@ def test_from_photographs_to_a_sensor_that_runs(folder: Path, tmp_path: Path) ->
     top = specification.gel.pad_size_m[2]
     pressed = sensor.step(Pose(np.array([0.0, 0.0, top - 0.8e-3]))).image
     assert np.abs(pressed.astype(float) - idle).max() > 20.0
+
+
+def test_a_large_ball_and_a_thin_pad_give_a_sensor(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "mine.yaml"
+    told: list[str] = []
+    request = GuidedRequest(
+        folder,
+        out,
+        8.0e-3,
+        PIXELS_PER_METRE,
+        pad_size_m=(18.0e-3, 14.0e-3, 1.8e-3),
+        recipe=NeighbourhoodRecipe(steps=20, batch=1024),
+    )
+    found = calibrate_guided(request, told.append)
+    write_guided_report(report_folder(out), found)
+    # A pad so thin is pressed to a part of the circles that were photographed, which is told.
+    assert len(found.too_wide) == LEAST_PRESSES
+    assert any("check the pad's thickness, or press less deep" in line for line in told)
+    figures = json.loads((report_folder(out) / FIGURES).read_text())
+    assert figures["too_wide"] == list(found.too_wide)
+    assert "wider than the pad can be pressed to" in (report_folder(out) / PAGE).read_text()
+    assert load_sensor(out).solver.grid_spacing_m == 0.9e-3
+
+
+@pytest.mark.parametrize(
+    ("size", "width"), [((160, 120), 160), ((200, 160), 160), ((640, 480), 320), ((240, 320), 240)]
+)
+def test_photographs_of_any_size_give_a_network_its_images(
+    size: tuple[int, int], width: int
+) -> None:
+    assert network_width_px(flat_camera(*size, 4.0e-3, PIXELS_PER_METRE)) == width
+
+
+def test_photographs_that_are_too_small_for_a_network_say_so() -> None:
+    with pytest.raises(ValueError, match=r"are 60x60, .* crop them all alike to a width"):
+        network_width_px(flat_camera(60, 60, 4.0e-3, PIXELS_PER_METRE))
 
 
 def test_the_command_refuses_what_it_cannot_use(

@@ -10,7 +10,7 @@ a sensor may be from what its maker states.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,13 @@ from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.optics.idle import stated_lights
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
-from dotsim_ros.specification import CameraSpecification, SensorSpecification
+from dotsim_ros.quantity import quantities_of
+from dotsim_ros.specification import (
+    CameraSpecification,
+    LightingSpecification,
+    SensorSpecification,
+    VignettingSpecification,
+)
 
 REFERENCE_HEIGHT_PX = 240.0
 """Image height that parameters in pixels are stated for."""
@@ -97,13 +103,17 @@ def read_lights(sensor: SensorSpecification) -> tuple[RingLights, tuple[float, .
 
 
 def describe_lights(model: CameraModel) -> dict[str, dict[str, Any]]:
-    """Return the sections of the file beside an idle image."""
-    lighting = {
-        entry.name: _plain(getattr(model.lights, entry.name)) for entry in fields(RingLights)
-    }
+    """Return the sections of the file beside an idle image.
+
+    Raises:
+        ValueError: a number is out of the range that such a file takes.
+    """
+    lighting: dict[str, Any] = {name: _plain(value) for name, value in asdict(model.lights).items()}
+    LightingSpecification(**lighting)
     sections: dict[str, dict[str, Any]] = {"lighting": lighting}
     if model.falloff:
         sections["vignetting"] = {"falloff": _plain(model.falloff)}
+        VignettingSpecification(**sections["vignetting"])
     return sections
 
 
@@ -120,6 +130,10 @@ def camera_section(
         model: the camera at the images' resolution.
         stated: the section before.
         idle_image: file of the idle image, as the section names it.
+
+    Raises:
+        ValueError: the size has another aspect ratio than the model's, or a number is out of the
+            section's range.
     """
     camera = model.camera.scaled(stated.width, stated.height)
     x, y = (round(float(v), 3) for v in camera.principal_point_px)
@@ -128,6 +142,7 @@ def camera_section(
     qx, qy, qz, qw = (round(float(v), 8) for v in camera.pose.quaternion_xyzw)
     return replace(
         stated,
+        projection=camera.projection,
         position_m=(px, py, pz),
         quaternion_xyzw=(qx, qy, qz, qw),
         half_height_angle_deg=round(float(np.degrees(camera.half_height_angle_rad)), 5),
@@ -265,10 +280,16 @@ POSITION = (_place(0), _place(1), _place(2))
 """Where the camera stands, which a few presses hardly identify."""
 
 
-def _light(name: str, step: float, prior: float, *, least: float = -np.inf) -> CameraParameter:
+def _with_light(model: CameraModel, name: str, value: float) -> CameraModel:
+    """Return the model with a number of its lights, kept within what a sensor's file takes."""
+    known = quantities_of(LightingSpecification)[name][1]
+    changes: dict[str, Any] = {name: min(max(value, known.low), known.high)}
+    return replace(model, lights=replace(model.lights, **changes))
+
+
+def _light(name: str, step: float, prior: float) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
-        value = max(getattr(model.lights, name) + amount, least)
-        return replace(model, lights=replace(model.lights, **{name: value}))
+        return _with_light(model, name, getattr(model.lights, name) + amount)
 
     return CameraParameter(
         name, step, prior, move, lambda model: float(getattr(model.lights, name))
@@ -277,8 +298,7 @@ def _light(name: str, step: float, prior: float, *, least: float = -np.inf) -> C
 
 def _light_factor(name: str, prior: float) -> CameraParameter:
     def move(model: CameraModel, amount: float) -> CameraModel:
-        value = getattr(model.lights, name) * float(np.exp(amount))
-        return replace(model, lights=replace(model.lights, **{name: value}))
+        return _with_light(model, name, getattr(model.lights, name) * float(np.exp(amount)))
 
     return CameraParameter(name, 0.1, prior, move, lambda model: float(getattr(model.lights, name)))
 
@@ -313,12 +333,12 @@ def _falloff() -> CameraParameter:
 LIGHTS = (
     _light_factor("ambient_fraction", 1.5),
     _light_factor("exponent", 0.7),
-    _light("gloss", 0.3, 3.0, least=0.0),
+    _light("gloss", 0.3, 3.0),
     _light_factor("gloss_exponent", 1.0),
     _light("radius_m", 0.2e-3, 2.0e-3),
     _light("height_m", 0.2e-3, 1.0e-3),
-    _light("spread_deg", 2.0, 20.0, least=0.0),
-    _light("crosstalk", 0.02, 0.1, least=0.0),
+    _light("spread_deg", 2.0, 20.0),
+    _light("crosstalk", 0.02, 0.1),
     _azimuth(0),
     _azimuth(1),
     _azimuth(2),

@@ -23,8 +23,8 @@ from dotsim_ros.calibration.guided.photographs import GuidedPhotographs, read_gu
 from dotsim_ros.files import check_output_file, check_output_folder, write_image
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.learning.export import write_network
-from dotsim_ros.learning.fitting import FittedNetwork
-from dotsim_ros.learning.neighbourhood import NeighbourhoodRecipe, fit_neighbourhood
+from dotsim_ros.learning.fitting import CPU_WIDTH, FittedNetwork
+from dotsim_ros.learning.neighbourhood import KIND, NeighbourhoodRecipe, fit_neighbourhood
 from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import (
@@ -55,6 +55,9 @@ ASSUMED_SHARE = 0.9
 """Radius of the widest circle over the ball's, where the scale is not given."""
 LEAST_SHARE = 0.5
 """A press whose widest circle is narrower than this share of the ball is hardly a press."""
+BEYOND = 1.05
+"""A circle so many times wider than that of the deepest press is not a press of the pad; a rim is
+found to some hundredths of its radius."""
 EVERY = 4
 """Every fourth photograph is judged on."""
 
@@ -130,6 +133,8 @@ class GuidedCalibration:
         idle_psnr_db: of the idle photograph on them, the floor.
         predicted: images (H, W, 3) by the names of those judged.
         origin: of the figures.
+        too_wide: names of photographs whose circle is wider than the pad can be pressed to, and
+            that are taken for its deepest press.
     """
 
     photographs: GuidedPhotographs
@@ -141,6 +146,7 @@ class GuidedCalibration:
     idle_psnr_db: Mapping[str, float]
     predicted: Mapping[str, ImageArray]
     origin: Mapping[str, str]
+    too_wide: tuple[str, ...] = ()
 
 
 def scale_of(
@@ -200,6 +206,22 @@ def guided_sensor(
     )
 
 
+def network_width_px(camera: Camera) -> int:
+    """Return the width of the network's images: the largest that networks take up to the camera's.
+
+    Raises:
+        ValueError: there is none; photographs of another size have one.
+    """
+    for width in range(min(camera.width, CPU_WIDTH[KIND]) // 16 * 16, 63, -16):
+        if round(camera.height * width / camera.width) % 8 == 0:
+            return width
+    raise ValueError(
+        f"the photographs are {camera.width}x{camera.height}, from which no network's images can "
+        "be made; crop them all alike to a width that is a multiple of 16, from 64 on, and a "
+        "height that is a multiple of 8"
+    )
+
+
 def calibrate_guided(
     request: GuidedRequest, progress: Callable[[str], None] = lambda _line: None
 ) -> GuidedCalibration:
@@ -212,8 +234,8 @@ def calibrate_guided(
         progress: called with a line that says what was found.
 
     Raises:
-        FileNotFoundError, ValueError: as `read_guided_photographs`, `scale_of` and
-            `guided_sensor`, before anything is written.
+        FileNotFoundError, ValueError: as `read_guided_photographs`, `scale_of`, `guided_sensor`,
+            `network_width_px` and `press_profiles`, before anything is written.
         OSError: the files cannot be written, before anything is fitted.
     """
     check_output_file(request.out)
@@ -237,22 +259,37 @@ def calibrate_guided(
         f"{most:.2f})"
     )
     sensor = guided_sensor(request, photographs, scale)
+    camera = Camera.from_specification(sensor.camera)
+    size = network_width_px(camera)
     progress("pressing the ball into a pad, and fitting what its slopes do to the colour")
     fine = replace(
         sensor,
         gel=replace(sensor.gel, skin_spacing_m=SKIN_SPACING_M),
-        solver=replace(sensor.solver, grid_spacing_m=GRID_SPACING_M, refined=False),
+        solver=replace(
+            sensor.solver,
+            grid_spacing_m=min(GRID_SPACING_M, sensor.solver.grid_spacing_m),
+            refined=False,
+        ),
     )
     scene = flat_scene(photographs.idle, fine, scale.pixels_per_metre)
     presses = photographs.presses
-    shapes = gel_presses(presses, scene, press_profiles(fine, ball_radius_m))
+    profiles = press_profiles(fine, ball_radius_m, max(radii) / scale.pixels_per_metre)
+    deepest_px = float(profiles.contact_radius_m[-1]) * scale.pixels_per_metre
+    too_wide = tuple(press.name for press in presses if press.radius_px > BEYOND * deepest_px)
+    if too_wide:
+        progress(
+            f"{len(too_wide)} photographs show circles of more than {deepest_px:.0f} pixels "
+            f"radius, that of the deepest press of a pad {1e3 * sensor.gel.pad_size_m[2]:g} mm "
+            "thick, and are taken for that press; check the pad's thickness, or press less deep"
+        )
+    shapes = gel_presses(presses, scene, profiles)
     judged = range(EVERY - 1, len(presses), EVERY)
-    camera = Camera.from_specification(sensor.camera)
     network = fit_neighbourhood(
         [shape for k, shape in enumerate(shapes) if k not in judged],
         scene.rest,
         camera,
         seed=request.seed,
+        size=size,
         recipe=request.recipe,
     )
     predicted = {presses[k].name: network.predict(shapes[k], scene.rest)[0] for k in judged}
@@ -267,6 +304,7 @@ def calibrate_guided(
         _psnr(photographs, idle),
         predicted,
         provenance(),
+        too_wide,
     )
     _write(request, found, network)
     return found

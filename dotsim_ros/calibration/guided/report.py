@@ -72,6 +72,7 @@ def write_guided_report(folder: Path, found: GuidedCalibration) -> None:
             for press in photographs.presses
         },
         "left_out": dict(photographs.left_out),
+        "too_wide": list(found.too_wide),
         "scale": asdict(scale),
         "fitted_on": list(found.fitted_on),
         "judged_on": list(found.judged_on),
@@ -84,6 +85,11 @@ def write_guided_report(folder: Path, found: GuidedCalibration) -> None:
     bounds = f"the ball allows {least:.2f} to {most:.2f} a millimetre"
     words = f"given; {bounds}" if scale.measured else f"no: assumed; {bounds}; measure it"
     left = [f"- left out: {reason}" for reason in photographs.left_out.values()]
+    left += [
+        f"- {name}: its circle is wider than the pad can be pressed to, and it is taken for the "
+        "deepest press"
+        for name in found.too_wide
+    ]
     lines = [
         f"# {found.sensor.name}, from photographs of a ball\n",
         *(f"- {line}" for line in summary_lines(found)),
