@@ -317,7 +317,8 @@ class TactileSensor:
         """Replace the indenter and return to rest."""
         self._solvers.set_indenter(indenter)
         self.indenter = indenter
-        self._time_s = 0.0
+        # The explicit gel only takes its next pose for the first: it would stay pressed.
+        self.reset()
 
     def prepare_solver(self, solver: SolverSpecification) -> None:
         """Make the gel that another solver needs, so that `set_solver` has not to wait for it.

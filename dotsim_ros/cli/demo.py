@@ -44,30 +44,35 @@ def run(arguments: argparse.Namespace) -> int:
     stay_local()
     bag: Path = arguments.out / "presses"
     remove_made(arguments.out, "presses")  # that of the demonstration before
-    with ExitStack() as stack:
-        sensor = NodeProcess("tactile_sim", {})
-        stack.callback(sensor.stop)
-        sensor.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
-        recorder = NodeProcess("tactile_record", {"output": bag})
-        stack.callback(recorder.stop)
-        recorder.wait_for_line("receiving /image_raw", timeout_s=START_TIMEOUT_S)
-        player = NodeProcess(
-            "indenter_player",
-            {
-                "source": "presses",
-                "subscriber_count": 2,
-                "press_numbers": str(list(range(arguments.presses))),
-                "depth_limit_m": 1e-3 * arguments.depth_mm,
-                "exit_at_end": "true",
-            },
-        )
-        stack.callback(player.stop)
-        statuses = {player.executable: player.wait()}
-        statuses |= {node.executable: node.stop() for node in (recorder, sensor)}
+    try:
+        with ExitStack() as stack:
+            sensor = NodeProcess("tactile_sim", {})
+            stack.callback(sensor.stop)
+            sensor.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
+            recorder = NodeProcess("tactile_record", {"output": bag})
+            stack.callback(recorder.stop)
+            recorder.wait_for_line("receiving /image_raw", timeout_s=START_TIMEOUT_S)
+            player = NodeProcess(
+                "indenter_player",
+                {
+                    "source": "presses",
+                    "subscriber_count": 2,
+                    "press_numbers": str(list(range(arguments.presses))),
+                    "depth_limit_m": 1e-3 * arguments.depth_mm,
+                    "exit_at_end": "true",
+                },
+            )
+            stack.callback(player.stop)
+            statuses = {player.executable: player.wait()}
+            statuses |= {node.executable: node.stop() for node in (recorder, sensor)}
+    finally:
+        # By now the recorder has ended. What it left after Ctrl-C or a failure is this command's,
+        # too, which the next run removes.
+        if bag.exists():
+            note_made(arguments.out, "presses")
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
-    note_made(arguments.out, "presses")
     request = ViewRequest(
         bag=bag,
         out=arguments.out,

@@ -88,17 +88,22 @@ def run(arguments: argparse.Namespace) -> int:
         print(bar(done / arguments.laps, note), file=sys.stderr, flush=True)
         return bool(done >= arguments.laps)
 
-    with ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop:
-        loop.start(path.name)
-        start_m = trial_start(path, contact, seed=arguments.seed, number=0)
-        longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
-        begun_s = time.monotonic()
-        observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
-        statuses = loop.close()
+    try:
+        with ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop:
+            loop.start(path.name)
+            start_m = trial_start(path, contact, seed=arguments.seed, number=0)
+            longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
+            begun_s = time.monotonic()
+            observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
+            statuses = loop.close()
+    finally:
+        # By now the recorder has ended. What it left after Ctrl-C or a failure is this command's,
+        # too, which the next run removes.
+        if bag.exists():
+            note_made(arguments.out, "loop")
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
-    note_made(arguments.out, "loop")
     recording = read_loop_bag(bag, notes=observed.notes)
     row = judge(recording, path, setup.limits())
     row |= {

@@ -54,7 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.files import write_json
     from dotsim_ros.geometry.indenter import load_indenter
     from dotsim_ros.specification import load_sensor
-    from dotsim_ros.tasks.policy.demonstration import Plan, demonstrate, read_card
+    from dotsim_ros.tasks.policy.demonstration import Plan, demonstrate
+    from dotsim_ros.tasks.policy.demonstration_card import read_card
     from dotsim_ros.tasks.policy.paths import PATHS, reference_path
 
     paths = tuple(arguments.paths or PATHS)

@@ -72,7 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a verb.
 
     Returns:
-        The exit status: 0 when done, 1 where the input was bad (with one line that says why).
+        The exit status: 0 when done, 1 where the input was bad or a training diverged (with one
+        line that says why).
         A wrong command line exits with 2, as argparse does, Ctrl-C with 130, SIGTERM with 143.
     """
     chosen = _overview().parse_args(arguments)
@@ -127,7 +128,7 @@ def _run(verb: str, rest: Sequence[str]) -> int:
     try:
         _check_outputs(parsed)
         return int(module.run(parsed))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, FloatingPointError) as error:
         # One line, whatever stands in the names that it repeats.
         print(f"dotsim_ros {verb}: {one_line(error)}", file=sys.stderr)
         return FAILED

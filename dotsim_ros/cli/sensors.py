@@ -5,17 +5,29 @@
 
 Prints name, shape, camera, elastic law and source of each; with --pictures an image of each without
 contact and one with a ball of 4 mm radius pressed into it, arrows at printed markers (three times
-as long as their motion).
+as long as their motion). With --frames the frames a second of each on this machine, while such a
+ball presses and slides; a first run also computes the gel's tables, which takes minutes.
 
 examples:
-  dotsim_ros sensors
+  dotsim_ros sensors --json sensors.json
   dotsim_ros sensors digit gelslim --pictures pictures
+  dotsim_ros sensors digit --frames 200
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
+from typing import Any
+
+NOT_MEASURED = (
+    "frames_per_second is null: not measured, as it is of one machine; --frames N measures it"
+)
+MEASURED = (
+    "frames_per_second: on this machine, the sensor alone with its own solver, gel and image one "
+    "after the other, while a ball of 4 mm radius presses and slides"
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,31 +35,64 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("names", nargs="*", metavar="NAME", help="sensors to list (all)")
     add("--pictures", type=Path, metavar="DIR", help="write idle and pressed images here")
+    add("--frames", type=int, metavar="N", help="measure the rate of N frames of each (none)")
+    add("--seed", type=int, default=0, help="accepted; nothing here is random")
+    add("--json", type=Path, metavar="FILE", help="write the list to this file as well")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print the list, and write the pictures."""
-    from dotsim_ros.specification import load_sensor, read_source, sensor_path, shipped_sensors
+    """Print the list, and write it and the pictures."""
+    from dotsim_ros.files import write_json
+    from dotsim_ros.provenance import provenance
+    from dotsim_ros.specification import shipped_sensors
 
     shipped = shipped_sensors()
     names = arguments.names or shipped
     unknown = [name for name in names if name not in shipped]
     if unknown:
         raise ValueError(f"no shipped sensor {unknown[0]!r}; there are {', '.join(shipped)}")
-    rows = [("name", "shape", "camera", "law", "source")]
-    for name in names:
-        sensor = load_sensor(name)
-        camera = sensor.camera
-        seen = f"{camera.projection} {camera.width}x{camera.height} {camera.colour}"
-        source = read_source(sensor_path(name))
-        rows.append((name, sensor.gel.shape, seen, sensor.material.law, source))
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    for row in rows:
-        cells = [f"{cell:<{width}}" for cell, width in zip(row[:4], widths, strict=True)]
-        print("  ".join([*cells, row[4]]))
+    listed = [_described(name, arguments.frames) for name in names]
+    _print_table(listed, is_measured=arguments.frames is not None)
+    if arguments.json is not None:
+        note = NOT_MEASURED if arguments.frames is None else MEASURED
+        listing = {"sensors": listed, "note": note, "provenance": provenance()}
+        write_json(arguments.json, listing)
     if arguments.pictures is not None:
         from dotsim_ros.view.sensors import write_pictures
 
         for path in write_pictures(names, arguments.pictures):
             print(f"wrote {path}", flush=True)
     return 0
+
+
+def _described(name: str, frame_count: int | None) -> dict[str, Any]:
+    """Return what is listed of a sensor, with its rate over so many frames; None: not measured."""
+    from dotsim_ros.specification import load_sensor, read_source, sensor_path
+
+    sensor = load_sensor(name)
+    camera = sensor.camera
+    rate = None
+    if frame_count is not None:
+        from dotsim_ros.view.frame_rate import frames_per_second
+
+        print(f"measuring {name}", file=sys.stderr, flush=True)
+        rate = round(frames_per_second(sensor, frame_count), 1)
+    return {
+        "name": name,
+        "shape": sensor.gel.shape,
+        "camera": f"{camera.projection} {camera.width}x{camera.height} {camera.colour}",
+        "frames_per_second": rate,
+        "law": sensor.material.law,
+        "source": read_source(sensor_path(name)),
+    }
+
+
+def _print_table(listed: list[dict[str, Any]], *, is_measured: bool) -> None:
+    columns = ["name", "shape", "camera", "law", "source"]
+    if is_measured:
+        columns.insert(3, "frames_per_second")
+    rows = [columns, *([str(sensor[column]) for column in columns] for sensor in listed)]
+    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+    for row in rows:
+        cells = [f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)]
+        print("  ".join(cells).rstrip())

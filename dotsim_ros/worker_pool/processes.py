@@ -14,7 +14,7 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
@@ -42,11 +42,38 @@ class WorkerContext(SpawnContext):
     Process = Worker
 
 
-def _begin(starter: Connection, initialize: Callable[..., None], given: tuple[Any, ...]) -> None:
+_failure: Exception | None = None
+"""What this worker's initializer raised."""
+
+
+def _begin(
+    starter: Connection, begun: Connection, initialize: Callable[..., None], given: tuple[Any, ...]
+) -> None:
+    global _failure
     threading.Thread(target=_end_with, args=(starter,), daemon=True).start()
-    initialize(*given)
+    begun.send_bytes(b"begun")
+    try:
+        initialize(*given)
+    except Exception as error:
+        _failure = error
+        return
     # By now the libraries are loaded whose threads are meant.
     keep_single_threaded()
+
+
+def _work(function: Callable[..., Any], /, *given: Any, **named: Any) -> Any:
+    if _failure is not None:
+        raise _failure
+    return function(*given, **named)
+
+
+class _Pool(ProcessPoolExecutor):
+    """Answers each task with what its worker's initializer raised, where it did: raised there, it
+    would break the pool without a word of what it was."""
+
+    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+        """See `Executor.submit`."""
+        return super().submit(_work, function, *given, **named)
 
 
 def _end_with(starter: Connection) -> None:
@@ -64,7 +91,7 @@ def open_worker_pool(
     """Open a pool of processes.
 
     Where the block ends with an exception, Ctrl-C among them, what the workers are at is broken
-    off.
+    off. What `initialize` raises in a worker is what its tasks raise.
 
     Args:
         count: of processes; each is started when it is first needed.
@@ -72,15 +99,18 @@ def open_worker_pool(
         given: its arguments.
 
     Raises:
-        OSError: a worker was ended from outside, most likely for want of memory.
+        OSError: a worker was ended from outside, most likely for want of memory, or all ended
+            before any had begun, most likely because the script that opens the pool has no
+            `if __name__ == "__main__":`.
     """
     theirs, ours = multiprocessing.Pipe(duplex=False)
+    heard, begun = multiprocessing.Pipe(duplex=False)
     try:
-        with ProcessPoolExecutor(
+        with _Pool(
             count,
             mp_context=WorkerContext(),
             initializer=_begin,
-            initargs=(theirs, initialize, given),
+            initargs=(theirs, begun, initialize, given),
         ) as pool:
             try:
                 yield pool
@@ -89,11 +119,19 @@ def open_worker_pool(
                 pool.shutdown(wait=True, cancel_futures=True)
                 raise
     except BrokenProcessPool as error:
+        if not heard.poll():
+            raise OSError(
+                "the worker processes ended before one had begun, most likely because the script "
+                'that starts them has no `if __name__ == "__main__":`: each worker imports the '
+                "script, and would start workers again; expected it around all that the script "
+                "does. Otherwise see what they said above, or memory ran out for "
+                f"{count} of them: give fewer"
+            ) from error
         raise OSError(
             f"one of {count} worker processes was ended from outside, most likely because memory "
             "ran out; expected all to work to the end: give fewer with --workers; the same command "
             "goes on from what is solved"
         ) from error
     finally:
-        ours.close()
-        theirs.close()
+        for end in (ours, theirs, heard, begun):
+            end.close()

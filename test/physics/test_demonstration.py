@@ -5,18 +5,20 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dotsim_ros.cli.main import main
+from dotsim_ros.documents import read_json
 from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.indenter import box, load_indenter
+from dotsim_ros.geometry.indenter import box, load_indenter, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.demonstration import (
-    CARD,
     DEPTHS_M,
     Demonstrator,
     Plan,
@@ -26,6 +28,7 @@ from dotsim_ros.tasks.policy.demonstration import (
     motion_of,
     read_episode,
 )
+from dotsim_ros.tasks.policy.demonstration_card import CARD, content_of
 from dotsim_ros.tasks.policy.examples import moved_crop, moved_position
 from dotsim_ros.tasks.policy.network import load_policy
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
@@ -100,6 +103,76 @@ def test_another_plan_is_not_mixed_in(made, capsys):
     assert main(["demonstrate", "--episodes", "2", "--frames", "20", "--out", str(made)]) == 1
     assert "another plan" in capsys.readouterr().err
     assert (made / CARD).is_file()
+
+
+SAME_NAMES = {
+    "gel": (replace(COARSE, gel=replace(COARSE.gel, outer_radius_m=0.0155)), BALL),
+    "lens": (replace(COARSE, camera=replace(COARSE.camera, half_height_angle_deg=80.0)), BALL),
+    "image": (replace(COARSE, camera=replace(COARSE.camera, idle_image="")), BALL),
+    "ball": (COARSE, replace(sphere(0.0038), name=BALL.name)),
+}
+
+
+@pytest.mark.parametrize("changed", SAME_NAMES)
+def test_another_sensor_or_ball_of_the_same_name_is_not_mixed_in(made, changed):
+    sensor, ball = SAME_NAMES[changed]
+    before = (made / CARD).read_bytes()
+    with pytest.raises(ValueError, match=r"another sensor or indenter.*--out"):
+        demonstrate(sensor, ball, PLAN, made, progress=lambda done, count: None)
+    assert (made / CARD).read_bytes() == before
+
+
+def test_where_the_images_of_a_sensor_lie_makes_it_no_other(tmp_path):
+    source = parameter_path(SENSOR.camera.idle_image)
+    for path in (source, source.with_suffix(".yaml")):
+        shutil.copy(path, tmp_path / path.name)
+    image = tmp_path / source.name
+    moved = replace(COARSE, camera=replace(COARSE.camera, idle_image=str(image)))
+    assert content_of(moved, BALL) == content_of(COARSE, BALL)
+    image.with_suffix(".yaml").write_text("lighting: {ambient_fraction: 0.3}", encoding="utf-8")
+    assert content_of(moved, BALL) != content_of(COARSE, BALL)
+
+
+OWN_DOME = """
+name: my_dome
+gel: {shape: dome, outer_radius_m: 0.014, core_radius_m: 0.005, skin_spacing_m: 0.001}
+solver: {grid_spacing_m: 0.0036, refined: false, tolerance_m: 0.0001, iterations: 3}
+camera: {width: 160, height: 120, principal_point_px: [79.5, 59.5], idle_image: ""}
+"""
+
+
+def test_a_policy_is_trained_for_a_sensor_and_a_ball_of_ones_own(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("torch", reason="training needs the extra learning")
+    from dotsim_ros.tasks.policy import examples, training
+
+    monkeypatch.chdir(tmp_path)
+    Path("dome.yaml").write_text(OWN_DOME, encoding="utf-8")
+    Path("ball.yaml").write_text("kind: sphere\nradius_m: 0.003\n", encoding="utf-8")
+    asked = "--sensor dome.yaml --indenter ball.yaml --paths press --episodes 2 --frames 10"
+    assert main(["demonstrate", *asked.split(), "--looks", "1", "--out", "made"]) == 0
+    assert read_json(Path("made") / CARD)["contact"] == {
+        "dome_radius_m": 0.014,
+        "ball_radius_m": 0.003,
+    }
+    taught = []
+
+    class Watched(examples.PolicyExamples):
+        def answers(self, position_m):
+            answers = super().answers(position_m)
+            taught.append((position_m, answers[0]))
+            return answers
+
+    monkeypatch.setattr(training, "PolicyExamples", Watched)
+    # test_policy_training.py writes policies: half of the time is spent on the graph.
+    monkeypatch.setattr(training, "save_policy", lambda _out, _network, card, **_: card)
+    given = "train-policy --data made --examples 32 --size 32 --out policy"
+    assert main(given.split()) == 0
+    # Those of the episode that is held out, in its order, are what the expert said there.
+    held_out = read_episode(episode_file(Path("made"), 1))
+    position_m, commands = taught[-1]
+    np.testing.assert_array_equal(position_m, held_out.position_m)
+    np.testing.assert_allclose(commands, held_out.command)
+    assert "the policy is in policy" in capsys.readouterr().out
 
 
 def test_a_sensor_or_indenter_without_paths_is_refused():

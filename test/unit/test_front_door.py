@@ -226,6 +226,29 @@ def test_a_file_stays_as_it_was_where_a_frame_could_not_be_written(
     assert list(tmp_path.iterdir()) == [path]
 
 
+@pytest.mark.parametrize("method", ["implicit", "explicit"])
+def test_a_sensor_with_another_indenter_is_at_rest(
+    coarse: SensorSpecification, method: str
+) -> None:
+    specification = replace(coarse, solver=replace(coarse.solver, method=method))
+    cone = load_indenter("cone")
+    sensor = TactileSensor.load(specification)
+    for depth_m in (0.0, 0.5e-3, 1.0e-3):
+        pressed = sensor.press(Pose.above_apex(depth_m), 0.01)
+    rest_m = sensor.skin.rest_position_m
+    assert np.abs(pressed.skin_position_m - rest_m).max() > 0.5e-3
+    sensor.set_indenter(cone)
+    untouched = sensor.press(None, 0.001)
+    assert untouched.time_s == 0.001
+    assert np.abs(untouched.skin_position_m - rest_m).max() < 1e-6
+    pose = Pose.above_apex(0.2e-3)
+    fresh = TactileSensor.load(specification, indenter=cone)
+    fresh.press(None, 0.001)
+    np.testing.assert_array_equal(
+        sensor.press(pose, 0.01).skin_position_m, fresh.press(pose, 0.01).skin_position_m
+    )
+
+
 def test_a_batch_needs_the_implicit_method(coarse: SensorSpecification) -> None:
     explicit = replace(coarse, solver=replace(coarse.solver, method="explicit"))
     with pytest.raises(ValueError, match="'explicit', expected 'implicit' for a batch"):

@@ -5,19 +5,24 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import asdict, replace
+
 import cv2
 import numpy as np
 import pytest
 
+from dotsim_ros.cli.main import main
+from dotsim_ros.documents import read_json
 from dotsim_ros.files import write_json
 from dotsim_ros.tasks.policy.demonstration import (
-    CARD,
     Episode,
     episode_file,
     labels,
     read_episode,
     write_episode,
 )
+from dotsim_ros.tasks.policy.demonstration_card import CARD
 from dotsim_ros.tasks.policy.examples import (
     LEAST_WEIGHT,
     PolicyExamples,
@@ -72,9 +77,34 @@ def demonstrations(tmp_path_factory):
             "plan": {"paths": list(PATHS), "sensor": "densetact2", "indenter": "sphere_4mm"},
             "rate_hz": 25.0,
             "view": {"image_shape": [480, 640], "share": 0.7, "side_px": SIDE},
+            "contact": asdict(CONTACT),
+            "content": "of the sensor",
         },
     )
     return folder
+
+
+def with_card(demonstrations, folder, **changed):
+    """Return a folder of the same episodes, whose card has other entries; None for none."""
+    shutil.copytree(demonstrations, folder)
+    card = read_json(folder / CARD) | changed
+    write_json(folder / CARD, {name: value for name, value in card.items() if value is not None})
+    return folder
+
+
+def trained(folders, out, example_count=16, progress=print):
+    """Return the report of a short training."""
+    from dotsim_ros.tasks.policy.training import train_policy
+
+    return train_policy(
+        folders,
+        out / "policy",
+        record=out / "record",
+        name="drawn",
+        recipe=recipe(example_count),
+        seed=0,
+        progress=progress,
+    )
 
 
 def test_an_episode_is_read_as_it_was_written(tmp_path):
@@ -99,13 +129,75 @@ def test_whole_episodes_are_held_out(demonstrations):
 
 def test_folders_of_other_paths_are_refused(demonstrations, tmp_path):
     plan = {"paths": ["arc"], "sensor": "densetact2", "indenter": "sphere_4mm"}
-    write_json(tmp_path / CARD, {"plan": plan})
-    write_episode(episode_file(tmp_path, 0), drawn_episode(0))
-    with pytest.raises(ValueError, match="same paths and sensor"):
-        read_split([demonstrations, tmp_path])
+    other = with_card(demonstrations, tmp_path / "other", plan=plan)
+    with pytest.raises(ValueError, match="same paths, sensor and indenter"):
+        read_split([demonstrations, other])
     with pytest.raises(ValueError, match="dotsim_ros demonstrate"):
         read_split([tmp_path / "nothing"])
-    assert data_hash([demonstrations]) != data_hash([tmp_path])
+    assert data_hash([demonstrations]) != data_hash([other])
+
+
+def test_folders_of_another_sensor_of_the_same_name_are_refused(demonstrations, tmp_path):
+    other = with_card(demonstrations, tmp_path / "other", content="of another sensor")
+    with pytest.raises(ValueError, match="same paths, sensor and indenter"):
+        read_split([demonstrations, other])
+
+
+def test_the_key_is_of_what_the_episodes_hold(demonstrations, tmp_path):
+    """A file of other images, places and commands has the same size."""
+    same = with_card(demonstrations, tmp_path / "same")
+    assert data_hash([same]) == data_hash([demonstrations])
+    path = episode_file(same, 1)
+    before, episode = path.stat().st_size, read_episode(path)
+    write_episode(
+        path,
+        replace(
+            episode,
+            crop=255 - episode.crop,
+            position_m=-episode.position_m,
+            command=-episode.command,
+        ),
+    )
+    assert path.stat().st_size == before
+    assert data_hash([same]) != data_hash([demonstrations])
+
+
+def test_the_answers_are_those_of_the_dome_that_was_demonstrated_on(
+    demonstrations, tmp_path, monkeypatch
+):
+    """A shipped sensor has the same name, and another radius."""
+    from dotsim_ros.tasks.policy import training as policy_training
+
+    class SeenError(Exception):
+        pass
+
+    def seen(_frames, _paths, contact, _side_px):
+        raise SeenError(contact)
+
+    smaller = DomeContact(dome_radius_m=0.014, ball_radius_m=0.003)
+    folder = with_card(demonstrations, tmp_path / "smaller", contact=asdict(smaller))
+    monkeypatch.setattr(policy_training, "PolicyExamples", seen)
+    with pytest.raises(SeenError) as caught:
+        trained([folder], tmp_path)
+    assert caught.value.args == (smaller,)
+
+
+@pytest.mark.parametrize("entry", ["contact", "content"])
+def test_demonstrations_of_before_that_do_not_note_their_dome_are_refused(
+    demonstrations, tmp_path, entry
+):
+    folder = with_card(demonstrations, tmp_path / "before", **{entry: None})
+    with pytest.raises(ValueError, match=f"has no {entry}.*another folder"):
+        trained([folder], tmp_path)
+
+
+@pytest.mark.parametrize(
+    "contact", [[], {"dome_radius_m": 0.01}, {"dome_radius_m": 0.01, "ball_radius_m": "4 mm"}]
+)
+def test_a_card_whose_contact_is_none_is_refused(demonstrations, tmp_path, contact):
+    folder = with_card(demonstrations, tmp_path / "broken", contact=contact)
+    with pytest.raises(ValueError, match=r"contact is .*expected dome_radius_m and ball_radius_m"):
+        trained([folder], tmp_path)
 
 
 def test_answers_are_the_experts_and_count_where_the_path_is_near():
@@ -204,25 +296,24 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
 
 
 def test_training_judges_and_writes_a_policy(demonstrations, tmp_path):
-    from dotsim_ros.tasks.policy.training import train_policy
-
     reported = []
-    out = tmp_path / "policy"
-    report = train_policy(
-        [demonstrations],
-        out,
-        record=tmp_path / "record",
-        name="drawn",
-        recipe=recipe(80),
-        seed=0,
-        progress=reported.append,
-    )
+    report = trained([demonstrations], tmp_path, 80, reported.append)
     assert reported[-1].done == 80
     assert set(report["card"]["metrics"]) >= {"place_sideways_m", "place_depth_m"}
-    policy = load_policy(out, "press")
+    policy = load_policy(tmp_path / "policy", "press")
     assert policy.card.data["train_images"] == 24
     idle = np.full((480, 640, 3), 100, dtype=np.uint8)
     assert np.all(np.isfinite(policy(idle, idle)))
+
+
+def test_a_training_that_diverges_is_one_line(demonstrations, tmp_path, capsys):
+    out = str(tmp_path / "policy")
+    given = ["--data", str(demonstrations), "--out", out, "--examples", "96", "--size", "32"]
+    assert main(["train-policy", *given, "--learning-rate", "1e30"]) == 1
+    said = capsys.readouterr().err.splitlines()
+    assert said == [
+        "dotsim_ros train-policy: the training diverged after 96 examples; lower the learning rate"
+    ]
 
 
 def test_a_recipe_without_a_batch_is_refused():

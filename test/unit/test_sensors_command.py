@@ -5,9 +5,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from dotsim_ros.cli.main import main
+from dotsim_ros.documents import read_json
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.pattern import idle_frame_of
@@ -23,6 +26,38 @@ def test_the_list_names_every_shipped_sensor(capsys: pytest.CaptureFixture[str])
     assert digit.split()[1:6] == ["curved_pad", "pinhole", "240x320", "rgb", "neo_hookean"]
     assert main(["sensors", "digits"]) == 1
     assert "no shipped sensor 'digits'; there are densetact2, digit," in capsys.readouterr().err
+
+
+def test_the_list_as_json_says_that_no_rate_was_measured(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "sensors.json"
+    assert main(["sensors", "--json", str(path), "--seed", "3"]) == 0
+    listing = read_json(path)
+    assert [sensor["name"] for sensor in listing["sensors"]] == shipped_sensors()
+    digit = next(sensor for sensor in listing["sensors"] if sensor["name"] == "digit")
+    assert digit["shape"] == "curved_pad"
+    assert digit["camera"] == "pinhole 240x320 rgb"
+    assert {sensor["frames_per_second"] for sensor in listing["sensors"]} == {None}
+    assert "--frames N measures it" in listing["note"]
+    assert listing["provenance"]["command"]
+    assert "frames_per_second" not in capsys.readouterr().out
+
+
+def test_a_rate_is_measured_where_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "sensors.json"
+    assert main(["sensors", "flat_pad", "--frames", "3", "--json", str(path)]) == 0
+    (flat,) = read_json(path)["sensors"]
+    assert 0.1 < flat["frames_per_second"] < 10_000.0
+    assert "measures it" not in read_json(path)["note"]
+    # Warp tells of its kernels first.
+    *_, head, row = capsys.readouterr().out.splitlines()
+    assert head.split()[3] == "frames_per_second"
+    assert f" {flat['frames_per_second']} " in row
+    assert main(["sensors", "flat_pad", "--frames", "0"]) == 1
+    assert "0 frames have no rate" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", shipped_sensors())

@@ -28,13 +28,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray, ImageArray
-from dotsim_ros.documents import read_arrays, read_json
-from dotsim_ros.files import whole_file, write_json
+from dotsim_ros.documents import read_arrays
+from dotsim_ros.files import whole_file
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.tasks.policy.demonstration_card import CONTACT, CONTENT, PLAN, content_of, keep_card
 from dotsim_ros.tasks.policy.expert import Expert
 from dotsim_ros.tasks.policy.images import PolicyView, fingerprint
 from dotsim_ros.tasks.policy.looks import Look, LookRanges
@@ -43,7 +44,6 @@ from dotsim_ros.tasks.policy.paths import DomeContact, ReferencePath, reference_
 from dotsim_ros.tasks.policy.rollout import follow
 from dotsim_ros.worker_pool.pool import Crew, open_pool
 
-CARD = "demonstrations.json"
 WANDER = "wander"
 RATE_HZ = 25.0
 LARGEST_TILT_RAD = 0.47
@@ -383,31 +383,24 @@ def demonstrate(
         The number of frames, of all looks.
 
     Raises:
-        ValueError: as `contact_of`, or the folder holds another plan's demonstrations.
+        ValueError: as `contact_of`, or the folder holds demonstrations of another plan, sensor or
+            indenter, as `keep_card` tells.
     """
-    contact_of(sensor, indenter)
-    view = view_of(sensor)
+    contact = contact_of(sensor, indenter)
     described: dict[str, Any] = json.loads(json.dumps(asdict(plan)))
     described["indenter"] = indenter.name
-    card = folder / CARD
-    if card.is_file():
-        known = read_card(folder)
-        if known["plan"] != described:
-            raise ValueError(
-                f"{folder} holds demonstrations of another plan; choose another folder, or remove "
-                "it to make them anew"
-            )
-    else:
-        write_json(
-            card,
-            {
-                "plan": described,
-                "rate_hz": RATE_HZ,
-                "view": asdict(view),
-                "friction_factors": list(FRICTION_FACTORS),
-                "origin": provenance(),
-            },
-        )
+    keep_card(
+        folder,
+        {
+            PLAN: described,
+            CONTACT: asdict(contact),
+            CONTENT: content_of(sensor, indenter),
+            "rate_hz": RATE_HZ,
+            "view": asdict(view_of(sensor)),
+            "friction_factors": list(FRICTION_FACTORS),
+            "origin": provenance(),
+        },
+    )
     numbers = range(plan.episode_count)
     missing = [number for number in numbers if not episode_file(folder, number).is_file()]
     done = plan.episode_count - len(missing)
@@ -438,21 +431,3 @@ def _begin(sensor: SensorSpecification, indenter: Indenter, plan: Plan) -> None:
 def _make(number: int) -> Episode:
     assert _demonstrator is not None
     return _demonstrator.episode(number)
-
-
-def read_card(folder: Path) -> dict[str, Any]:
-    """Return the record of a folder of demonstrations.
-
-    Raises:
-        ValueError: it holds none.
-    """
-    try:
-        record = read_json(folder / CARD)
-        if not isinstance(record, dict) or "plan" not in record:
-            raise ValueError("no plan in it")
-    except (OSError, ValueError) as error:
-        raise ValueError(
-            f"{folder} holds no demonstrations ({error}); make some with dotsim_ros demonstrate "
-            f"--out {folder}"
-        ) from error
-    return record

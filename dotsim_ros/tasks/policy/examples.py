@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
-from dotsim_ros.tasks.policy.demonstration import Episode, read_card, read_episode
+from dotsim_ros.tasks.policy.demonstration import Episode, read_episode
+from dotsim_ros.tasks.policy.demonstration_card import CONTACT, CONTENT, PLAN, read_card
 from dotsim_ros.tasks.policy.expert import Expert
 from dotsim_ros.tasks.policy.images import PolicyInput
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
@@ -74,32 +75,37 @@ def episode_files(folders: Sequence[Path]) -> list[Path]:
     """Return the episodes' files of some folders.
 
     Raises:
-        ValueError: a folder holds none, or those of other paths or another sensor than the first.
+        ValueError: a folder holds none, or those of other paths, another sensor or indenter than
+            the first.
     """
     files: list[Path] = []
     first = None
     for folder in folders:
-        plan = read_card(folder)["plan"]
-        known = (plan["paths"], plan["sensor"], plan["indenter"])
+        card = read_card(folder)
+        plan = card[PLAN]
+        known = (plan["paths"], plan["sensor"], plan["indenter"], card[CONTENT])
         first = first or known
         found = sorted(folder.glob("episode_*.npz"))
         if not found or known != first:
             raise ValueError(
                 f"{folder} holds {len(found)} episodes of {plan['paths']} on {plan['sensor']!r}; "
-                "expected some, of the same paths and sensor in every folder"
+                "expected some, of the same paths, sensor and indenter in every folder, with the "
+                "same content"
             )
         files += found
     return files
 
 
 def data_hash(folders: Sequence[Path]) -> str:
-    """Return a key of sets of demonstrations: their cards and the sizes of their files."""
+    """Return a key of sets of demonstrations: their plans, contacts and episodes."""
     digest = hashlib.sha256()
     for folder in folders:
-        plan = read_card(folder)["plan"]
-        digest.update(json.dumps(plan, sort_keys=True).encode())
-    for file in episode_files(folders):
-        digest.update(f"{file.name} {file.stat().st_size}".encode())
+        card = read_card(folder)
+        digest.update(json.dumps([card[PLAN], card[CONTACT]], sort_keys=True).encode())
+    for path in episode_files(folders):
+        # Of one size whatever they show: the arrays are not compressed.
+        with path.open("rb") as file:
+            digest.update(f"{path.name} ".encode() + hashlib.file_digest(file, "sha256").digest())
     return digest.hexdigest()
 
 

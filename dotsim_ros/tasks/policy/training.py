@@ -21,12 +21,10 @@ import torch
 
 from dotsim_ros.arrays import Float32Array
 from dotsim_ros.files import whole_file, write_json
-from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.learning.checkpoint import read_checkpoint, state_to_resume, take_weights
 from dotsim_ros.provenance import provenance
-from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.card import FORMAT, PolicyCard
-from dotsim_ros.tasks.policy.demonstration import contact_of, read_card
+from dotsim_ros.tasks.policy.demonstration_card import PLAN, contact_in, read_card
 from dotsim_ros.tasks.policy.examples import (
     DEPTH_UNIT_M,
     TILT_UNIT_RAD,
@@ -326,10 +324,10 @@ def train_policy(
         ValueError: as `read_split`, or the folder of the record holds another training's state.
         FloatingPointError: the training diverged.
     """
-    plan = read_card(folders[0])["plan"]
-    rate_hz, view = read_card(folders[0])["rate_hz"], read_card(folders[0])["view"]
+    made = read_card(folders[0])
+    plan, view = made[PLAN], made["view"]
     paths = tuple(plan["paths"])
-    contact = contact_of(load_sensor(plan["sensor"]), load_indenter(plan["indenter"]))
+    contact = contact_in(folders[0])
     train, held_out = read_split(folders)
     examples = PolicyExamples(train, paths, contact, recipe.side_px)
     training = PolicyTraining(
@@ -351,7 +349,7 @@ def train_policy(
         sensor=plan["sensor"],
         indenter=plan["indenter"],
         paths=paths,
-        rate_hz=rate_hz,
+        rate_hz=made["rate_hz"],
         image_height=view["image_shape"][0],
         image_width=view["image_shape"][1],
         share=view["share"],
