@@ -40,27 +40,26 @@ def generate_launch_description() -> LaunchDescription:
     simulate_arm = AndSubstitution(LaunchConfiguration("simulate_arm"), is_apart)
     is_simulated = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
     time = {"use_sim_time": is_simulated, "stepped": is_simulated}
-    policy = {
-        "policy": ParameterValue(LaunchConfiguration("policy"), value_type=str),
-        "path": ParameterValue(LaunchConfiguration("path"), value_type=str),
-    }
     return LaunchDescription(
         [
             DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
             DeclareLaunchArgument(
                 "params_file",
                 default_value=str(params / "closed_loop.yaml"),
-                description="parameters of all nodes",
+                description="parameters of all nodes, the policy among them; what is given by the "
+                "arguments below goes before it",
             ),
             DeclareLaunchArgument(
                 "policy",
-                default_value="densetact2_sphere",
-                description="the policy: a folder, or a name below params/policies",
+                default_value="",
+                description="the policy: a folder, or a name below params/policies; empty: as the "
+                "parameters say",
             ),
             DeclareLaunchArgument(
                 "path",
                 default_value="",
-                description="which of the policy's paths to follow; empty: the first",
+                description="which of the policy's paths to follow; empty: as the parameters "
+                "say, else the first",
             ),
             DeclareLaunchArgument(
                 "simulate_sensor",
@@ -90,12 +89,13 @@ def generate_launch_description() -> LaunchDescription:
                 "participants",
                 default_value="",
                 description="file of those whom simulated time waits for, of these nodes and of "
-                "yours; empty: the shipped one",
+                "yours; empty: as the parameters say, else the shipped one",
             ),
             DeclareLaunchArgument(
                 "speed",
-                default_value="0",
-                description="simulated seconds for each real one; 0: as many as the machine gives",
+                default_value="",
+                description="simulated seconds for each real one, 0 for as many as the machine "
+                "gives; empty: as the parameters say, else 0",
             ),
             DeclareLaunchArgument(
                 "one_process",
@@ -104,15 +104,6 @@ def generate_launch_description() -> LaunchDescription:
                 description="sensor, arm and policy in one process; both are simulated then",
             ),
             OpaqueFunction(function=find_file),
-            Node(
-                package="dotsim_ros",
-                executable="closed_loop",
-                namespace=namespace,
-                parameters=[params_file, time, policy],
-                remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")],
-                condition=IfCondition(one_process),
-                output="screen",
-            ),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
@@ -129,15 +120,7 @@ def generate_launch_description() -> LaunchDescription:
                 condition=IfCondition(simulate_arm),
                 output="screen",
             ),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_policy",
-                namespace=namespace,
-                parameters=[params_file, time, policy],
-                remappings=[("~/cmd_vel", "cmd_vel")],
-                condition=UnlessCondition(one_process),
-                output="screen",
-            ),
+            OpaqueFunction(function=nodes_with_arguments),
             Node(
                 package="dotsim_ros",
                 executable="tactile_record",
@@ -148,25 +131,66 @@ def generate_launch_description() -> LaunchDescription:
                 sigterm_timeout="60",
                 output="screen",
             ),
-            Node(
-                package="dotsim_ros",
-                executable="time_stepper",
-                namespace=namespace,
-                parameters=[
-                    {
-                        "participants": ParameterValue(
-                            LaunchConfiguration("participants"), value_type=str
-                        ),
-                        "speed": ParameterValue(LaunchConfiguration("speed"), value_type=float),
-                        # A first start compiles the gel's kernels and computes its tables.
-                        "patience_s": 600.0,
-                    }
-                ],
-                condition=IfCondition(is_simulated),
-                output="screen",
-            ),
         ]
     )
+
+
+def nodes_with_arguments(context: LaunchContext) -> list[Node]:
+    """Return the nodes that take arguments of the launch file as parameters, which a user may give
+    by the file as well: an argument that is not given leaves the file alone."""
+    namespace = LaunchConfiguration("namespace")
+    params_file = LaunchConfiguration("params_file")
+    one_process = LaunchConfiguration("one_process")
+    is_simulated = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
+    time = {"use_sim_time": is_simulated, "stepped": is_simulated}
+    policy = given(
+        context, str, policy=LaunchConfiguration("policy"), path=LaunchConfiguration("path")
+    )
+    stepper = {
+        # It makes the time that the others go by, for whom a file may set this.
+        "use_sim_time": False,
+        **given(context, str, participants=LaunchConfiguration("participants")),
+        **given(context, float, speed=LaunchConfiguration("speed")),
+    }
+    return [
+        Node(
+            package="dotsim_ros",
+            executable="closed_loop",
+            namespace=namespace,
+            parameters=[params_file, time, policy],
+            remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")],
+            condition=IfCondition(one_process),
+            output="screen",
+        ),
+        Node(
+            package="dotsim_ros",
+            executable="tactile_policy",
+            # Named, what is given is this node's and wins over what a file says of it.
+            name="tactile_policy",
+            namespace=namespace,
+            parameters=[params_file, time, policy],
+            remappings=[("~/cmd_vel", "cmd_vel")],
+            condition=UnlessCondition(one_process),
+            output="screen",
+        ),
+        Node(
+            package="dotsim_ros",
+            executable="time_stepper",
+            name="time_stepper",
+            namespace=namespace,
+            parameters=[params_file, stepper],
+            condition=IfCondition(is_simulated),
+            output="screen",
+        ),
+    ]
+
+
+def given(
+    context: LaunchContext, kind: type, **arguments: LaunchConfiguration
+) -> dict[str, ParameterValue]:
+    """Return the arguments that are not empty as parameters of a type."""
+    texts = {name: argument.perform(context) for name, argument in arguments.items()}
+    return {name: ParameterValue(text, value_type=kind) for name, text in texts.items() if text}
 
 
 def find_file(context: LaunchContext) -> None:

@@ -24,27 +24,31 @@ def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
     params_file = LaunchConfiguration("params_file")
+    # Last, so that a file of the defaults does not undo it; and first, which gives what is said for
+    # any node its place before what the file says of one.
+    left = {"frame_prefix": "left_"}
+    right = {"frame_prefix": "right_"}
     return LaunchDescription(
         [
             DeclareLaunchArgument(
                 "params_file",
                 default_value=str(params / "tactile_sim.yaml"),
                 description="parameters of both; /left/tactile_sim and /right/tactile_sim in it "
-                "are those of one",
+                "are those of one, and only there frame_prefix counts",
             ),
             OpaqueFunction(function=find_file),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
                 namespace="left",
-                parameters=[{"frame_prefix": "left_"}, params_file],
+                parameters=[left, params_file, left],
                 output="screen",
             ),
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
                 namespace="right",
-                parameters=[{"frame_prefix": "right_"}, params_file],
+                parameters=[right, params_file, right],
                 output="screen",
             ),
         ]

@@ -14,18 +14,18 @@ from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.conditions import IfCondition, UnlessCondition
-from launch.substitutions import EqualsSubstitution, IfElseSubstitution, LaunchConfiguration
+from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 from dotsim_ros.nodes.common.parameter_file import check_params_file
+from dotsim_ros.nodes.indenter_player.launched import player_parameters
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
     namespace = LaunchConfiguration("namespace")
-    record = LaunchConfiguration("record")
     params_file = LaunchConfiguration("params_file")
     effects = LaunchConfiguration("effects")
     # Not given, it must leave the effects of the file alone.
@@ -36,7 +36,8 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument(
                 "params_file",
                 default_value=str(params / "tactile_sim.yaml"),
-                description="parameters of tactile_sim",
+                description="parameters of tactile_sim, or of all nodes; those of the player and "
+                "the recorder alone stand below /**/indenter_player and /**/tactile_record",
             ),
             DeclareLaunchArgument(
                 "effects",
@@ -51,15 +52,17 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "source",
-                default_value="presses",
-                choices=["press", "slide", "twist", "presses"],
-                description="how: a scripted motion, or the recorded real presses",
+                default_value="",
+                choices=["", "press", "slide", "twist", "presses"],
+                description="how: a scripted motion, or the recorded real presses, for a dome; "
+                "empty: as the parameters say, else presses",
             ),
             DeclareLaunchArgument(
                 "record",
                 default_value="false",
                 choices=["true", "false"],
-                description="record a bag in the working directory",
+                description="record a bag in the working directory: the topics that the "
+                "parameters name",
             ),
             OpaqueFunction(function=find_file),
             Node(
@@ -73,40 +76,55 @@ def generate_launch_description() -> LaunchDescription:
             Node(
                 package="dotsim_ros",
                 executable="tactile_sim",
+                # Named, what is given is this node's and wins over what the file says of it.
+                name="tactile_sim",
                 namespace=namespace,
                 parameters=[params_file, {"effects": ParameterValue(effects, value_type=str)}],
                 condition=UnlessCondition(is_plain),
                 output="screen",
             ),
-            Node(
-                package="dotsim_ros",
-                executable="indenter_player",
-                namespace=namespace,
-                parameters=[
-                    {
-                        "source": LaunchConfiguration("source"),
-                        # The sensor reads poses once its kernels are compiled and its tables
-                        # computed: the recorder alone is no reason to begin.
-                        "subscriber_count": IfElseSubstitution(
-                            record, if_value="2", else_value="1"
-                        ),
-                        "wait_for_subscriber_s": 600.0,
-                    }
-                ],
-                condition=IfCondition(LaunchConfiguration("play")),
-                output="screen",
-            ),
+            OpaqueFunction(function=player),
             Node(
                 package="dotsim_ros",
                 executable="tactile_record",
                 namespace=namespace,
-                condition=IfCondition(record),
+                parameters=[params_file],
+                condition=IfCondition(LaunchConfiguration("record")),
                 # The bag appears once all that waits is written: the usual 5 s could lose it.
                 sigterm_timeout="60",
                 output="screen",
             ),
         ]
     )
+
+
+def player(context: LaunchContext) -> list[Node]:
+    """Return the player of presses, which is told of the sensor what the parameters say."""
+    params_file = LaunchConfiguration("params_file")
+    namespace = LaunchConfiguration("namespace")
+    parameters = player_parameters(
+        params_file.perform(context),
+        namespace=namespace.perform(context),
+        source=LaunchConfiguration("source").perform(context),
+        is_recorded=LaunchConfiguration("record").perform(context) == "true",
+    )
+    # Of a text launch would make a number where it can.
+    typed = {
+        name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
+        for name, value in parameters.items()
+    }
+    return [
+        Node(
+            package="dotsim_ros",
+            executable="indenter_player",
+            # Named, as above.
+            name="indenter_player",
+            namespace=namespace,
+            parameters=[params_file, typed],
+            condition=IfCondition(LaunchConfiguration("play")),
+            output="screen",
+        )
+    ]
 
 
 def find_file(context: LaunchContext) -> None:

@@ -7,17 +7,20 @@ messages handed to their callbacks."""
 from __future__ import annotations
 
 import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
 from sensor_msgs.msg import CompressedImage
+from sensor_msgs.srv import SetCameraInfo
 
 import msg_adapters
-from dotsim_ros.nodes.common.ingest import Fault, FaultLog
+from dotsim_ros.nodes.common.ingest import Fault, FaultLog, RefusedInputError
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
+from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.tasks.control.safety import Reason
@@ -37,6 +40,9 @@ class Desk:
     def create_subscription(self, _kind: type, topic: str, hear: Any, *_: Any, **__: Any) -> Any:
         self.callbacks[topic] = hear
         return self
+
+    def create_service(self, _kind: type, name: str, answer: Any) -> None:
+        self.callbacks[name] = answer
 
     def time_ns(self) -> int:
         return self.now_ns
@@ -221,3 +227,74 @@ def test_a_velocity_beyond_all_is_refused_and_the_one_before_stays(
     heights = [order.pose.position_m[2] for order in motions]
     np.testing.assert_allclose(np.diff(heights), -0.0004)
     answered(faults.last_reason)
+
+
+@pytest.mark.parametrize("topic", ["indenter/pose", "indenter/wrench"])
+def test_messages_of_stamp_zero_are_all_taken_while_a_clock_stands(topic: str) -> None:
+    desk, faults, motions = Desk(), FaultLog(), []
+    parameters = TactileSimParameters(control="force")
+    MotionInput(desk, parameters, faults=faults, on_motion=motions.append)
+    for index in range(5):
+        force = WrenchStamped()
+        force.header.frame_id = "indenter"
+        pose = indenter_pose(1e-4 * index, sec=0)
+        desk.callbacks[topic](pose if topic == "indenter/pose" else force)
+    assert sum(faults.counts().values()) == 0, faults.last_reason
+    if motions:
+        assert [order.pose.position_m[0] for order in motions] == [1e-4 * k for k in range(5)]
+        assert set(np.diff([order.stamp_ns for order in motions])) == {1}
+        # A clock that begins anew is not held up by what was stamped before.
+        desk.now_ns -= 10**10
+        desk.callbacks[topic](indenter_pose(0.0, sec=0))
+        assert motions[-1].new_start is Fault.RESTART
+        assert motions[-1].stamp_ns == desk.now_ns
+
+
+def test_the_time_of_a_velocity_counts_once_whatever_becomes_of_the_motion() -> None:
+    desk, faults, heights_mm = Desk(), FaultLog(), []
+
+    def press(order: Any) -> None:
+        heights_mm.append(1e3 * order.pose.position_m[2])
+        if heights_mm[-1] < 28.5:
+            raise RefusedInputError(Fault.GEL, "too deep")
+
+    parameters = TactileSimParameters(clock="lockstep", input="twist")
+    MotionInput(desk, parameters, faults=faults, on_motion=press)
+
+    def hear(linear_m_s: float, stamp_ms: int) -> None:
+        message = velocity(linear_m_s)
+        message.header.stamp.sec, rest_ms = divmod(stamp_ms, 1000)
+        message.header.stamp.nanosec = 1_000_000 * rest_ms
+        desk.callbacks["indenter/twist"](message)
+
+    # 0.4 mm each 40 ms: the last two of the way down are refused.
+    for index in range(6):
+        hear(-0.01, 1000 + 40 * index)
+    np.testing.assert_allclose(heights_mm, [29.6, 29.2, 28.8, 28.4, 28.0, 27.6])
+    # Out of order, it is no time that has passed.
+    hear(0.01, 1190)
+    for index in range(6, 12):
+        hear(0.01, 1000 + 40 * index)
+    np.testing.assert_allclose(heights_mm[6:], [28.0, 28.4, 28.8, 29.2, 29.6, 30.0])
+    assert (faults.counts()[Fault.GEL], faults.counts()[Fault.ORDER]) == (5, 1)
+
+
+def test_a_calibration_that_cannot_be_kept_is_not_shown(tmp_path: Path) -> None:
+    desk, shown = Desk(), []
+    # Below a file there is no folder.
+    (tmp_path / "file").write_text("")
+    url = f"file://{tmp_path}/file/camera.yaml"
+    CalibrationStore(desk, url, camera_name="camera", check=lambda _: None, on_change=shown.append)
+    request, response = SetCameraInfo.Request(), SetCameraInfo.Response()
+    request.camera_info = msg_adapters.encode_camera_info(
+        width=64,
+        height=48,
+        focal_px=30.0,
+        principal_point_px=(31.5, 23.5),
+        distortion=(0.0, 0.0, 0.0, 0.0),
+        stamp_ns=1,
+        frame_id="camera",
+    )
+    with pytest.raises(OSError, match="file"):
+        desk.callbacks["set_camera_info"](request, response)
+    assert (shown, response.success) == ([], False)

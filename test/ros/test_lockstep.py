@@ -124,13 +124,26 @@ def test_a_wild_pose_first_of_all_is_survived(
     assert_same(press.run(), reference)
 
 
-def test_20_mm_of_penetration_is_refused_in_words(press: LockstepPress) -> None:
+def test_20_mm_of_penetration_is_refused_in_words_and_the_last_frame_holds(
+    press: LockstepPress,
+) -> None:
     before = count_of(press.client, "refused_by_gel")
     press.frame_at((0.0, 0.0, APEX_M + 0.05))
-    press.client.send((0.0, 0.0, APEX_M - 0.02), stamp_ns=press.next_stamp())
+    pressed = press.frame_at(DEEP)
+    # As a frame of its own, with the stamp that a player or a simulator waits for.
+    held = press.frame_at((0.0, 0.0, APEX_M - 0.02))
+    assert held.is_same(pressed)
+    assert held.indenter_m() == list(DEEP)
     press.client.wait_for_state(
         "input", lambda state: int(state.values["refused_by_gel"]) == before + 1
     )
+
+
+def test_a_refused_pose_first_of_all_is_answered_by_the_gel_at_rest(press: LockstepPress) -> None:
+    assert press.client.call(Trigger, "/tactile_sim/reset").success
+    frame = press.frame_at((0.0, 0.0, APEX_M - 0.02))
+    assert frame.force_n().tolist() == [0.0, 0.0, 0.0]
+    assert frame.indenter_m() is None
 
 
 def test_time_that_starts_again_is_a_new_start(

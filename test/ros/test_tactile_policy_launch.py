@@ -5,28 +5,28 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+from launched import started
 
 from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.time_stepper.parameters import TimeStepperParameters
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 
-PATH = Path(__file__).parents[2] / "launch" / "closed_loop.launch.py"
 CLASSES = {
     "tactile_sim": TactileSimParameters,
     "tactile_policy": TactilePolicyParameters,
     "tactile_record": RecordParameters,
+    "time_stepper": TimeStepperParameters,
     "xarm_sim": XarmSimParameters,
 }
-STEPPER = "time_stepper"
 
 
 def test_every_section_of_the_parameters_is_valid_for_its_node() -> None:
@@ -43,22 +43,11 @@ def test_every_section_of_the_parameters_is_valid_for_its_node() -> None:
         assert parameters
 
 
-def test_it_describes_the_nodes() -> None:
-    pytest.importorskip("launch", reason="launch comes with a ROS installation only")
-    pytest.importorskip("launch_ros", reason="launch_ros comes with a ROS installation only")
-    from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
-
-    try:
-        get_package_share_directory("dotsim_ros")
-    except PackageNotFoundError:
-        pytest.skip("the package is not installed in a workspace: colcon build")
-    from launch_ros.actions import Node
-
-    specification = importlib.util.spec_from_file_location("closed_loop_launch", PATH)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    entities = module.generate_launch_description().entities
-    nodes = {entity.node_executable for entity in entities if isinstance(entity, Node)}
-    assert nodes == {*CLASSES, STEPPER}
+@pytest.mark.parametrize(
+    ("one_process", "executables"),
+    [("false", set(CLASSES)), ("true", {"closed_loop", "tactile_record", "time_stepper"})],
+)
+def test_it_starts_the_nodes(tmp_path: Path, one_process: str, executables: set[str]) -> None:
+    given = {"one_process": one_process, "clock": "simulated", "record": "true"}
+    nodes = started("closed_loop.launch.py", tmp_path, **given)
+    assert {node.executable for node in nodes} == executables

@@ -186,6 +186,23 @@ def test_chosen_topics_only(tmp_path):
         assert recorder.interrupt() == 0, recorder.log
     with BagReader(tmp_path / "bag") as bag:
         assert set(bag.topics()) == {"/wrench", "/indenter/pose"}
+    assert "no message came" not in recorder.log
+
+
+def test_topics_without_a_message_are_named_at_the_end(tmp_path):
+    with (
+        sending() as source,
+        recording(output=tmp_path / "bag") as recorder,
+    ):
+        source.meet("wrench", "indenter/pose")
+        messages = frame(0)
+        for topic in ("wrench", "indenter/pose"):
+            source.send(topic, messages[topic])
+        source.deliver()
+        recorder.wait_for_line(" 2 messages so far")
+        assert recorder.interrupt() == 0, recorder.log
+    (line,) = [line for line in recorder.log.splitlines() if "no message came on" in line]
+    assert "/image_raw, /camera_info, /depth/image, /points: name the topics" in line
 
 
 def test_what_the_disk_does_not_take_is_dropped_and_told(tmp_path):

@@ -64,7 +64,8 @@ def test_the_files_for_drivers_hold_valid_parameters(name):
     content = yaml.safe_load(parameter_path(f"drivers/{name}").read_text())
     common = content.pop("/**")["ros__parameters"]
     framings = set()
-    for section in ({}, *(each["ros__parameters"] for each in content.values())):
+    own = [each for name, each in content.items() if name.endswith("/tactile_sim")]
+    for section in ({}, *(each["ros__parameters"] for each in own)):
         values = {**common, **section}
         qualities = values.pop("qos_overrides", {})
         plain = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}

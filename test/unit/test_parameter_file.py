@@ -77,9 +77,9 @@ def test_a_launch_refuses_a_file_without_parameters(
     answered(caught.value, what=f"a launch's `params_file` {what}")
 
 
-def test_checking_one_loads_neither_ros_nor_what_nodes_need() -> None:
+def test_what_launch_files_ask_of_one_loads_neither_ros_nor_what_nodes_need() -> None:
     code = (
-        "import sys, dotsim_ros.nodes.common.parameter_file\n"
+        "import sys, dotsim_ros.nodes.indenter_player.launched\n"
         "print({'rclpy', 'cv2', 'warp', 'scipy', 'torch'} & set(sys.modules))"
     )
     done = subprocess.run(

@@ -4,11 +4,13 @@
 """A sensor under a stream of motions, without ROS: real gel, real frames."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from dotsim_ros.effects.effect import FORCE, Active, Effect, EffectError, EffectParameter
+from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
@@ -230,3 +232,70 @@ def test_a_gel_without_memory_rests_under_a_held_indenter(sensor):
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
     first = session.follow(motion(0.5, 40_000_000))
     assert session.catch_up() is first
+
+
+BEGINNINGS = {
+    "a calibration": lambda session: session.relax(),
+    "a stop": lambda session: session.begin_anew(),
+    "another indenter": lambda session: session.change_indenter(load_indenter("sphere_4mm")),
+}
+
+
+@pytest.mark.parametrize("how", BEGINNINGS)
+def test_only_a_reset_begins_a_session_anew(sensor, how):
+    drift = load_effects()["force_drift"]
+    effects = [Active(drift, drift.checked({"share_per_s": 0.1}))]
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04, effects=effects)
+    # The force at 0.04 s from the start of the session, then at 0.12 s.
+    first = session.follow(motion(0.5, 40_000_000)).gel.wrench.force_n[2]
+    session.follow(motion(-1.0, 80_000_000))
+    BEGINNINGS[how](session)
+    again = session.follow(motion(0.5, 120_000_000)).gel.wrench.force_n[2]
+    assert again / first == pytest.approx(1.012 / 1.004, rel=1e-6)
+    session.reset()
+    fresh = session.follow(motion(0.5, 160_000_000)).gel.wrench.force_n[2]
+    assert fresh == pytest.approx(first, rel=1e-9)
+
+
+def test_a_gel_comes_to_rest_beside_an_indenter_that_stays_where_it_is_led(sensor):
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0012)
+    session.follow(motion(-2.0, 40_000_000))
+    rest = session.relax()
+    assert rest.pose.position_m[2] == APEX_M + 2.0e-3
+    assert np.array_equal(rest.gel.skin_position_m, sensor.skin.rest_position_m)
+    # It goes on from there, not as one that comes from afar would.
+    assert session.follow(motion(2.0, 80_000_000)).pose.position_m[2] > APEX_M - 2.0e-3
+    assert session.catch_up().pose.position_m[2] == APEX_M - 2.0e-3
+
+
+class Timed:
+    """A gel that remembers, and keeps the time steps that it is given."""
+
+    remembers = True
+
+    def __init__(self):
+        self.steps_s = []
+
+    def press(self, _pose, step_s):
+        self.steps_s.append(step_s)
+        wrench = SimpleNamespace(force_n=np.zeros(3))
+        return SimpleNamespace(wrench=wrench, skin_position_m=np.zeros((1, 3)))
+
+    def reset(self):
+        pass
+
+
+def test_a_gel_that_remembers_is_given_the_time_that_has_passed():
+    timed = Timed()
+    session = SensorSession(timed, first_dt_s=0.04)
+    session.follow(motion(0.5, 1_000_000_000))
+    for step_s in (0.12, 0.04):
+        session.catch_up(step_s)
+    session.follow(motion(0.5, 1_200_000_000))
+    # Of the 0.2 s between the two poses 0.16 s are over already.
+    assert timed.steps_s[-3:] == pytest.approx([0.12, 0.04, 0.04])
+    session.first_dt_s = 0.1
+    session.catch_up()
+    assert timed.steps_s[-1] == 0.1

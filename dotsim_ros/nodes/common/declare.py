@@ -73,6 +73,9 @@ def follow(
 ) -> None:
     """Let a running node's parameters be changed, all of one call together or none.
 
+    Call it once all other checks of the node's parameters are there: what these refuse must not be
+    applied.
+
     Args:
         node: whose parameters were declared with `declare` or `declare_fields`.
         current: returns the parameters in force; None while there are none, since the node is not
@@ -108,7 +111,7 @@ def follow(
             return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
-    node.add_on_set_parameters_callback(on_set)
+    node.add_parameter_check(on_set)
 
 
 def _plain(value: Any) -> Any:

@@ -35,6 +35,8 @@ from dotsim_ros.nodes.simulated_time.participant import StepParticipant, stamp_o
 from msg_adapters import Level, Status
 from msg_adapters.stamps import MAXIMUM_SECONDS, NANOSECONDS_PER_SECOND
 
+ParameterCheck = Callable[[Sequence[Parameter]], SetParametersResult]
+
 LOG_EVERY_S = 5.0
 """Between two lines about the same topic or service."""
 LARGEST_DEPTH = 10_000
@@ -68,8 +70,9 @@ class GuardedNode(Node):
         self._failure_reason = ""
         self._failure_s = -np.inf
         self._failure_logged_s: dict[str, float] = {}
+        self._parameter_checks: list[ParameterCheck] = [_refuse_nameless]
         super().__init__(name, **options)
-        self.add_on_set_parameters_callback(_refuse_nameless)
+        self.add_on_set_parameters_callback(self._check_parameters)
 
     @property
     def label(self) -> str:
@@ -253,6 +256,14 @@ class GuardedNode(Node):
             options.setdefault("callback_group", ReentrantCallbackGroup())
         return super().create_service(srv_type, srv_name, hear, **options)
 
+    def add_parameter_check(self, check: ParameterCheck) -> None:
+        """Let parameters that are set be checked, too, once all checks before have taken them.
+
+        So the last one may put them in force. ROS calls its own callbacks the other way round: what
+        one has put in force, another may refuse.
+        """
+        self._parameter_checks.append(check)
+
     def leave_topics(self) -> None:
         """Have no part any more in what passes on topics within the process or in steps, before all
         publishers and subscriptions that may have one are destroyed."""
@@ -263,6 +274,13 @@ class GuardedNode(Node):
 
     def before_request(self) -> None:
         """Called before a service is answered."""
+
+    def _check_parameters(self, changes: Sequence[Parameter]) -> SetParametersResult:
+        for check in self._parameter_checks:
+            result = check(changes)
+            if not result.successful:
+                return result
+        return SetParametersResult(successful=True)
 
     def _held_back(
         self,

@@ -9,6 +9,8 @@ which may lack what the nodes need.
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +68,49 @@ def check_params_file(name: str) -> str:
             f"params_file {value_text(path)} is refused and no node is started: {reason_of(error)}"
         ) from error
     return path
+
+
+def parameters_of(path: str, node: str) -> dict[str, Any]:
+    """Return the parameters that a file holds for a node, as ROS reads it: of all sections that
+    mean the node the later one counts.
+
+    Args:
+        path: of the file, checked.
+        node: its name behind its namespace.
+    """
+    sections = (values for name, values in _sections(read_yaml(path)) if _means(name, node))
+    return {name: value for values in sections for name, value in values.items()}
+
+
+def named_parameters(path: str, node: str) -> dict[str, Any]:
+    """Return the parameters of `parameters_of` without those of sections for nodes of any name,
+    which may have another node in mind."""
+    sections = (
+        values
+        for name, values in _sections(read_yaml(path))
+        if _means(name, node) and not name.endswith("*")
+    )
+    return {name: value for values in sections for name, value in values.items()}
+
+
+def _sections(content: Any, name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Return the names, which may hold wildcards, and the parameters of the nodes of a file."""
+    for key, value in content.items():
+        if key == PARAMETERS_KEY and isinstance(value, dict):
+            yield name, value
+        elif isinstance(value, dict):
+            yield from _sections(value, f"{name}/{str(key).strip('/')}")
+
+
+def _means(section: str, node: str) -> bool:
+    """Return whether the name of a section is that of a node: `*` is any part, `**` any number."""
+    wildcards = {"*": r"/\w+", "**": r"(/\w+)*"}
+    parts = (wildcards.get(part, f"/{re.escape(part)}") for part in _parts(section))
+    return re.fullmatch("".join(parts), "".join(f"/{part}" for part in _parts(node))) is not None
+
+
+def _parts(name: str) -> list[str]:
+    return [part for part in name.split("/") if part]
 
 
 def _holds_parameters(content: Any) -> bool:

@@ -100,7 +100,7 @@ class WorkingNode(GuardedNode):
             self.participant = StepParticipant(self, self._step_to)
         elif is_simulated:
             self._follow_clock()
-        self.add_on_set_parameters_callback(partial(_refuse_other_clock, is_simulated))
+        self.add_parameter_check(partial(_refuse_other_clock, is_simulated))
         self._threads: list[Thread] = []
         self._ends: list[Event] = []
         # A signal between the executor's look at the context and its wait wakes nothing: of a node

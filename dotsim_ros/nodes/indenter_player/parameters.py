@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
+from dotsim_ros.documents import value_text
 from dotsim_ros.files import parameter_path
 from dotsim_ros.measured.motion import Motion, joined
 from dotsim_ros.measured.scripted import (
@@ -23,9 +25,12 @@ from dotsim_ros.measured.shipped_presses import ShippedPress, read_presses
 from dotsim_ros.measured.trajectory import BASE_FRAME, Topics, read_trajectory
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.indenter_player.forces import PlayedForces
+from dotsim_ros.nodes.indenter_player.pad import pad_site, pad_slide
+from dotsim_ros.specification import GelSpecification, load_sensor
 
 SHIPPED_PRESSES = "presses/densetact_presses.npz"
 DEFAULT_RATE_HZ = 100.0
+DOME = "dome"
 
 
 @dataclass(frozen=True)
@@ -97,14 +102,32 @@ class PlayerParameters:
         maximum=3600.0,
         read_only=True,
     )
+    sensor: str = option(
+        "densetact2",
+        "sensor whose skin is met: a name below params/sensors, or the path of a YAML file; the "
+        "poses of a bag are played as they are",
+        read_only=True,
+    )
     outer_radius_m: float = option(
-        0.01575, "radius of the dome's skin at rest", minimum=1e-3, maximum=1.0, read_only=True
+        0.0,
+        "radius of the dome's skin at rest; 0: that of the sensor",
+        minimum=0.0,
+        maximum=1.0,
+        read_only=True,
     )
     tilt_deg: float = option(
-        0.0, "place: angle from the apex", minimum=0.0, maximum=90.0, read_only=True
+        0.0,
+        "place on a dome: angle from the apex; a pad is met in its middle",
+        minimum=0.0,
+        maximum=90.0,
+        read_only=True,
     )
     azimuth_deg: float = option(
-        0.0, "place: angle about +z, from +x", minimum=-360.0, maximum=360.0, read_only=True
+        0.0,
+        "place on a dome: angle about +z, from +x",
+        minimum=-360.0,
+        maximum=360.0,
+        read_only=True,
     )
     spin_deg: float = option(
         0.0,
@@ -205,19 +228,29 @@ class Program:
     forces: PlayedForces | None = None
 
 
-def _site(parameters: PlayerParameters) -> Site:
-    return Site(
-        outer_radius_m=parameters.outer_radius_m,
+def _radius_m(parameters: PlayerParameters, gel: GelSpecification) -> float:
+    return parameters.outer_radius_m or gel.outer_radius_m
+
+
+def _met(parameters: PlayerParameters) -> tuple[GelSpecification, Site]:
+    """Return the gel that a scripted motion meets, and where."""
+    gel = load_sensor(parameters.sensor).gel
+    site = Site(
+        outer_radius_m=_radius_m(parameters, gel),
         tilt_rad=float(np.deg2rad(parameters.tilt_deg)),
         azimuth_rad=float(np.deg2rad(parameters.azimuth_deg)),
         spin_rad=float(np.deg2rad(parameters.spin_deg)),
         clearance_m=parameters.clearance_m,
     )
+    if gel.shape != DOME:
+        site = pad_site(gel, site, depth_m=parameters.depth_m)
+    return gel, site
 
 
 def _press(parameters: PlayerParameters) -> Motion:
+    _, site = _met(parameters)
     return press_hold_release(
-        _site(parameters),
+        site,
         depth_m=parameters.depth_m,
         hold_s=parameters.hold_s,
         speed_m_s=parameters.speed_m_s,
@@ -225,8 +258,10 @@ def _press(parameters: PlayerParameters) -> Motion:
 
 
 def _slide(parameters: PlayerParameters) -> Motion:
-    return slide(
-        _site(parameters),
+    gel, site = _met(parameters)
+    move = slide if gel.shape == DOME else partial(pad_slide, gel)
+    return move(
+        site,
         depth_m=parameters.depth_m,
         distance_m=parameters.slide_distance_m,
         heading_rad=float(np.deg2rad(parameters.slide_heading_deg)),
@@ -236,8 +271,9 @@ def _slide(parameters: PlayerParameters) -> Motion:
 
 
 def _twist(parameters: PlayerParameters) -> Motion:
+    _, site = _met(parameters)
     return twist(
-        _site(parameters),
+        site,
         depth_m=parameters.depth_m,
         angle_rad=float(np.deg2rad(parameters.twist_angle_deg)),
         speed_m_s=parameters.speed_m_s,
@@ -258,10 +294,16 @@ def _chosen(presses: tuple[ShippedPress, ...], numbers: tuple[int, ...]) -> list
 
 
 def _presses(parameters: PlayerParameters) -> Motion:
+    gel = load_sensor(parameters.sensor).gel
+    if gel.shape != DOME:
+        raise ValueError(
+            f"source is presses, which were recorded on a dome, but the sensor "
+            f"{value_text(parameters.sensor)} has a pad: set source to press, slide or twist"
+        )
     path = parameters.path or parameter_path(SHIPPED_PRESSES)
     motions = [
         press.motion(
-            outer_radius_m=parameters.outer_radius_m,
+            outer_radius_m=_radius_m(parameters, gel),
             indenter_radius_m=parameters.indenter_radius_m,
             speed_m_s=parameters.speed_m_s,
             hold_s=parameters.hold_s,
@@ -298,7 +340,7 @@ def program_of(parameters: PlayerParameters) -> Program:
     """Return what the parameters ask to play.
 
     Raises:
-        FileNotFoundError: no file or bag at `path`.
+        FileNotFoundError: no file or bag at `path`, or no such sensor.
         ValueError: it cannot be read, or the motion is impossible.
     """
     if parameters.source == "bag":

@@ -31,8 +31,10 @@ from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import pressed_depth_range_of
 from dotsim_ros.measured.trajectory import BASE_FRAME
+from dotsim_ros.nodes.common.ingest import Fault
 from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.view.skin_map import rest_position_m, skin_triangles
+from msg_adapters import Level, Status
 
 # The newest alone: a page that falls behind must not show what was.
 IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
@@ -74,6 +76,8 @@ class LiveAttachment(WorkingNode):
         self._rest_depth_m: tuple[float, float] | None = None
         self._heard_s: deque[float] = deque()
         self._is_asked = False
+        self._base_frame = BASE_FRAME
+        self._fault_count: int | None = None
         self._publisher = self.create_publisher(
             PoseStamped,
             "indenter/pose",
@@ -121,7 +125,7 @@ class LiveAttachment(WorkingNode):
                 pose.position_m,
                 pose.quaternion_xyzw,
                 stamp_ns=self.time_ns(),
-                frame_id=BASE_FRAME,
+                frame_id=self._base_frame,
             )
         )
 
@@ -202,6 +206,8 @@ class LiveAttachment(WorkingNode):
         self._pose = Pose(*msg_adapters.decode_pose_stamped(message))
 
     def _on_points(self, message: PointCloud2) -> None:
+        # That of the poses as well, whatever prefix or name the node was given for it.
+        self._base_frame = message.header.frame_id
         cloud = msg_adapters.decode_cloud(message)
         skin_m = np.asarray(cloud.position, dtype=np.float64)
         if self._scene is None or len(self._scene.rest_m) != len(skin_m):
@@ -250,3 +256,14 @@ class LiveAttachment(WorkingNode):
         for status in msg_adapters.decode_diagnostics(message):
             if status.name == f"{label}: frames":
                 self._desk.tell_state(profile=status.values.get("profile", ""))
+            elif status.name == f"{label}: input":
+                self._tell_fault(status)
+
+    def _tell_fault(self, status: Status) -> None:
+        """Show what the node has refused since its last report."""
+        count = sum(int(status.values.get(fault, "0")) for fault in Fault)
+        # What was before this page is none of its news, and an older count is a new node's.
+        is_new = self._fault_count is not None and count > self._fault_count
+        self._fault_count = count
+        if is_new and status.level is Level.WARN:
+            self._desk.tell(status.message)

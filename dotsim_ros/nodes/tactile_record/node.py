@@ -238,6 +238,12 @@ class TactileRecord(WorkingNode):
                 f"{sum(summary.refused.values())} messages are too short to hold a header "
                 f"({_by_topic(summary.refused)}) and are not in the bag"
             )
+        silent = [topic for topic in self._types if topic not in self._heard]
+        if silent and count:
+            logger.warning(
+                f"no message came on {', '.join(silent)}: name the topics that are published with "
+                "the parameter topics"
+            )
         if summary.error is not None:
             self.exit_status = 1
             logger.error(_ending(summary))

@@ -27,10 +27,11 @@ class CalibrationStore:
         node: owns the service `set_camera_info`.
         url: of the file; empty for none, a calibration is then kept until the node ends.
         camera_name: for the file.
-        on_change: takes each calibration; refuses one by ValueError.
+        check: refuses a calibration by ValueError.
+        on_change: takes each calibration that is not refused.
 
     Raises:
-        ValueError: the URL, or the file, is not valid, or `on_change` refuses it.
+        ValueError: the URL, or the file, is not valid, or `check` refuses it.
         OSError: the file cannot be opened. One that is not there is no error: it may be written.
     """
 
@@ -40,12 +41,16 @@ class CalibrationStore:
         url: str,
         *,
         camera_name: str,
+        check: Callable[[CameraCalibration], None],
         on_change: Callable[[CameraCalibration], None],
     ) -> None:
-        self._node, self._camera_name, self._on_change = node, camera_name, on_change
+        self._node, self._camera_name = node, camera_name
+        self._check, self._on_change = check, on_change
         self._path = path_of_url(url) if url else None
         if self._path is not None and self._path.exists():
-            on_change(read_calibration(self._path))
+            calibration = read_calibration(self._path)
+            check(calibration)
+            on_change(calibration)
         elif self._path is not None:
             node.get_logger().warning(
                 f"camera_info_url: no file {self._path} yet, so camera_info is that of the "
@@ -55,10 +60,12 @@ class CalibrationStore:
 
     def _on_set(self, request: Any, response: Any) -> Any:
         calibration = msg_adapters.decode_calibration(request.camera_info)
-        self._on_change(calibration)
-        response.success = True
+        self._check(calibration)
         response.status_message = "taken until the node ends: no camera_info_url is set"
         if self._path is not None:
+            # First, since it may fail: one that is not kept must not be shown.
             write_calibration(self._path, calibration, name=self._camera_name)
             response.status_message = f"taken and written to {self._path}"
+        self._on_change(calibration)
+        response.success = True
         return response

@@ -38,7 +38,11 @@ from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
 from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
 from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
-from dotsim_ros.nodes.tactile_sim.motion import MotionOrder, NewestMotion
+from dotsim_ros.nodes.tactile_sim.motion import (
+    NANOSECONDS_PER_SECOND,
+    MotionOrder,
+    NewestMotion,
+)
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import BY_FORCE, REALTIME, TF, TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of, make_profile_in_force
@@ -122,12 +126,14 @@ class ConfiguredSensor:
         self._counter = FrameCounter()
         self._faults = FaultLog()
         self._newest = NewestMotion()
+        self._frame_ns: int | None = None
         self._pace = self._new_pace()
         self._outputs = FramePublishers(node, sensor, self.settings, noise=specification.noise)
         self._calibration = CalibrationStore(
             node,
             self.settings.camera_info_url,
             camera_name=self._node.label.replace("/", "_"),
+            check=self._outputs.check_calibration,
             on_change=self._outputs.take_calibration,
         )
         self._input = MotionInput(
@@ -180,7 +186,8 @@ class ConfiguredSensor:
             self._end_frames = None
         with self._lock:
             self._is_active = False
-            self._start_anew()
+            self._forget_motion()
+            self._session.begin_anew()
 
     def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
         if not self.settings.effects:
@@ -238,28 +245,43 @@ class ConfiguredSensor:
         with self._lock:
             if not self._makes_frames():
                 return
-            self._input.integrate(stamp_ns, 1.0 / self.settings.rate_hz)
+            passed_s = self._passed_s(stamp_ns)
+            self._input.integrate(stamp_ns, passed_s)
             self._node.compute(
                 self._latency,
-                partial(self._simulated, self._newest.take()),
+                partial(self._simulated, self._newest.take(), passed_s),
                 partial(self._publish, stamp_ns),
                 FRAMES_BROKEN,
             )
             self._profile.end_frame(begun_s, period_s=1.0 / self.settings.rate_hz)
 
-    def _simulated(self, motion: MotionOrder | None) -> SensorMoment:
+    def _passed_s(self, stamp_ns: int) -> float:
+        """Return the time since the frame before, which may be some periods: frames are dropped."""
+        last_ns, self._frame_ns = self._frame_ns, stamp_ns
+        if last_ns is None or stamp_ns <= last_ns:
+            return 1.0 / self.settings.rate_hz
+        passed_s = (stamp_ns - last_ns) / NANOSECONDS_PER_SECOND
+        # As long as a velocity holds: after a clock's leap nothing moves through what it left out.
+        return min(passed_s, self.settings.input_timeout_s)
+
+    def _simulated(self, motion: MotionOrder | None, passed_s: float) -> SensorMoment:
         """Return the next moment: of a motion, or of the gel that goes on."""
         with self._lock:
             if motion is not None:
                 self._input.guard(lambda: self._session.follow(motion))
             else:
-                self._input.guard(self._session.catch_up)
+                self._input.guard(lambda: self._session.catch_up(passed_s))
             return self._rendered(self._session.moment)
 
     def _lockstep_frame(self, motion: MotionOrder) -> None:
         with self._lock:
-            if self._makes_frames():
-                self._publish(motion.stamp_ns, self._rendered(self._session.follow(motion)))
+            if not self._makes_frames():
+                return
+            try:
+                self._session.follow(motion)
+            finally:
+                # Refused, too: who sent the pose waits for an answer, which is the last frame.
+                self._publish(motion.stamp_ns, self._rendered(self._session.moment))
 
     def _rendered(self, moment: SensorMoment) -> SensorMoment:
         if self._outputs.shows_image():
@@ -315,14 +337,15 @@ class ConfiguredSensor:
             now_s=self._node.now_s(),
         )
 
-    def _start_anew(self) -> None:
+    def _forget_motion(self) -> None:
         self._newest.take()
+        self._frame_ns = None
         self._input.forget()
-        self._session.reset()
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         with self._lock:
-            self._start_anew()
+            self._forget_motion()
+            self._session.reset()
         response.success, response.message = True, "the gel is at rest"
         return response
 
@@ -336,8 +359,7 @@ class ConfiguredSensor:
                 response.success = False
                 response.message = "the indenter touches the gel: lift it, then calibrate"
                 return response
-            self._session.reset()
-            self._outputs.publish_idle(self._session.moment.render(), self._node.time_ns())
+            self._outputs.publish_idle(self._session.relax().render(), self._node.time_ns())
         response.success = True
         response.message = (
             f"the image at rest is on {self._node.get_fully_qualified_name()}/idle_image"
@@ -352,7 +374,8 @@ class ConfiguredSensor:
     def _on_set_enabled(self, request: Any, response: Any) -> Any:
         with self._lock:
             self._is_enabled = request.data
-            self._start_anew()
+            self._forget_motion()
+            self._session.begin_anew()
         response.success = True
         response.message = "enabled" if request.data else "disabled: no frames"
         return response
@@ -381,6 +404,7 @@ class ConfiguredSensor:
             self.settings = changed
             if has_new_rate:
                 self._pace = self._new_pace()
+                self._session.first_dt_s = 1.0 / changed.rate_hz
 
 
 def _check_messages(settings: TactileSimParameters) -> None:

@@ -105,7 +105,7 @@ class ForceInput:
         force_n, _ = msg_adapters.decode_wrench_stamped(message)
         stamp_ns = msg_adapters.message_stamp_ns(message)
         if stamp_ns == 0 and self._is_realtime:
-            stamp_ns = self._node.time_ns()
+            stamp_ns = self._pairing.stamp_of_now(self._node.time_ns())
         self._pairing.put_force(
             checked_force(
                 force_n,

@@ -16,7 +16,11 @@ from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
-from dotsim_ros.nodes.tactile_sim.motion import NANOSECONDS_PER_SECOND, MotionOrder
+from dotsim_ros.nodes.tactile_sim.motion import (
+    NANOSECONDS_PER_SECOND,
+    MotionOrder,
+    after_last,
+)
 
 ABOUT_ZERO_N = 0.05
 """A gauge at rest shows forces of either sign up to here; below minus this the sign is wrong."""
@@ -122,6 +126,11 @@ class ForcePairing:
             self._last_force_ns: int | None = None
             self._valid: ForceOrder | None = None
             self.normal_n = 0.0
+
+    def stamp_of_now(self, now_ns: int) -> int:
+        """Return the stamp of a force that is meant for now: see `MotionGate.stamp_of_now`."""
+        with self._lock:
+            return after_last(now_ns, self._last_force_ns, maximum_step_s=self.maximum_step_s)
 
     def put_force(self, force: ForceOrder) -> None:
         """Take a force.

@@ -58,6 +58,15 @@ class MotionGate:
         """Let the next pose be a start, wherever and whenever it is."""
         self._last = None
 
+    def stamp_of_now(self, now_ns: int) -> int:
+        """Return the stamp of a pose that is meant for now: after the last one, though a simulated
+        clock stands still between its ticks; where it has gone back to a new start, its own."""
+        return after_last(
+            now_ns,
+            None if self._last is None else self._last.stamp_ns,
+            maximum_step_s=self.maximum_step_s,
+        )
+
     def check(self, pose: Pose, *, frame_id: str) -> None:
         """Refuse what is wrong whatever came before.
 
@@ -113,6 +122,19 @@ class MotionGate:
             f"{self.maximum_jump_m:g} m: a new start from rest, not a motion through what lies "
             "between"
         )
+
+
+def after_last(now_ns: int, last_ns: int | None, *, maximum_step_s: float) -> int:
+    """Return the time of a message that is meant for now and that comes after another one.
+
+    Args:
+        now_ns: of the clock, which may stand still since the last message, or have been set back.
+        last_ns: stamp of that message; None for none.
+        maximum_step_s: a clock that went back further than this has begun anew.
+    """
+    if last_ns is None or last_ns - now_ns > maximum_step_s * NANOSECONDS_PER_SECOND:
+        return now_ns
+    return max(now_ns, last_ns + 1)
 
 
 class NewestMotion:

@@ -105,7 +105,8 @@ class MotionInput:
         self._pose = parameters.start_pose()
         self._velocity: Velocity | None = None
         self._carried: _Carried | None = None
-        self._twist_stamp_ns: int | None = None
+        # When the indenter was last moved; None before.
+        self._moved_ns: int | None = None
         self._is_realtime = parameters.clock == REALTIME
         self._started_s = node.now_s()
         self._forces: ForceInput | None = None
@@ -171,7 +172,7 @@ class MotionInput:
             self._gate.forget()
             self._velocity = None
             self._carried = None
-            self._twist_stamp_ns = None
+            self._moved_ns = None
             self._pose = self._parameters.start_pose()
 
     def configure(self, parameters: TactileSimParameters) -> None:
@@ -243,7 +244,7 @@ class MotionInput:
                 self._gate.forget()
                 self._velocity = None
                 self._carried = None
-                self._twist_stamp_ns = None
+                self._moved_ns = None
 
     def _hear_pose(self, message: PoseStamped) -> None:
         pose, stamp_ns = Pose(*msg_adapters.decode_pose_stamped(message)), self._stamp_ns(message)
@@ -292,25 +293,25 @@ class MotionInput:
             with self._lock:
                 self._velocity = velocity
             return
-        last_ns, duration_s = self._twist_stamp_ns, 1.0 / self._parameters.rate_hz
+        last_ns, duration_s = self._moved_ns, 1.0 / self._parameters.rate_hz
         if last_ns is not None:
             duration_s = max(0.0, (stamp_ns - last_ns) / NANOSECONDS_PER_SECOND)
         # A silence is no motion: a controller that has stopped must not move the indenter on.
         duration_s = min(duration_s, self._parameters.input_timeout_s)
         self._move(velocity.moved(self._pose, duration_s), stamp_ns)
-        self._twist_stamp_ns = stamp_ns
 
     def _stamp_ns(self, message: PoseStamped | TwistStamped | Odometry) -> int:
         stamp_ns = msg_adapters.message_stamp_ns(message)
         # Tools that leave stamps at zero mean "now"; in lockstep there is no other clock.
         if stamp_ns == 0 and self._is_realtime:
-            return self._node.time_ns()
+            return self._gate.stamp_of_now(self._node.time_ns())
         return stamp_ns
 
     def _move(self, pose: Pose, stamp_ns: int) -> MotionOrder:
         with self._lock:
             motion = self._gate.hear(pose, stamp_ns, frame_id=self._parameters.base_frame)
-            self._pose = pose
+            # Together, whatever the gel says to it: the time up to here has passed.
+            self._pose, self._moved_ns = pose, stamp_ns
         if motion.new_start is not None:
             self._note(motion.new_start, motion.reason)
         self._on_motion(motion)

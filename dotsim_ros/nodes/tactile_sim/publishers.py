@@ -193,11 +193,11 @@ class FramePublishers:
     def _is_shown(self, publisher: Publisher) -> bool:
         return _is_read(publisher) and not self._parameters.fail_drop_images
 
-    def take_calibration(self, calibration: msg_adapters.CameraCalibration) -> None:
-        """Publish a calibration as camera_info, while images have its size.
+    def check_calibration(self, calibration: msg_adapters.CameraCalibration) -> None:
+        """Refuse a calibration that camera_info could not show.
 
         Raises:
-            ValueError: they have another size now.
+            ValueError: the images have another size now.
         """
         given, size = (calibration.width, calibration.height), self._framing.size_px
         if given != size:
@@ -205,6 +205,9 @@ class FramePublishers:
                 f"the calibration is of {given[0]} x {given[1]} pixels, the images have {size[0]} "
                 f"x {size[1]}: calibrate with these, or set image_size_px"
             )
+
+    def take_calibration(self, calibration: msg_adapters.CameraCalibration) -> None:
+        """Publish a calibration as camera_info, while images have its size."""
         self._calibration = calibration
 
     def _camera_info_message(self, header: _Header) -> Any:

@@ -99,6 +99,7 @@ class SensorSession:
     Attributes:
         moment: the last valid one.
         behind: how many frames did not reach the newest pose.
+        first_dt_s: as given; another rate of the frames is another time step.
     """
 
     def __init__(
@@ -112,7 +113,7 @@ class SensorSession:
     ) -> None:
         self._sensor = sensor
         self._drive = drive
-        self._first_dt_s = first_dt_s
+        self.first_dt_s = first_dt_s
         self._limit_m = limit_m
         self._effects = LiveEffects(effects, sensor)
         self._commanded: Pose | None = None
@@ -132,7 +133,7 @@ class SensorSession:
         """
         start_s = time.monotonic()
         apex_m = self._sensor.skin.rest_position_m[:, 2].max()
-        pose, step_s = Pose(np.array([0.0, 0.0, apex_m - WARM_UP_DEPTH_M])), self._first_dt_s
+        pose, step_s = Pose(np.array([0.0, 0.0, apex_m - WARM_UP_DEPTH_M])), self.first_dt_s
         frame = self._sensor.step(pose, step_s)
         moved = self._effects.moved(pose, frame.wrench.force_n, step_s)
         self._effects.answered(self._sensor.press(pose, step_s), moved)
@@ -160,9 +161,12 @@ class SensorSession:
         self._last_stamp_ns = motion.stamp_ns
         return self._move(motion.pose, step_s)
 
-    def catch_up(self) -> SensorMoment:
+    def catch_up(self, step_s: float | None = None) -> SensorMoment:
         """Go on to the newest pose, which `follow` did not reach, or the newest force; where both
         are reached, let a gel that remembers, or an effect, evolve under the held indenter.
+
+        Args:
+            step_s: time since the frame before; by default that of a motion that nothing leads to.
 
         Raises:
             RefusedInputError: as `follow`.
@@ -173,9 +177,10 @@ class SensorSession:
         is_followed = self._drive is None or self._drive.is_met(self._commanded)
         if is_followed and not goes_on:
             return self.moment
+        step_s = self.first_dt_s if step_s is None else step_s
         if self._last_stamp_ns is not None:
-            self._last_stamp_ns += int(self._first_dt_s * NANOSECONDS_PER_SECOND)
-        return self._move(self._commanded, self._first_dt_s)
+            self._last_stamp_ns += int(step_s * NANOSECONDS_PER_SECOND)
+        return self._move(self._commanded, step_s)
 
     def _move(self, commanded: Pose, step_s: float) -> SensorMoment:
         self._commanded, self._is_behind = commanded, False
@@ -230,18 +235,38 @@ class SensorSession:
 
     def _step_s(self, stamp_ns: int) -> float:
         if self._last_stamp_ns is None or stamp_ns <= self._last_stamp_ns:
-            return self._first_dt_s
+            return self.first_dt_s
         return (stamp_ns - self._last_stamp_ns) / NANOSECONDS_PER_SECOND
 
     def reset(self) -> None:
         """Bring the gel to rest, with no indenter near it; a session of effects begins anew."""
-        self._sensor.reset()
         self._effects.restart()
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Bring the gel to rest, with no indenter near it; the time of the session goes on."""
         self._forget_force()
         self._last_stamp_ns = None
         self._is_broken = self._is_behind = False
         self._at = self._commanded = None
-        self.moment = self._pressed(None, self._first_dt_s)
+        self._rest(None)
+
+    def relax(self) -> SensorMoment:
+        """Bring the gel to rest beside an indenter that does not touch it; return what is seen.
+
+        Where it is and where it is led to stay as they are; the time of the session goes on.
+        """
+        self._rest(self.moment.pose)
+        return self.moment
+
+    def _rest(self, pose: Pose | None) -> None:
+        """Take what a gel without memory looks like untouched, an indenter being at a pose."""
+        self._sensor.reset()
+        self._effects.begin()
+        gel = self._sensor.press(None, self.first_dt_s)
+        self._force_n = gel.wrench.force_n
+        camera = self._effects.camera(None, self.first_dt_s)
+        self.moment = SensorMoment(self._sensor, gel, pose, camera)
         self._sensor.reset()
 
     def _forget_force(self) -> None:
@@ -255,7 +280,7 @@ class SensorSession:
             ValueError: the sensor refuses it; the one before stays.
         """
         self._sensor.set_indenter(indenter)
-        self.reset()
+        self.begin_anew()
 
     def change_solver(
         self, solver: SolverSpecification, *, limit_m: float, largest_jump_m: float

@@ -1,0 +1,304 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The parameters that nodes get from launch files: of a user's file, and of what a user gives.
+
+`launched` stands in for the library `launch`; ROS reads the arguments.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rclpy
+import yaml
+from geometry_msgs.msg import PoseStamped
+from harness import Client, running
+from launched import Started, started
+
+import msg_adapters
+from dotsim_ros.files import parameter_path
+from dotsim_ros.nodes.common.parameter_file import named_parameters, parameters_of
+from dotsim_ros.nodes.indenter_player.launched import BASE_FRAME
+from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
+from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
+from dotsim_ros.nodes.tactile_record.node import RecordParameters
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
+from dotsim_ros.nodes.time_stepper.parameters import TimeStepperParameters
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
+from dotsim_ros.specification import load_sensor
+
+PLAYER = "dotsim_ros.nodes.indenter_player.node"
+WriteFile = Callable[[dict[str, dict[str, Any]]], str]
+
+
+def read_by_ros(arguments: list[str], node: str) -> dict[str, Any]:
+    """Return the parameters that ROS has for a node of this name, and use_sim_time."""
+    context = rclpy.Context()
+    rclpy.init(args=arguments, context=context)
+    try:
+        made = rclpy.create_node(
+            node, context=context, automatically_declare_parameters_from_overrides=True
+        )
+        found = {name: each.value for name, each in made.get_parameters_by_prefix("").items()}
+        made.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+    del found["start_type_description_service"]
+    return found
+
+
+def of_node(nodes: list[Started], executable: str, node: str = "") -> dict[str, Any]:
+    """Return the parameters of the only node of an executable."""
+    (found,) = [each for each in nodes if each.executable == executable]
+    return read_by_ros(found.arguments, node or executable)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> WriteFile:
+    """Return what writes a file of parameters, in the order of its sections."""
+
+    def write_file(sections: dict[str, dict[str, Any]]) -> str:
+        path = tmp_path / "mine.yaml"
+        content = {name: {"ros__parameters": values} for name, values in sections.items()}
+        path.write_text(yaml.safe_dump(content, sort_keys=False))
+        return str(path)
+
+    return write_file
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """Return an empty folder."""
+    path = tmp_path / "launch"
+    path.mkdir()
+    return path
+
+
+LOOP = "closed_loop.launch.py"
+MINE = {"policy": "mine", "path": "my_path"}
+POLICIES = {
+    "by name": {"/**/tactile_policy": MINE},
+    "for any node": {"/**": MINE},
+    "by name, behind what is for any node": {"/**": {"stop": 1}, "/**/tactile_policy": MINE},
+}
+
+
+@pytest.mark.parametrize("how", POLICIES)
+@pytest.mark.parametrize("one_process", ["false", "true"])
+def test_the_loop_takes_the_policy_of_a_file(
+    write: WriteFile, folder: Path, how: str, one_process: str
+) -> None:
+    nodes = started(LOOP, folder, params_file=write(POLICIES[how]), one_process=one_process)
+    executable = "closed_loop" if one_process == "true" else "tactile_policy"
+    found = of_node(nodes, executable, "tactile_policy")
+    assert (found["policy"], found["path"]) == ("mine", "my_path")
+
+
+@pytest.mark.parametrize("how", POLICIES)
+def test_a_policy_that_is_given_to_the_loop_goes_before_its_file(
+    write: WriteFile, folder: Path, how: str
+) -> None:
+    # A name that YAML would read as a number is a name.
+    nodes = started(LOOP, folder, params_file=write(POLICIES[how]), path="8")
+    found = of_node(nodes, "tactile_policy")
+    assert (found["policy"], found["path"]) == ("mine", "8")
+
+
+def test_the_loop_has_a_policy_of_its_own(folder: Path) -> None:
+    found = of_node(started(LOOP, folder), "tactile_policy")
+    assert (found["policy"], found["path"]) == ("densetact2_sphere", "")
+
+
+def test_the_stepper_takes_its_parameters_from_the_file_too(write: WriteFile, folder: Path) -> None:
+    own = {"speed": 2.0, "patience_s": 9.0}
+    path = write({"/**": {"use_sim_time": True}, "/**/time_stepper": own})
+    nodes = started(LOOP, folder, params_file=path, clock="simulated")
+    found = of_node(nodes, "time_stepper")
+    # It is what makes the time that the others go by.
+    assert found == {**own, "use_sim_time": False}
+    nodes = started(LOOP, folder, params_file=path, clock="simulated", speed="1")
+    assert of_node(nodes, "time_stepper")["speed"] == 1.0
+    found = of_node(started(LOOP, folder, clock="simulated"), "time_stepper")
+    assert found == {"use_sim_time": False, "patience_s": 600.0}
+
+
+def prefixes(nodes: list[Started]) -> list[str]:
+    return [read_by_ros(node.arguments, "tactile_sim")["frame_prefix"] for node in nodes]
+
+
+def test_the_fingers_of_a_gripper_have_frames_of_their_own(write: WriteFile, folder: Path) -> None:
+    assert prefixes(started("gripper.launch.py", folder)) == ["left_", "right_"]
+    of_one = {"/**": {"frame_prefix": ""}, "/right/tactile_sim": {"frame_prefix": "thumb_"}}
+    nodes = started("gripper.launch.py", folder, params_file=write(of_one))
+    assert prefixes(nodes) == ["left_", "thumb_"]
+    of_one.pop("/**")
+    nodes = started("gripper.launch.py", folder, params_file=write(of_one))
+    assert prefixes(nodes) == ["left_", "thumb_"]
+
+
+@pytest.mark.parametrize("name", ["dual_compressed", "dual_difference", "dual_raw"])
+def test_the_frames_of_a_driver_of_two_stay_its_own(folder: Path, name: str) -> None:
+    nodes = started("gripper.launch.py", folder, params_file=f"drivers/{name}.yaml")
+    assert prefixes(nodes) == ["", ""]
+    found = [read_by_ros(node.arguments, "tactile_sim") for node in nodes]
+    assert [each["base_frame"] for each in found] == ["left_densetact_base", "right_densetact_base"]
+
+
+def test_a_finger_takes_poses_in_its_own_frame(folder: Path) -> None:
+    left, _ = started("gripper.launch.py", folder)
+    coarse = {"grid_spacing_m": 0.0048, "rate_hz": 10.0}
+    with running(parameters=coarse, arguments=left.arguments):
+        client = Client(topics={})
+        try:
+            states: list[PoseStamped] = []
+            client.node.create_subscription(PoseStamped, "/left/indenter/state", states.append, 5)
+            poses = client.node.create_publisher(PoseStamped, "/left/indenter/pose", 5)
+            client.wait(poses.get_subscription_count, "the finger")
+            above = msg_adapters.encode_pose_stamped(
+                (0.0, 0.0, 0.03),
+                (0.0, 0.0, 0.0, 1.0),
+                stamp_ns=client.node.get_clock().now().nanoseconds,
+                frame_id="left_densetact_base",
+            )
+            poses.publish(above)
+            client.wait(lambda: states, "a frame that shows the indenter")
+            assert states[0].header.frame_id == "left_densetact_base"
+        finally:
+            client.close()
+
+
+SENSOR = "tactile_sim.launch.py"
+PAD = {"sensor": "digit", "frame_prefix": "left_", "base_frame": "pad", "rate_hz": 30.0}
+
+
+@pytest.mark.parametrize("section", ["/**", "/**/tactile_sim", "/finger/tactile_sim"])
+def test_the_player_presses_the_sensor_of_the_file(
+    write: WriteFile, folder: Path, section: str
+) -> None:
+    nodes = started(
+        SENSOR, folder, params_file=write({section: PAD}), namespace="finger", play="true"
+    )
+    found = of_node(nodes, "indenter_player")
+    assert (found["sensor"], found["frame_id"]) == ("digit", "left_pad")
+    assert (found["source"], found["subscriber_count"]) == ("presses", 1)
+    # Not that of the frames.
+    assert found["rate_hz"] == 0.0
+
+
+def test_what_a_file_says_of_the_player_counts_unless_it_is_given(
+    write: WriteFile, folder: Path
+) -> None:
+    own = {"source": "slide", "frame_id": "stage", "rate_hz": 50.0, "subscriber_count": 3}
+    path = write({"/**": PAD, "/**/indenter_player": own})
+    found = of_node(started(SENSOR, folder, params_file=path, play="true"), "indenter_player")
+    assert {name: found[name] for name in own} == own
+    nodes = started(SENSOR, folder, params_file=path, play="true", source="press")
+    assert of_node(nodes, "indenter_player")["source"] == "press"
+
+
+def test_without_a_file_the_player_presses_the_default_sensor(folder: Path) -> None:
+    nodes = started(SENSOR, folder, play="true", record="true")
+    found = of_node(nodes, "indenter_player")
+    assert (found["sensor"], found["frame_id"]) == ("densetact2", BASE_FRAME)
+    assert TactileSimParameters().base_frame == BASE_FRAME
+    assert found["subscriber_count"] == 2
+
+
+def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile, folder: Path) -> None:
+    own = {"exit_at_end": True, "hold_s": 0.0, "depth_m": 0.001}
+    path = write({"/**": PAD, "/**/indenter_player": own})
+    nodes = started(SENSOR, folder, params_file=path, play="true", source="press")
+    (player,) = [node for node in nodes if node.executable == "indenter_player"]
+    client = Client(topics={})
+    try:
+        poses: list[PoseStamped] = []
+        client.node.create_subscription(PoseStamped, "indenter/pose", poses.append, 1000)
+        with running(PLAYER, arguments=player.arguments) as process:
+            assert process.exit_status() == 0, process.log
+        assert {pose.header.frame_id for pose in poses} == {"left_pad"}
+        lowest_m = min(pose.pose.position.z for pose in poses)
+        assert lowest_m == pytest.approx(load_sensor("digit").gel.thickness_m - 0.001)
+    finally:
+        client.close()
+
+
+def test_the_recorder_takes_its_topics_from_the_file(write: WriteFile, folder: Path) -> None:
+    nodes = started(SENSOR, folder, params_file="drivers/run_camera.yaml", record="true")
+    found = of_node(nodes, "tactile_record")
+    driver = yaml.safe_load(parameter_path("drivers/run_camera.yaml").read_text())
+    sensor = driver["/**"]["ros__parameters"]
+    recorded = [topic.partition("=")[0] for topic in found["topics"]]
+    assert {sensor["image_topic"], sensor["wrench_topic"]} < set(recorded)
+
+
+def test_effects_that_are_given_go_before_the_file(write: WriteFile, folder: Path) -> None:
+    path = write({"/**": {"effects": "any.yaml"}, "/**/tactile_sim": {"effects": "mine.yaml"}})
+    found = of_node(started(SENSOR, folder, params_file=path), "tactile_sim")
+    assert found["effects"] == "mine.yaml"
+    nodes = started(SENSOR, folder, params_file=path, effects="found.yaml")
+    assert of_node(nodes, "tactile_sim")["effects"] == "found.yaml"
+
+
+SECTIONS = {
+    "/**": {"of_all": 1, "a": "any"},
+    "/**/tactile_sim": {"a": "by name", "b": "by name"},
+    "/left/tactile_sim": {"b": "one", "c": "one"},
+    "/*/tactile_sim": {"c": "in one namespace"},
+    "/right/tactile_sim": {"a": "another"},
+    "/left/**": {"d": "in left"},
+    "/left/tactile_simulator": {"a": "another"},
+}
+
+
+@pytest.mark.parametrize("namespace", ["/", "/left", "/right", "/robot/left"])
+def test_a_file_is_read_as_ros_reads_it(write: WriteFile, namespace: str) -> None:
+    path = write(SECTIONS)
+    arguments = ["--ros-args", "-r", f"__ns:={namespace}", "--params-file", path]
+    node = f"{namespace}/tactile_sim"
+    found = parameters_of(path, node)
+    assert {**found, "use_sim_time": False} == read_by_ros(arguments, "tactile_sim")
+    named = named_parameters(path, node)
+    assert "of_all" not in named
+    assert "d" not in named
+    assert set(named.items()) <= set(found.items())
+
+
+CLASSES = {
+    "tactile_sim": TactileSimParameters,
+    "indenter_player": PlayerParameters,
+    "tactile_record": RecordParameters,
+    "tactile_policy": TactilePolicyParameters,
+    "time_stepper": TimeStepperParameters,
+    "xarm_sim": XarmSimParameters,
+}
+LAUNCHES = {
+    "the loop": (LOOP, {"clock": "simulated", "speed": "2", "path": "line", "record": "true"}),
+    "a driver's sensor": (
+        SENSOR,
+        {"params_file": "drivers/run_camera.yaml", "play": "true", "record": "true"},
+    ),
+    "a sensor with effects": (SENSOR, {"effects": "found.yaml", "play": "true"}),
+}
+
+
+@pytest.mark.parametrize("what", LAUNCHES)
+def test_nodes_can_take_what_they_are_launched_with(folder: Path, what: str) -> None:
+    name, given = LAUNCHES[what]
+    for node in started(name, folder, **given):
+        kind = CLASSES[node.executable]
+        fields = {field.name: field.default for field in dataclasses.fields(kind)}
+        found = read_by_ros(node.arguments, node.executable)
+        values = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in found.items()
+            if name in fields
+        }
+        kind(**values)
+        for field, value in values.items():
+            # ROS refuses an int for a float, which the class itself would take.
+            assert type(value) is type(fields[field]), field
