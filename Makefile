@@ -68,7 +68,7 @@ demo-loop: setup
 # Each part runs, whatever those before it found.
 test: setup
 	@rm -f $(FAULTS)
-	export $(RUN); tests="python -m pytest --faults=$(FAULTS) $(PYTEST_OPTIONS)"; failed=0; \
+	export $(RUN); tests="python -m pytest -rs --faults=$(FAULTS) $(PYTEST_OPTIONS)"; failed=0; \
 	$$tests $(SOLVING) test/physics test/unit || failed=1; \
 	$$tests $(WAITING) -m "not timed" test/ros || failed=1; \
 	$$tests -m timed test/ros || failed=1; \
@@ -76,7 +76,7 @@ test: setup
 
 faults: setup
 	@rm -f $(FAULTS)
-	$(RUN) python -m pytest -m fault --faults=$(FAULTS) $(PYTEST_OPTIONS) test
+	$(RUN) python -m pytest -rs -m fault --faults=$(FAULTS) $(PYTEST_OPTIONS) test
 	$(RUN) python .ci/faults_table.py $(FAULTS)
 
 # Another SEED gives other cases.

@@ -8,8 +8,8 @@
 Fails on a relative link, image, script or style that is not there, on an anchor that its page does
 not have, on a path out of the site, and on a script, style, font or image from elsewhere: the site
 must open without a network. Links to other sites are counted, not followed. A Markdown file of the
-repository (README.md) may lead to any file of it; anchors of pages below docs/ are looked up in
-the built page.
+repository (README.md) may lead to any file of it, by a link, a reference or HTML; anchors of pages
+below docs/ are looked up in the built page, those of other Markdown files in their headings.
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ from urllib.parse import unquote, urlsplit
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 LINK = re.compile(r"!?\[(?:[^\]\[]|\[[^\]]*\])*\]\(([^)\s]+)\)")
+DEFINITION = re.compile(r"^ {0,3}\[([^\]]+)\]:\s*<?([^\s>]+)", re.MULTILINE)
+REFERENCE = re.compile(r"\[([^\]\[]+)\]\[([^\]\[]*)\]")
+HEADING = re.compile(r"^#{1,6} +(.+?)[ #]*$", re.MULTILINE)
+FENCED = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)
 CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
 STYLE_URL = re.compile(r"url\(\s*['\"]?([^'\")]+)|@import\s+['\"]([^'\"]+)")
 FETCHED = {"img": "src", "script": "src", "iframe": "src", "source": "src", "video": "src"}
@@ -50,6 +54,20 @@ class Page(HTMLParser):
             self.fetched.append(values[FETCHED[tag]])
 
 
+def anchors_of(text: str) -> set[str]:
+    """Return the anchors that GitHub gives the headings of a Markdown file."""
+    found: set[str] = set()
+    for title in HEADING.findall(FENCED.sub("", text)):
+        shown = LINK.sub(lambda link: link[0].rpartition("](")[0].lstrip("!["), title)
+        anchor = free = re.sub(r"[^\w\- ]", "", shown.lower()).replace(" ", "-")
+        number = 0
+        while free in found:
+            number += 1
+            free = f"{anchor}-{number}"
+        found.add(free)
+    return found
+
+
 class Checker:
     """Looks up targets; reads each page once.
 
@@ -59,8 +77,9 @@ class Checker:
         count: links that were looked up.
     """
 
-    def __init__(self, site: Path) -> None:
+    def __init__(self, site: Path, repository: Path = ROOT) -> None:
         self.site = site.resolve()
+        self.repository = repository.resolve()
         self.bad: list[str] = []
         self.outward: set[str] = set()
         self.count = 0
@@ -92,8 +111,15 @@ class Checker:
 
     def check_markdown(self, path: Path) -> None:
         """Check a Markdown file of the repository."""
-        for link in LINK.findall(CODE.sub("", path.read_text(encoding="utf-8"))):
-            self._check(path.resolve(), link, within=ROOT)
+        path = path.resolve()
+        text = CODE.sub("", path.read_text(encoding="utf-8"))
+        defined = {label.lower(): target for label, target in DEFINITION.findall(text)}
+        for words, label in REFERENCE.findall(text):
+            if (label or words).lower() not in defined:
+                self._blame(path, f"[{words}][{label}]: no such reference is defined")
+        html = Page(text)
+        for link in [*LINK.findall(text), *defined.values(), *html.links, *html.fetched]:
+            self._check(path, link, within=self.repository)
 
     def _check(self, path: Path, link: str, *, within: Path) -> None:
         parts = urlsplit(link)
@@ -113,17 +139,22 @@ class Checker:
         elif not target.exists():
             self._blame(path, f"{link} leads nowhere")
         elif parts.fragment:
-            built = self._built(target)
-            if built is not None and unquote(parts.fragment) not in self.page(built).anchors:
+            anchors = self._anchors(target)
+            if anchors is not None and unquote(parts.fragment) not in anchors:
                 self._blame(path, f"{link}: the page has no such anchor")
 
-    def _built(self, target: Path) -> Path | None:
+    def _anchors(self, target: Path) -> set[str] | None:
+        """Return the anchors of a page, or None of what is no page."""
         if target.is_relative_to(DOCS) and target.suffix == ".md":
             target = self.site / target.relative_to(DOCS).with_suffix(".html")
-        return target if target.suffix == ".html" and target.is_file() else None
+        if target.suffix == ".html" and target.is_file():
+            return self.page(target).anchors
+        if target.suffix == ".md" and target.is_file():
+            return anchors_of(target.read_text(encoding="utf-8"))
+        return None
 
     def _blame(self, path: Path, what: str) -> None:
-        base = self.site if path.is_relative_to(self.site) else ROOT
+        base = self.site if path.is_relative_to(self.site) else self.repository
         self.bad.append(f"{path.relative_to(base)}: {what}")
 
 

@@ -67,6 +67,7 @@ class Checkout:
         self._trees: dict[str, Mapping[str, bytes]] = {}
         self._known: dict[str, bool] = {}
         self._digests: dict[tuple[object, str], str] = {}
+        self._behind: dict[tuple[object, str], tuple[tuple[str, ...], Mapping[str, bytes]]] = {}
 
     def has_whole_history(self) -> bool:
         """Return whether every commit below the current one can be read."""
@@ -101,9 +102,38 @@ class Checkout:
         """
         key = (parts_of(command), commit)
         if key not in self._digests:
-            sources = self.at(commit) if commit else self.now
-            self._digests[key] = digest_of(*files_behind(command, sources))
+            self._digests[key] = digest_of(*self._files_behind(command, commit))
         return self._digests[key]
+
+    def _files_behind(
+        self, command: str, commit: str
+    ) -> tuple[tuple[str, ...], Mapping[str, bytes]]:
+        key = (parts_of(command), commit)
+        if key not in self._behind:
+            self._behind[key] = files_behind(command, self.at(commit) if commit else self.now)
+        return self._behind[key]
+
+    def changed_since(self, command: str, commit: str) -> list[str]:
+        """Return the files behind a command that are not what they were at a commit.
+
+        A file counts where nothing behind the command held the same then, or holds the same now:
+        one that only moved does not.
+
+        Args:
+            command: as provenance records it.
+            commit: that is known.
+
+        Raises:
+            ValueError, FileNotFoundError: as `digest_behind`.
+        """
+        now, then = (
+            {path: _digest_of_one(path, sources) for path in files}
+            for files, sources in (self._files_behind(command, tree) for tree in ("", commit))
+        )
+        same = set(now.values()) & set(then.values())
+        changed = [path for path, digest in now.items() if digest not in same]
+        gone = [path for path, digest in then.items() if digest not in same and path not in now]
+        return sorted([*changed, *gone])
 
     def at(self, commit: str) -> Mapping[str, bytes]:
         """Return the Python files at a commit that is known."""
@@ -134,6 +164,17 @@ class Checkout:
     def _git(self, *arguments: str, given: bytes = b"") -> bytes:
         command = ["git", "-C", str(self.root), *arguments]
         return subprocess.run(command, input=given, capture_output=True, check=True).stdout
+
+
+_known_digests: dict[tuple[str, bytes], str] = {}
+
+
+def _digest_of_one(path: str, sources: Mapping[str, bytes]) -> str:
+    # Alone, a file's digest depends on nothing else: where its imports lead is left out.
+    key = (path, sources[path])
+    if key not in _known_digests:
+        _known_digests[key] = digest_of([path], sources)
+    return _known_digests[key]
 
 
 def files_behind(
@@ -214,8 +255,10 @@ def _only(function: str, source: bytes, path: str) -> bytes:
         name = waiting.pop()
         if name in defined and name not in used:
             used[name] = defined[name]
-            nodes = ast.walk(defined[name])
-            waiting += [node.id for node in nodes if isinstance(node, ast.Name)]
+            names = [n for n in ast.walk(defined[name]) if isinstance(n, ast.Name)]
+            # A variable of a function may have the name of another function.
+            own = {n.id for n in names if isinstance(n.ctx, ast.Store)}
+            waiting += [n.id for n in names if n.id not in own]
     kept = [
         statement
         for statement in tree.body

@@ -17,7 +17,7 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "run.md"
 RESULTS = "docs/results/profiles.json"
-FIGURES = re.compile(rf"(<!-- figures: {re.escape(RESULTS)} at )\S+( -->)")
+FIGURES = re.compile(rf"(<!-- figures: {re.escape(RESULTS)} at )[^\s:]+(:| -->)")
 BEGIN = "<!-- .ci/profiles_table.py writes this table, and the commit above. -->\n"
 END = "\n<!-- End of the table. -->"
 HEAD = (

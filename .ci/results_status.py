@@ -8,7 +8,7 @@
 
 The first lists every result, writes the page and marks what README.md and docs/ show; the second
 only compares, for CI. Both exit with 1 where a figure has no commit, comes from a tree with
-uncommitted changes, or says no command that is known.
+uncommitted changes, or says no command that is known, and in a clone without its whole history.
 
 A result is every JSON file below docs/results. Its provenance stands at its top, under
 `provenance` or `origin`, and in rows that were made in other runs. Figures that cannot be had
@@ -56,6 +56,7 @@ _OTHER_LINK = re.compile(
     r"""^\s*\[[^\]]+\]:\s*<?(?P<reference>[^<>\s]+)|href=["'](?P<html>[^"']+)"""
 )
 _SHOWN_DIGITS = 7
+_SHOWN_FILES = 3
 
 
 class State(Enum):
@@ -118,6 +119,12 @@ class Result:
         return max((state for _, state in self.origins), key=order.index)
 
     @property
+    def worst(self) -> list[Origin]:
+        """Return the origins that have this state, the latest last."""
+        worst = [origin for origin, state in self.origins if state is self.state]
+        return sorted(worst, key=lambda origin: origin.date)
+
+    @property
     def last(self) -> Origin:
         """Return the origin of the latest figures."""
         return max((origin for origin, _ in self.origins), key=lambda origin: origin.date)
@@ -133,8 +140,8 @@ class Result:
         """Return what stands behind a link to it, with a space before; "" where it is current."""
         if self.state is State.CURRENT:
             return ""
-        worst = [origin for origin, state in self.origins if state is self.state]
-        shown = max(worst, key=lambda origin: origin.date)
+        worst = self.worst
+        shown = worst[-1]
         if not shown.hash:
             return " (measured at an unrecorded commit)"
         why = {State.OLDER: "before later changes", State.UNKNOWN: "not in this history"}.get(
@@ -285,7 +292,7 @@ def _commits(result: Result) -> str:
     return result.last.commit + (f" and {others} more" if others else "")
 
 
-def page_of(results: Sequence[Result], reasons: Mapping[Path, str]) -> str:
+def page_of(results: Sequence[Result], reasons: Mapping[Path, str], checkout: Checkout) -> str:
     """Return the page of all results, for the documentation."""
     counts = Counter(result.state for result in results)
     parts = [
@@ -314,6 +321,20 @@ def page_of(results: Sequence[Result], reasons: Mapping[Path, str]) -> str:
                 [row for result in several for row in _rows_by_commit(result)],
             ),
         ]
+    older = [result for result in results if result.state is State.OLDER]
+    if older:
+        parts += [
+            "## Older: what has changed since",
+            "Files behind the command that are not what they were at the commit, that of the "
+            "latest figures that are older. Paths within `dotsim_ros/` stand without it.",
+            _table(
+                ("result", "commit", "files"),
+                [
+                    (_linked(r), f"`{r.worst[-1].commit}`", _changes(r.worst[-1], checkout))
+                    for r in older
+                ],
+            ),
+        ]
     if reasons:
         parts += [
             "## Not reproducible as recorded",
@@ -322,6 +343,18 @@ def page_of(results: Sequence[Result], reasons: Mapping[Path, str]) -> str:
             "\n".join(f"- {file}: {reason}" for file, reason in sorted(reasons.items())),
         ]
     return "\n\n".join(parts) + "\n"
+
+
+def _changes(origin: Origin, checkout: Checkout) -> str:
+    """Return which files have changed since figures were made, the first few by name."""
+    try:
+        files = checkout.changed_since(origin.command, origin.hash)
+    except (ValueError, FileNotFoundError):
+        return "what the command runs was not there"
+    names = [f"`{file.removeprefix('dotsim_ros/')}`" for file in files[:_SHOWN_FILES]]
+    others = len(files) - len(names)
+    more = [f"and {others} more"] if others else []
+    return ", ".join([*names, *more]) or "only where some names are taken from"
 
 
 def _rows_by_commit(result: Result) -> list[tuple[str, ...]]:
@@ -425,16 +458,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     results, reasons, problems = read_results(checkout)
     print(table(results))
     _print_listed(results, reasons)
-    is_whole = checkout.has_whole_history()
-    if not is_whole:
-        print(
-            "\nThis is no clone with its whole history (git fetch --unshallow): commits are "
-            "unknown, so the page and the marks were neither compared nor written."
+    if not checkout.has_whole_history():
+        partial = (
+            "this is no clone with its whole history: commits are unknown, so the page and the "
+            "marks were neither compared nor written; run git fetch --unshallow, in a workflow "
+            "check out with fetch-depth: 0"
         )
+        if given.check or given.mark:
+            problems.append(partial)
+        else:
+            print(f"\nNote: {partial}")
     elif given.check:
-        problems += _not_up_to_date(given.root, results, reasons, given.markdown)
+        problems += _not_up_to_date(checkout, results, reasons, given.markdown)
     else:
-        _write(given.root, results, reasons, given.markdown, given.mark)
+        _write(checkout, results, reasons, given.markdown, given.mark)
     if problems:
         print("\nErrors:", *problems, sep="\n  ")
     return 1 if problems else 0
@@ -450,28 +487,31 @@ def _print_listed(results: Sequence[Result], reasons: Mapping[Path, str]) -> Non
 
 
 def _write(
-    root: Path,
+    checkout: Checkout,
     results: Sequence[Result],
     reasons: Mapping[Path, str],
     status_page: Path | None,
     with_marks: bool,
 ) -> None:
     if status_page is not None:
-        status_page.write_text(page_of(results, reasons), encoding="utf-8")
-    for page in pages(root) if with_marks else ():
+        status_page.write_text(page_of(results, reasons, checkout), encoding="utf-8")
+    for page in pages(checkout.root) if with_marks else ():
         before = page.read_text(encoding="utf-8")
-        after = marked(before, page.parent.relative_to(root), results)
+        after = marked(before, page.parent.relative_to(checkout.root), results)
         if after != before:
             page.write_text(after, encoding="utf-8")
 
 
 def _not_up_to_date(
-    root: Path, results: Sequence[Result], reasons: Mapping[Path, str], status_page: Path | None
+    checkout: Checkout,
+    results: Sequence[Result],
+    reasons: Mapping[Path, str],
+    status_page: Path | None,
 ) -> list[str]:
-    problems = []
+    root, problems = checkout.root, []
     if status_page is not None:
         before = status_page.read_text(encoding="utf-8") if status_page.is_file() else ""
-        if before != page_of(results, reasons):
+        if before != page_of(results, reasons, checkout):
             problems.append(f"{status_page} is not up to date: run `make results-status`")
     for page in pages(root):
         text, folder = page.read_text(encoding="utf-8"), page.parent.relative_to(root)

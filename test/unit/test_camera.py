@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera, PinholeCamera, camera_of_disc
@@ -22,6 +22,7 @@ def make_camera(distortion=(0.0, 0.0, 0.0, 0.0), pose=None):
     return FisheyeCamera(64, 48, 16.0, (31.0, 24.5), distortion, pose or Pose())
 
 
+@settings(deadline=None)
 @given(
     x=st.floats(-0.5, 63.5),
     y=st.floats(-0.5, 47.5),

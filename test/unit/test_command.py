@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dotsim_ros.geometry.pose import Pose
@@ -31,6 +31,7 @@ numbers = st.floats(-1.0, 1.0)
 twists = st.lists(numbers, min_size=6, max_size=6).map(np.array)
 
 
+@settings(deadline=None)
 @given(twists)
 def test_a_command_along_other_axes_is_as_fast(twist):
     base = in_base_axes(twist, TILTED)
@@ -67,6 +68,7 @@ def test_the_righting_rate_turns_the_tool_back():
     assert np.linalg.norm(turn_between(pose, wanted)) < 1e-3
 
 
+@settings(deadline=None)
 @given(twists, st.floats(0.01, 2.0), st.floats(0.01, 2.0))
 def test_speeds_are_limited_and_directions_kept(twist, linear, angular):
     limited = within_speed(twist, linear_m_s=linear, angular_rad_s=angular)
@@ -76,6 +78,7 @@ def test_speeds_are_limited_and_directions_kept(twist, linear, angular):
     assert limited[LINEAR] @ twist[LINEAR] >= 0.0
 
 
+@settings(deadline=None)
 @given(twists, twists, st.floats(0.0, 0.1))
 def test_a_command_changes_no_faster_than_it_may_and_gets_there(present, target, duration):
     rates = {"linear_m_s2": 2.0, "angular_rad_s2": 20.0}

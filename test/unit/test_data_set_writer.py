@@ -169,11 +169,13 @@ def test_a_bag_that_the_index_does_not_list_is_kept(
     index = tmp_path / "dataset.yaml"
     index.write_text("operator: Ada\ntrajectories: []\n", encoding="utf-8")
     DataSetWriter(tmp_path, SKIN).add(recorded("press"), BALL)
-    assert (tmp_path / "bags" / "press.kept" / "press.mcap").read_bytes() == b"of the user"
+    kept = (tmp_path / "bags" / "press.kept" / "press.mcap").read_bytes()
+    assert kept == b"of the user"
     assert yaml.safe_load(index.read_text(encoding="utf-8"))["operator"] == "Ada"
     assert [entry.name for entry in read_data_set(tmp_path).entries] == ["press"]
-    assert sorted(p.name for p in (tmp_path / "bags").iterdir()) == ["press", "press.kept"]
-    answered("the bag that was there is kept as press.kept")
+    bags = sorted(p.name for p in (tmp_path / "bags").iterdir())
+    assert bags == ["press", "press.kept"]
+    answered(f"bags/ holds {' and '.join(bags)}; press.kept/press.mcap is {kept.decode()!r}")
 
 
 def test_a_trajectory_that_cannot_be_written_leaves_the_one_before(tmp_path: Path) -> None:

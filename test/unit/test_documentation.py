@@ -11,9 +11,11 @@ import dataclasses
 import importlib.util
 import json
 import re
+import shlex
 import tomllib
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,7 +34,11 @@ from dotsim_ros.specification import load_sensor
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 README_LINES = 150
-FIGURES = re.compile(r"<!-- figures: (\S+) at (\S+) -->\n(.*?)<!-- end figures -->", re.DOTALL)
+# A mark may name figures that its block shows, as KEY=FORMAT or KEY*FACTOR=FORMAT: the keys of a
+# value in the file with "/" between them, and how Python formats it.
+FIGURES = re.compile(
+    r"<!-- figures: (\S+) at ([^\s:]+)(?:: ([^\n]*))? -->\n(.*?)<!-- end figures -->", re.DOTALL
+)
 
 
 def text_of(name: str) -> str:
@@ -166,11 +172,44 @@ def test_ten_questions_are_answered_by_three_files_that_there_are() -> None:
             assert (base / place).exists(), f"{question} names {place}"
 
 
+def not_shown(record: Any, named: str, block: str) -> list[str]:
+    """Return those of the figures that a mark names which its block does not show."""
+    missing = []
+    for entry in shlex.split(named):
+        name, _, how = entry.partition("=")
+        keys, _, factor = name.partition("*")
+        value = record
+        for key in keys.split("/"):
+            value = value[int(key)] if isinstance(value, list) else value[key]
+        shown = format(value * float(factor) if factor else value, how)
+        # Not as a part of another number.
+        if not re.search(rf"(?<![\d.,-]){re.escape(shown)}(?![\d]|[.,]\d)", block):
+            missing.append(f"{name}: {shown}")
+    return missing
+
+
+def test_a_figure_that_is_not_shown_is_found() -> None:
+    record = {"a rate": {"mean": 24.44}, "errors_m": [1e-4, 0.0496e-3], "count": 3}
+    named = '"a rate/mean=.1f" errors_m/1*1e3=.3f count=d'
+    assert not_shown(record, named, "**24.4** frames/s, 0.050 mm, 3.") == []
+    assert not_shown(record, named, "**24.40**, 10.050, 3.5") == [
+        "a rate/mean: 24.4",
+        "errors_m/1*1e3: 0.050",
+        "count: 3",
+    ]
+    marked = "<!-- figures: a.json at 12ab-dirty: count=d -->\n3\n<!-- end figures -->\n"
+    marked += "<!-- figures: b.json at 34cd -->\n4\n<!-- end figures -->\n"
+    assert FIGURES.findall(marked) == [
+        ("a.json", "12ab-dirty", "count=d", "3\n"),
+        ("b.json", "34cd", "", "4\n"),
+    ]
+
+
 @pytest.mark.parametrize(
     "path", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda p: p.name
 )
 def test_figures_are_those_of_their_file_and_link_to_it(path: Path) -> None:
-    for source, commit, block in FIGURES.findall(path.read_text(encoding="utf-8")):
+    for source, commit, named, block in FIGURES.findall(path.read_text(encoding="utf-8")):
         record = json.loads((ROOT / source).read_text(encoding="utf-8"))
         assert commit == record.get("provenance", record)["commit"], (
             f"{source} was made anew: bring the figures beside it up to date, then its commit"
@@ -178,6 +217,14 @@ def test_figures_are_those_of_their_file_and_link_to_it(path: Path) -> None:
         shown_by = {(ROOT / source).with_suffix(suffix) for suffix in (".json", ".md")}
         linked = {(path.parent / link).resolve() for link in re.findall(r"\]\(([^)]+)\)", block)}
         assert shown_by & linked, f"results-status can mark no link to {source}"
+        assert not_shown(record, named, block) == [], f"other figures stand in {source}"
+
+
+def test_the_pages_of_results_are_what_their_figures_make() -> None:
+    result_pages = script("result_pages")
+    assert not result_pages.left_out(), "name what makes them in .ci/result_pages.py"
+    for page, text in result_pages.rendered().items():
+        assert not result_pages.difference(page, text), "run python .ci/result_pages.py"
 
 
 def test_the_readme_is_short_and_says_where_its_figures_come_from() -> None:
@@ -216,6 +263,35 @@ def test_the_check_of_links_passes_a_sound_page(tmp_path: Path) -> None:
     checker.check_site()
     assert checker.bad == []
     assert checker.outward == {"https://elsewhere.org"}
+
+
+@pytest.mark.parametrize(
+    ("body", "complaint"),
+    [
+        ("[x](#gone)", "no such anchor"),
+        ("[x](OTHER.md#gone)", "no such anchor"),
+        ("[x][1]\n\n[1]: gone.md", "gone.md leads nowhere"),
+        ("[x][2]\n\n[1]: OTHER.md", "[x][2]: no such reference"),
+        ('<img src="gone.png" width="80">', "gone.png leads nowhere"),
+        ('<a href="gone.md">x</a>', "gone.md leads nowhere"),
+        ("[x](../out.md)", "leads out of"),
+    ],
+)
+def test_the_check_of_links_finds_in_a_markdown_file(
+    body: str, complaint: str, tmp_path: Path
+) -> None:
+    sound = "# A *new* page: `make x` (2)\n\n## Twice\n\n## Twice\n\n"
+    sound += "[x](#a-new-page-make-x-2) [y](OTHER.md#twice-1) [z][1] <a href='OTHER.md'>o</a>\n"
+    sound += "`[x](gone.md)` [w](https://elsewhere.org)\n\n[1]: OTHER.md#twice\n\n"
+    (tmp_path / "README.md").write_text(sound)
+    (tmp_path / "OTHER.md").write_text("## Twice\n\n```\n# no heading\n```\n\n## Twice\n")
+    checker = script("check_links").Checker(tmp_path / "site", tmp_path)
+    checker.check_markdown(tmp_path / "README.md")
+    assert checker.bad == []
+    (tmp_path / "BAD.md").write_text(body)
+    checker.check_markdown(tmp_path / "BAD.md")
+    assert len(checker.bad) == 1
+    assert complaint in checker.bad[0]
 
 
 def test_entries_of_several_names_are_split() -> None:

@@ -45,18 +45,19 @@ def _hold(_prepared: object, random: Random, folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("attempt", "words"),
+    ("attempt", "words", "hang_s"),
     [
-        (_hang, "no answer within 0.5 s"),
-        (_grow, "MemoryError"),
-        (_die, "the process died (-9)"),
-        (_trace, "KeyError: 'radius_m'"),
+        (_hang, "no answer within 0.5 s", 0.5),
+        # Long enough that a stall of the machine is not taken for the fault.
+        (_grow, "MemoryError", run.HANG_S),
+        (_die, "the process died (-9)", run.HANG_S),
+        (_trace, "KeyError: 'radius_m'", run.HANG_S),
     ],
 )
 def test_what_goes_wrong_is_found(
-    attempt: object, words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    attempt: object, words: str, hang_s: float, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(run, "HANG_S", 0.5)
+    monkeypatch.setattr(run, "HANG_S", hang_s)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     target = Target("planted", lambda folder: None, attempt)  # type: ignore[arg-type]
     summary = run.run_target(target, seconds=0.3, first_case=7)

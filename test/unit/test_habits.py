@@ -138,6 +138,11 @@ def test_workflow_runs_the_checks_on_each_supported_python() -> None:
     (job,) = workflow()["jobs"].values()
     commands = [step["run"] for step in job["steps"] if "run" in step]
     assert "bash .ci/run" in commands
+    # A step or a job that may fail checks nothing; without its history no clone knows which figures
+    # are older than the code.
+    assert not any("continue-on-error" in part for part in (job, *job["steps"]))
+    (checkout,) = [s for s in job["steps"] if s.get("uses", "").startswith("actions/checkout@")]
+    assert checkout["with"]["fetch-depth"] == 0
     minimum, limit = re.findall(r'python_requires=">=3\.(\d+),<3\.(\d+)"', text_of("setup.py"))[0]
     supported = [f"3.{minor}" for minor in range(int(minimum), int(limit))]
     assert job["strategy"]["matrix"]["python"] == supported

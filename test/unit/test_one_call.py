@@ -6,6 +6,7 @@ the command line asks for is what the calls are given."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -328,6 +329,29 @@ def test_data_that_cannot_be_used_are_a_verdict_with_a_report(
     line = ["find-gap", "--measured", str(data), "--out", str(tmp_path / "other")]
     assert main(line) == 20
     assert (tmp_path / "other" / "report.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("verdict", "status"),
+    [
+        (Verdict.NO_GAP, 0),
+        (Verdict.NAMED, 10),
+        (Verdict.SET, 11),
+        (Verdict.UNKNOWN, 12),
+        (Verdict.UNUSABLE, 20),
+    ],
+    ids=lambda given: getattr(given, "value", given),
+)
+def test_each_verdict_ends_the_command_with_the_documented_status(
+    tmp_path: Path, data: Path, verdict: Verdict, status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = Findings(verdict, "What was found.")
+    monkeypatch.setattr(find_module, "find_gap_with_images", lambda *_: (found, None))
+    assert main(["find-gap", "--measured", str(data), "--out", str(tmp_path / "report")]) == status
+    page = (Path(__file__).parents[2] / "docs" / "gap_finder.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| (\d+) \| ([^|]+) \|", page, re.MULTILINE))
+    words = {Verdict.NAMED: "named", Verdict.UNUSABLE: "cannot be used"}
+    assert words.get(verdict, verdict.value.replace("_", " ")) in rows[str(status)]
 
 
 def test_a_search_without_a_report_leaves_nothing(

@@ -5,7 +5,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dotsim_ros.geometry.pose import Pose
@@ -15,6 +15,7 @@ component = st.floats(-2.0, 2.0)
 vector = st.tuples(component, component, component)
 
 
+@settings(deadline=None)
 @given(linear=vector, angular=vector, along=st.sampled_from(TwistFrame))
 def test_a_long_step_is_many_short_ones(linear, angular, along):
     start = Pose(np.array([0.1, -0.2, 0.3]), np.array([0.5, 0.5, 0.5, 0.5]))

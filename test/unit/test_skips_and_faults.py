@@ -1,0 +1,118 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The checks of what the tests saw: no test is skipped unseen, no answer to a fault goes unseen."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TESTS = """
+import pytest
+
+@pytest.mark.skip(reason="for no good reason")
+@pytest.mark.fault("view", "a fault")
+def test_skipped():
+    pass
+
+def test_skips_itself():
+    pytest.skip("no disk can be mounted here")
+
+@pytest.mark.xfail
+def test_known_to_fail():
+    assert False
+
+def test_runs():
+    pass
+"""
+
+
+@pytest.fixture
+def tool(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return what imports a program of .ci."""
+    monkeypatch.syspath_prepend(str(ROOT / ".ci"))
+    return importlib.import_module
+
+
+def test_a_skip_is_noted_and_one_without_a_known_cause_is_refused(
+    tool: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "test_some.py").write_text(TESTS)
+    (tmp_path / "test_module.py").write_text('import pytest\npytest.importorskip("nowhere")\n')
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "skips", "--skips=skips.json"]
+    command += ["-W", "ignore", "-p", "no:cacheprovider"]
+    paths = {"PYTHONPATH": str(ROOT / ".ci")}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=os.environ | paths, capture_output=True, text=True, check=False
+    )
+    assert "1 passed, 3 skipped, 1 xfailed" in done.stdout
+    noted = json.loads((tmp_path / "skips.json").read_text())
+    assert {skip["test"].partition("::")[2]: skip["areas"] for skip in noted} == {
+        "": [],
+        "test_skipped": ["view"],
+        "test_skips_itself": [],
+    }
+    skips = tool("skips")
+    assert [line.partition(": skipped: ")[2] for line in skips.unexpected(noted)] == [
+        "could not import 'nowhere': No module named 'nowhere'",
+        "for no good reason",
+    ]
+    # A cause that does not hold on this machine excuses nothing.
+    missing = [{"test": "a", "reason": "CalculiX is not installed", "areas": []}]
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert not skips.unexpected(missing)
+    (tmp_path / "ccx").touch(mode=0o755)
+    assert skips.unexpected(missing)
+
+
+ROWS = {"view": {("cut", "is shown"), ("full", "says so")}, "find-gap": {("no pose", "says so")}}
+
+
+def seen(**changes: set[tuple[str, str]]) -> dict[str, set[tuple[str, str]]]:
+    return {**ROWS, **changes}
+
+
+@pytest.mark.parametrize(
+    ("now", "skipped", "wrong"),
+    [
+        (seen(), (), []),
+        (seen(view={("cut", "is shown")}), (), ["view: full: says so (no test saw this)"]),
+        (seen(view={("cut", "is shown")}), ("view",), []),
+        (seen(view={("cut", "is shown")}), ("find-gap",), ["view: full"]),
+        (
+            seen(view={("cut", "is refused"), ("full", "says so")}),
+            ("view",),
+            ["view: cut: is refused (another answer", "view: cut: is shown (no test saw"],
+        ),
+        (seen(view=ROWS["view"] | {("new", "x")}), (), ["view: new: x (it is not there)"]),
+    ],
+)
+def test_answers_that_are_not_those_of_the_page_are_found(
+    tool: Any, now: dict[str, set[tuple[str, str]]], skipped: tuple[str, ...], wrong: list[str]
+) -> None:
+    table = tool("faults_table")
+    there, now = ({area: rows.get(area, set()) for area in table.AREAS} for rows in (ROWS, now))
+    found = table.differences(there, now, set(skipped))
+    assert [line[: len(start)] for line, start in zip(found, wrong, strict=True)] == wrong
+
+
+@pytest.mark.parametrize("option", ["--check", None])
+def test_a_run_without_any_answer_is_none(
+    tool: Any, option: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "faults.json").write_text("[]")
+    table = tool("faults_table")
+    monkeypatch.setattr(table, "PAGE", tmp_path / "faults.md")
+    given = [str(tmp_path / "faults.json"), *filter(None, [option])]
+    monkeypatch.setattr(sys, "argv", ["faults_table.py", *given])
+    assert table.main() == 1
+    assert not (tmp_path / "faults.md").exists()
