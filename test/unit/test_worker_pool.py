@@ -16,7 +16,7 @@ from pathlib import Path
 import pool_work
 import pytest
 
-from dotsim_ros.worker_pool.pool import open_pool
+from dotsim_ros.worker_pool.processes import open_worker_pool
 
 PROGRAM = """
 import os, sys, time
@@ -130,7 +130,7 @@ def test_a_worker_that_is_killed_is_one_line(program: Path, answered: Callable[.
 def test_what_the_initializer_raises_is_raised_here() -> None:
     with (
         pytest.raises(ValueError, match="no gel to press") as caught,
-        open_pool(1, pool_work.refuse) as pool,
+        open_worker_pool(1, pool_work.refuse) as pool,
     ):
         pool.submit(len, [1]).result()
     assert "in refuse" in str(caught.value.__cause__)  # where it was raised in the worker
@@ -161,6 +161,6 @@ def test_a_script_without_a_guard_is_told_of_it(tmp_path: Path) -> None:
 def test_a_worker_that_is_killed_as_it_begins_has_no_missing_guard() -> None:
     with (
         pytest.raises(OSError, match="ended from outside, most likely because memory ran out"),
-        open_pool(1, pool_work.die_at_the_beginning) as pool,
+        open_worker_pool(1, pool_work.die_at_the_beginning) as pool,
     ):
         pool.submit(len, [1]).result()
