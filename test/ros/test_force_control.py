@@ -248,9 +248,6 @@ def test_in_real_time_the_newest_force_is_followed_under_a_single_pose() -> None
                 )
             )
             assert (found.indenter_m()[2] > APEX_M) == (asked_n == 0.0)
-            if asked_n == 0.0:
-                # Which takes away neither the pose nor what is known of the force.
-                assert client.call(Trigger, "/tactile_sim/calibrate_idle").success
         client.wait_for_state("input", lambda state: "the last one holds" in state.message)
 
 
