@@ -30,6 +30,8 @@ from stepper_rig import (
     session,
 )
 
+from dotsim_ros.arrays import IntArray
+
 STEPPED = {"use_sim_time": "true", "stepped": "true"}
 SIMULATED = {"use_sim_time": "true"}
 STEP_NS = 10_000_000
@@ -94,6 +96,11 @@ def test_a_managed_node_may_rest_but_not_be_configured_anew(steps: Session) -> N
     assert "started anew: start all participants together" in reason
 
 
+def _new_starts(steps: Session) -> IntArray:
+    """Return where the worker's count of its ticks began anew."""
+    return np.flatnonzero(np.diff([count for _, count, _, _ in list(steps.ticks)]) < 0)
+
+
 def test_pause_step_and_reset(steps: Session) -> None:
     steps.start(WORKER, **STEPPED)
     stepper = steps.step(paused="true", steps_per_call=5, start_s=7.0)
@@ -117,10 +124,12 @@ def test_pause_step_and_reset(steps: Session) -> None:
     reset = steps.trigger("reset")
     assert reset.success
     assert reset.message.startswith("reset worker; time goes on from ")
+    # The pause may come before the first tick after it.
+    steps.wait(lambda: _new_starts(steps).size, "a tick after the reset")
     assert steps.pause().message == "paused"
     steps.wait_for_state("paused")
     counts = [count for _, count, _, _ in steps.ticks]
-    (anew,) = np.flatnonzero(np.diff(counts) < 0)
+    (anew,) = _new_starts(steps)
     assert counts[anew + 1] == 1
     np.testing.assert_array_equal(np.diff(steps.clock_ns), STEP_NS)
     assert stepper.interrupt() == 0
