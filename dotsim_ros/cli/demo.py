@@ -19,6 +19,8 @@ import argparse
 from contextlib import ExitStack
 from pathlib import Path
 
+from dotsim_ros.cli._made import made_anew
+
 START_TIMEOUT_S = 180.0
 """A first start compiles the gel's kernels."""
 
@@ -37,39 +39,31 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     from dotsim_ros.nodes.common.processes import NodeProcess
     from dotsim_ros.nodes.common.transport import stay_local
-    from dotsim_ros.replacement import note_made, remove_made
     from dotsim_ros.view.bag import ViewRequest, view_bag
     from dotsim_ros.view.timeline import ViewTopics
 
     stay_local()
     bag: Path = arguments.out / "presses"
-    remove_made(arguments.out, "presses")  # that of the demonstration before
-    try:
-        with ExitStack() as stack:
-            sensor = NodeProcess("tactile_sim", {})
-            stack.callback(sensor.stop)
-            sensor.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
-            recorder = NodeProcess("tactile_record", {"output": bag})
-            stack.callback(recorder.stop)
-            recorder.wait_for_line("receiving /image_raw", timeout_s=START_TIMEOUT_S)
-            player = NodeProcess(
-                "indenter_player",
-                {
-                    "source": "presses",
-                    "subscriber_count": 2,
-                    "press_numbers": str(list(range(arguments.presses))),
-                    "depth_limit_m": 1e-3 * arguments.depth_mm,
-                    "exit_at_end": "true",
-                },
-            )
-            stack.callback(player.stop)
-            statuses = {player.executable: player.wait()}
-            statuses |= {node.executable: node.stop() for node in (recorder, sensor)}
-    finally:
-        # By now the recorder has ended. What it left after Ctrl-C or a failure is this command's,
-        # too, which the next run removes.
-        if bag.exists():
-            note_made(arguments.out, "presses")
+    with made_anew(arguments.out, "presses"), ExitStack() as stack:
+        sensor = NodeProcess("tactile_sim", {})
+        stack.callback(sensor.stop)
+        sensor.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
+        recorder = NodeProcess("tactile_record", {"output": bag})
+        stack.callback(recorder.stop)
+        recorder.wait_for_line("receiving /image_raw", timeout_s=START_TIMEOUT_S)
+        player = NodeProcess(
+            "indenter_player",
+            {
+                "source": "presses",
+                "subscriber_count": 2,
+                "press_numbers": str(list(range(arguments.presses))),
+                "depth_limit_m": 1e-3 * arguments.depth_mm,
+                "exit_at_end": "true",
+            },
+        )
+        stack.callback(player.stop)
+        statuses = {player.executable: player.wait()}
+        statuses |= {node.executable: node.stop() for node in (recorder, sensor)}
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))

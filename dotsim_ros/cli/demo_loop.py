@@ -23,6 +23,8 @@ import sys
 import time
 from pathlib import Path
 
+from dotsim_ros.cli._made import made_anew
+
 POLICY = "densetact2_sphere"
 MOTIONS = ("line", "arc", "figure_eight", "press")
 CLOCKS = ("simulated", "realtime")
@@ -60,7 +62,6 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.page import write_page
     from dotsim_ros.progress import bar
     from dotsim_ros.provenance import provenance
-    from dotsim_ros.replacement import note_made, remove_made
     from dotsim_ros.tasks.control.loop_recording import LoopRecording
     from dotsim_ros.tasks.policy.card import read_policy
     from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
@@ -74,7 +75,6 @@ def run(arguments: argparse.Namespace) -> int:
     contact = DomeContact()
     path = reference_path(arguments.path, contact)
     bag: Path = arguments.out / "loop"
-    remove_made(arguments.out, "loop")  # that of the demonstration before
     setup = LoopSetup(
         policy_name(folder),
         sensor=arguments.sensor or card.sensor,
@@ -88,19 +88,16 @@ def run(arguments: argparse.Namespace) -> int:
         print(bar(done / arguments.laps, note), file=sys.stderr, flush=True)
         return bool(done >= arguments.laps)
 
-    try:
-        with ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop:
-            loop.start(path.name)
-            start_m = trial_start(path, contact, seed=arguments.seed, number=0)
-            longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
-            begun_s = time.monotonic()
-            observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
-            statuses = loop.close()
-    finally:
-        # By now the recorder has ended. What it left after Ctrl-C or a failure is this command's,
-        # too, which the next run removes.
-        if bag.exists():
-            note_made(arguments.out, "loop")
+    with (
+        made_anew(arguments.out, "loop"),
+        ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop,
+    ):
+        loop.start(path.name)
+        start_m = trial_start(path, contact, seed=arguments.seed, number=0)
+        longest_s = APPROACH_S + PATIENCE * arguments.laps * path.lap_s
+        begun_s = time.monotonic()
+        observed = loop.trial(start_m, longest_s, bag=bag, is_done=laps_are_made)
+        statuses = loop.close()
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
