@@ -26,41 +26,24 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.files import write_json
-from dotsim_ros.geometry.pose import ApexPose
 from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import EXACT, REALTIME
 from dotsim_ros.provenance import provenance
-from dotsim_ros.sensor import FRAME_S, TactileSensor
+from dotsim_ros.sensor import FRAME_S
 from dotsim_ros.specification import SensorSpecification, load_sensor, shipped_sensors
+from dotsim_ros.view.frame_rate import motion, warm_sensor
 
-INDENTER = "sphere_4mm"
-DEPTH_SHARE, LARGEST_DEPTH_M = 0.3, 2.0e-3
-CLEARANCE_M = 0.5e-3
-PRESS_M_S, SLIDE_M_S, SLIDE_M = 5.0e-3, 10.0e-3, 4.0e-3
-SETTLE_FRAMES = 10
 GEL_PARTS, OPTICS_PARTS = ("contact", "solve"), ("depth", "image")
-
-
-def motion(sensor: SensorSpecification) -> list[ApexPose]:
-    """Return a pose a frame: press, slide there and back, and lift."""
-    depth_m = min(DEPTH_SHARE * sensor.gel.thickness_m, LARGEST_DEPTH_M)
-    press = [ApexPose(float(d)) for d in np.arange(-CLEARANCE_M, depth_m, PRESS_M_S * FRAME_S)]
-    there = np.arange(0.0, SLIDE_M, SLIDE_M_S * FRAME_S)
-    slide = [ApexPose(depth_m, x_m=float(x)) for x in (*there, *reversed(there))]
-    return [*press, *slide, *reversed(press)]
 
 
 def measure(sensor: SensorSpecification, frame_count: int) -> dict[str, float]:
     """Return rate, headroom and times of a sensor's frames."""
-    made = TactileSensor.load(sensor, indenter=INDENTER)
-    # The first frames warm up kernels and caches.
-    for pose in motion(sensor)[:SETTLE_FRAMES]:
-        made.step(pose)
-    made.reset()
+    poses = motion(sensor)
+    made = warm_sensor(sensor, poses)
     spent: list[dict[str, float]] = []
     unconverged = 0
     begun_s, worked_s = time.perf_counter(), time.process_time()
-    for pose in islice(cycle(motion(sensor)), frame_count):
+    for pose in islice(cycle(poses), frame_count):
         frame = made.step(pose)
         spent.append(frame.timings_s)
         unconverged += not frame.converged

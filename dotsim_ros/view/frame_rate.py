@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from itertools import cycle, islice
 
 import numpy as np
@@ -29,6 +30,16 @@ def motion(sensor: SensorSpecification) -> list[ApexPose]:
     return [*press, *slide, *reversed(press)]
 
 
+def warm_sensor(sensor: SensorSpecification, poses: Sequence[ApexPose]) -> TactileSensor:
+    """Return a sensor with the ball, at rest, whose kernels and caches the first of some poses have
+    warmed up."""
+    made = TactileSensor.load(sensor, indenter=INDENTER)
+    for pose in poses[:SETTLE_FRAMES]:
+        made.step(pose)
+    made.reset()
+    return made
+
+
 def frames_per_second(sensor: SensorSpecification, frame_count: int) -> float:
     """Return the rate of a sensor's frames with its own solver, gel and image one after the other,
     while a ball of 4 mm radius presses, slides and lifts, again and again.
@@ -42,12 +53,8 @@ def frames_per_second(sensor: SensorSpecification, frame_count: int) -> float:
     """
     if frame_count < 1:
         raise ValueError(f"{frame_count} frames have no rate, expected 1 or more")
-    made = TactileSensor.load(sensor, indenter=INDENTER)
     poses = motion(sensor)
-    # The first frames warm up kernels and caches.
-    for pose in poses[:SETTLE_FRAMES]:
-        made.step(pose)
-    made.reset()
+    made = warm_sensor(sensor, poses)
     begun_s = time.perf_counter()
     for pose in islice(cycle(poses), frame_count):
         made.step(pose)
