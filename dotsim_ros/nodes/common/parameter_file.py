@@ -10,7 +10,7 @@ which may lack what the nodes need.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -78,19 +78,22 @@ def parameters_of(path: str, node: str) -> dict[str, Any]:
         path: of the file, checked.
         node: its name behind its namespace.
     """
-    sections = (values for name, values in _sections(read_yaml(path)) if _means(name, node))
-    return {name: value for values in sections for name, value in values.items()}
+    return _merged(_sections_of(path, node))
 
 
 def named_parameters(path: str, node: str) -> dict[str, Any]:
     """Return the parameters of `parameters_of` without those of sections for nodes of any name,
     which may have another node in mind."""
-    sections = (
-        values
-        for name, values in _sections(read_yaml(path))
-        if _means(name, node) and not name.endswith("*")
-    )
-    return {name: value for values in sections for name, value in values.items()}
+    return _merged(one for one in _sections_of(path, node) if not one[0].endswith("*"))
+
+
+def _merged(sections: Iterable[tuple[str, dict[str, Any]]]) -> dict[str, Any]:
+    return {name: value for _, values in sections for name, value in values.items()}
+
+
+def _sections_of(path: str, node: str) -> list[tuple[str, dict[str, Any]]]:
+    """Return the sections of a file that mean a node, in order."""
+    return [one for one in _sections(read_yaml(path)) if _means(one[0], node)]
 
 
 def _sections(content: Any, name: str = "") -> Iterator[tuple[str, dict[str, Any]]]:
