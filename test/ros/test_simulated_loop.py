@@ -30,8 +30,9 @@ from dotsim_ros.nodes.loop.closed_loop import (
     LoopSetup,
     TimedFault,
 )
-from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED
-from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
+from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED, SteppedTime
+from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
+from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
 PATH = "line"
@@ -107,6 +108,24 @@ def test_the_same_under_load_on_one_core_and_in_another_order(quiet: Led, tmp_pa
 
 def test_the_same_in_one_process(quiet: Led, tmp_path: Path) -> None:
     assert led(tmp_path, one_process=True) == quiet
+
+
+@pytest.mark.parametrize(("seconds", "passed_s"), [(0.104, 0.1), (0.004, 0.0), (0.096, 0.1)])
+def test_a_time_off_the_steps_is_rounded_to_them(seconds: float, passed_s: float) -> None:
+    asked = iter(range(100))
+    observer = LoopObserver({}, is_stepped=True)
+    try:
+        steps = SteppedTime(
+            observer, settings=StepperSettings(period_s=0.01), diagnostics_period_s=1.0
+        )
+        steps.expect({})
+        steps.go(0.02)
+        since_ns = steps.now_ns()
+        # The hundred runs out where it waits for ever.
+        steps.watch("of nobody", seconds, lambda: next(asked) < 0)
+        assert steps.now_ns() - since_ns == round(1e9 * passed_s)
+    finally:
+        observer.close()
 
 
 def test_one_process_in_real_time_is_heard_outside() -> None:

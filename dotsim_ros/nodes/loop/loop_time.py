@@ -156,8 +156,10 @@ class SteppedTime:
         until a line was read would depend on the machine."""
 
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
-        """See `LoopTime.watch`."""
-        end_ns = self.stepper.time_ns + round(seconds * NANOSECONDS_PER_SECOND)
+        """See `LoopTime.watch`; the time is rounded to whole steps."""
+        steps = round(seconds / self.stepper.settings.period_s)
+        step_ns = round(self.stepper.settings.period_s * NANOSECONDS_PER_SECOND)
+        end_ns = self.stepper.time_ns + steps * step_ns
         while (left_ns := end_ns - self.stepper.time_ns) > 0 and not is_over():
             since_ns, period_s = self.stepper.time_ns, self._diagnostics_period_s
             self.go(min(period_s, left_ns / NANOSECONDS_PER_SECOND))
