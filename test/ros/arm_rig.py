@@ -120,10 +120,14 @@ class ArmClient:
         """Return where the tool is now."""
         return msg_adapters.decode_pose_stamped(self.newest("ee_pose", time.monotonic()))[0]
 
-    def positions(self, since_s: float = -np.inf) -> tuple[np.ndarray[Any, Any], ...]:
-        """Return the stamps (N,) in seconds and positions (N, 3) of the poses since a time."""
+    def positions(
+        self, since_s: float = -np.inf, *, sent_after_ns: int = 0
+    ) -> tuple[np.ndarray[Any, Any], ...]:
+        """Return the stamps (N,) in seconds and positions (N, 3) of the poses heard since a time,
+        of those that were sent after another."""
         with self._changed:
-            found = [message for arrival_s, message in self.heard["ee_pose"] if arrival_s > since_s]
+            heard = [message for arrival_s, message in self.heard["ee_pose"] if arrival_s > since_s]
+        found = [each for each in heard if msg_adapters.message_stamp_ns(each) > sent_after_ns]
         stamps = np.array([msg_adapters.message_stamp_ns(message) for message in found])
         places = np.array([msg_adapters.decode_pose_stamped(message)[0] for message in found])
         return 1e-9 * (stamps - stamps[:1]), places

@@ -59,14 +59,17 @@ def velocities(stamps: Any, positions: Any) -> Any:
 
 
 def settled(client: ArmClient) -> Any:
-    """Return where the tool is once it stands."""
+    """Return where the tool is once it stands, by what the arm sent from now on: a pose may be
+    heard long after it was sent."""
+    since_ns = client.node.get_clock().now().nanoseconds
+    places = []
 
     def stands() -> bool:
-        _, places = client.positions(time.monotonic() - 0.3)
-        return len(places) > 10 and float(np.ptp(places[-10:], axis=0).max()) < 1e-7
+        places[:] = client.positions(sent_after_ns=since_ns)[1][-10:]
+        return len(places) == 10 and float(np.ptp(places, axis=0).max()) < 1e-7
 
     client.wait(stands, "the arm to stand")
-    return client.position_m()
+    return places[-1]
 
 
 def test_no_socket_is_open_to_other_machines(session: Session) -> None:
