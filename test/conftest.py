@@ -50,7 +50,9 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the marker."""
     config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")
-    config.addinivalue_line("markers", "timed: its nodes must keep times: nothing runs beside it")
+    config.addinivalue_line(
+        "markers", "timed: its nodes must keep times: no other test runs beside it"
+    )
 
 
 def pytest_collection_finish() -> None:

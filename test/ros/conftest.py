@@ -12,9 +12,14 @@ import pytest
 
 pytest.importorskip("rclpy", reason="needs ROS 2: pip install '.[ros,test]'")
 
+# Modules of this folder that are no tests.
+sys.path.insert(0, str(Path(__file__).parent))
+
+from domains import take_domain
+
 from dotsim_ros.nodes.common.transport import USER_SETTINGS, stay_local
 
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+os.environ["ROS_DOMAIN_ID"] = str(take_domain())
 os.environ["RMW_IMPLEMENTATION"] = "rmw_fastrtps_cpp"
 # Whatever the shell configured: `stay_local` leaves that as it is, and its sockets may be open.
 for name in USER_SETTINGS:
@@ -29,7 +34,7 @@ TIMED = {
     "test_tactile_policy_loop",
     "test_xarm_sim",
 }
-"""Files whose nodes must keep times: they run alone, the others two at a time."""
+"""Files whose nodes must keep times: their tests run one at a time, the others three."""
 
 
 LONG = ("test_simulated_loop", "test_effects_overlay", "test_time_stepper", "test_ros_examples")
@@ -41,7 +46,3 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.stem in TIMED:
             item.add_marker("timed")
-
-
-# For `harness`, which is no test.
-sys.path.insert(0, str(Path(__file__).parent))

@@ -255,12 +255,12 @@ class Rig(Observer):
     Attributes:
         crop: what the images show.
         has_images, has_poses, has_forces: cut a stream.
-        image_lag_s: how long before now images are stamped.
+        image_lag_s, pose_lag_s, force_lag_s: how long before now messages are stamped.
         image_frame, pose_frame: frames of the messages.
         encoding: of the images that are not compressed, rgb8 or bgr8.
         force_n: the force.
         images, poses, wrenches: their publishers.
-        last_image_s: stamp of the newest that was sent.
+        last_image_s, last_wrench_s: when the newest was sent.
     """
 
     def __init__(
@@ -278,12 +278,12 @@ class Rig(Observer):
         self.crop = self.idle
         self.has_images = self.has_poses = True
         self.has_forces = has_forces
-        self.image_lag_s = 0.0
+        self.image_lag_s = self.pose_lag_s = self.force_lag_s = 0.0
         self.image_frame = "densetact_optical_frame"
         self.pose_frame = "link_base"
         self.encoding = "rgb8"
         self.force_n = 0.0
-        self.last_image_s = 0.0
+        self.last_image_s = self.last_wrench_s = 0.0
         self._axes = TwistFrame.OWN if along_tool else TwistFrame.PARENT
         self._compressed = compressed
         kind, topic = (
@@ -300,16 +300,34 @@ class Rig(Observer):
     def start(self) -> None:
         """Mend everything, enable, and wait until the arm moves."""
         self.enable(False)
-        self.crop = self.idle
-        self.has_images = self.has_poses = self.has_forces = True
-        self.image_lag_s, self.force_n = 0.0, 0.0
-        self.image_frame, self.pose_frame = "densetact_optical_frame", "link_base"
-        # What was spoilt must have passed.
-        time.sleep(0.3)
+        if self._mend():
+            # What was spoilt must have passed.
+            time.sleep(0.3)
         self.calibrate()
         self.wait(lambda: self.enable().success, "the start")
+        # Those that say so by now are of the motion before, if there was one.
+        self.diagnostics.clear()
         self.wait(lambda: self.newest().moves(), "a motion")
-        time.sleep(0.3)
+        self.wait(lambda: self.state().values["state"] == "running", "a steady motion")
+
+    def _mend(self) -> bool:
+        """Let the streams be as they should; return whether they were not."""
+        usual = {
+            "crop": self.idle,
+            "has_images": True,
+            "has_poses": True,
+            "has_forces": True,
+            "image_lag_s": 0.0,
+            "pose_lag_s": 0.0,
+            "force_lag_s": 0.0,
+            "image_frame": "densetact_optical_frame",
+            "pose_frame": "link_base",
+            "force_n": 0.0,
+        }
+        is_spoilt = [not np.array_equal(getattr(self, name), each) for name, each in usual.items()]
+        for name, each in usual.items():
+            setattr(self, name, each)
+        return any(is_spoilt)
 
     def next_image_s(self) -> float:
         """Wait for an image that is sent from now on and return when it was."""
@@ -358,15 +376,19 @@ class Rig(Observer):
         if self.has_forces:
             self.wrenches.publish(
                 msg_adapters.encode_wrench_stamped(
-                    (0.0, 0.0, self.force_n), (0.0, 0.0, 0.0), stamp_ns=stamp_ns, frame_id="tool"
+                    (0.0, 0.0, self.force_n),
+                    (0.0, 0.0, 0.0),
+                    stamp_ns=stamp_ns - round(1e9 * self.force_lag_s),
+                    frame_id="tool",
                 )
             )
+            self.last_wrench_s = 1e-9 * stamp_ns
         if self.has_poses:
             self.poses.publish(
                 msg_adapters.encode_pose_stamped(
                     self.tool.position_m,
                     self.tool.quaternion_xyzw,
-                    stamp_ns=stamp_ns,
+                    stamp_ns=stamp_ns - round(1e9 * self.pose_lag_s),
                     frame_id=self.pose_frame,
                 )
             )

@@ -3,14 +3,17 @@
 
 """The demonstration: the real node, real presses, a bag, a video and a contact sheet."""
 
+import signal
 import subprocess
 import sys
 
 import cv2
 import imageio.v2 as imageio
 import numpy as np
+import pytest
 
 from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
+from dotsim_ros.replacement import remove_made
 
 
 def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):
@@ -38,6 +41,33 @@ def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):
     assert np.abs(images[strongest] - images[0]).max() > 20.0
     assert len(list(imageio.get_reader(tmp_path / "presses.mp4").iter_data())) > 30
     assert cv2.imread(str(tmp_path / "presses.png")) is not None
+
+
+@pytest.mark.parametrize(
+    ("command", "bag"), [("demo --presses 1", "presses"), ("demo-loop --one-process", "loop")]
+)
+def test_what_an_interrupted_demonstration_leaves_is_its_own(tmp_path, command, bag):
+    if bag == "loop":
+        pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
+    started = subprocess.Popen(
+        [sys.executable, "-m", "dotsim_ros.cli.main", *command.split(), "--out", str(tmp_path)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert started.stderr is not None
+    said = []
+    for line in started.stderr:
+        said.append(line)
+        if "tactile_record" in line and "receiving /" in line:
+            break
+    started.send_signal(signal.SIGINT)
+    said.append(started.communicate(timeout=60)[1])
+    assert started.returncode == 130, "".join(said)
+    assert (tmp_path / bag / "metadata.yaml").is_file()
+    # What the same command begins with.
+    remove_made(tmp_path, bag)
+    assert not (tmp_path / bag).exists()
 
 
 def _peak_ns(trajectory):

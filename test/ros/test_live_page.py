@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import psutil
 import pytest
 
 pytest.importorskip("websockets", reason="needs pip install '.[live]'")
@@ -42,7 +43,7 @@ def heard(
 
 
 def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Path) -> None:
-    node = {"grid_spacing_m": 0.0048, "diagnostics_period_s": 0.1}
+    node = {"grid_spacing_m": 0.0048, "diagnostics_period_s": 0.1, "frame_prefix": "left_"}
     with (
         running(parameters=node, arguments=["-r", f"__ns:={NAMESPACE}"]),
         running(
@@ -51,6 +52,11 @@ def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Pat
     ):
         found = re.search(r"http://127.0.0.1:(\d+)/", page.log)
         assert found is not None
+        # Those of DDS are kept on this machine by the tests' settings, the page's by itself.
+        sockets = psutil.Process(page.process.pid).net_connections("inet")
+        assert {each.laddr.ip for each in sockets} == {"127.0.0.1"}
+        listening = [each.laddr.port for each in sockets if each.status == psutil.CONN_LISTEN]
+        assert listening == [int(found[1])]
         with connect(f"ws://127.0.0.1:{found[1]}/socket") as socket:
             # The profile is told by the node's diagnostics, the rest by its frames: in any order,
             # and a state that is heard is not sent again.
@@ -64,6 +70,9 @@ def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Pat
             pose = {"do": "pose", "position_m": position_m, "quaternion_xyzw": [0, 0, 0, 1]}
             socket.send(json.dumps(pose))
             heard(socket, "skin", lambda skin: bool(skin["force_n"]) and skin["force_n"][2] > 0.05)
+            deep = {**pose, "position_m": [0.0, 0.0, APEX_M - 0.009]}
+            socket.send(json.dumps(deep))
+            heard(socket, "state", lambda state: "press less deep" in state["notice"])
             picture = heard(socket, "picture", lambda picture: len(picture["parts"]) == 2)
             assert {part[0] for part in picture["parts"]} == {"image", "depth"}
             socket.send(json.dumps({"do": "indenter", "name": "cone"}))

@@ -12,6 +12,7 @@ import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -24,15 +25,21 @@ from policy_rig import FOLLOWED, MODULE, Observer, write_network
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
+SENSOR = "dotsim_ros.nodes.tactile_sim.node"
 SLACK_S = 0.25
 """What a busy machine may add to 80 ms and to the arm's own answer."""
 
 
+@dataclass
+class Loop:
+    """The sensor and somebody who looks; the arm is in the air above the indenter."""
+
+    sensor: Executable
+    seen: Observer
+
+
 @pytest.fixture(scope="module")
-def loop(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> Iterator[tuple[Executable, Executable, Observer]]:
-    """The sensor, the policy and somebody who looks; the arm is in the air above the indenter."""
+def started(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Loop]:
     parameters = {
         "policy": write_network(tmp_path_factory.mktemp("policy") / "steady"),
         "maximum_image_distance": 1e6,
@@ -43,12 +50,31 @@ def loop(
     }
     remap = ("-r", "~/cmd_vel:=cmd_vel")
     with (
-        running() as sensor,
+        running(SENSOR) as sensor,
         running("dotsim_ros.nodes.xarm_sim.node"),
-        running(MODULE, parameters=parameters, arguments=remap) as policy,
+        running(MODULE, parameters=parameters, arguments=remap),
         observer() as seen,
     ):
-        yield sensor, policy, seen
+        loop = Loop(sensor, seen)
+        try:
+            yield loop
+        finally:
+            loop.sensor.end()
+
+
+@pytest.fixture
+def loop(started: Loop) -> Loop:
+    """The loop as it moves, with another sensor where a test before has killed it."""
+    seen = started.seen
+    if started.sensor.process.poll() is not None:
+        started.sensor = Executable(SENSOR)
+        started.sensor.wait_for_line("ready:")
+    if not seen.newest().moves():
+        seen.enable(False)
+        seen.calibrate()
+        seen.wait(lambda: seen.enable().success, "the start")
+        seen.wait(lambda: seen.newest().moves(), "a motion")
+    return started
 
 
 @contextmanager
@@ -66,13 +92,8 @@ def set_arm(seen: Observer, **values: object) -> None:
     assert all(result.successful for result in answer.results), answer
 
 
-def test_the_arm_moves_by_what_the_policy_says(
-    loop: tuple[Executable, Executable, Observer],
-) -> None:
-    _, _, seen = loop
-    seen.calibrate()
-    seen.wait(lambda: seen.enable().success, "the start")
-    seen.wait(lambda: seen.newest().moves(), "a motion")
+def test_the_arm_moves_by_what_the_policy_says(loop: Loop) -> None:
+    seen = loop.seen
     seen.wait(lambda: seen.heard, "the first pose of the arm")
     begun_s, start = seen.heard[-1]
     start_m = start.position_m
@@ -85,11 +106,8 @@ def test_the_arm_moves_by_what_the_policy_says(
     assert abs(moved_m[1]) < 1e-4
 
 
-def test_a_pose_stream_that_is_cut_stops_the_arm(
-    loop: tuple[Executable, Executable, Observer],
-) -> None:
-    _, _, seen = loop
-    seen.wait(lambda: seen.newest().moves(), "a motion")
+def test_a_pose_stream_that_is_cut_stops_the_arm(loop: Loop) -> None:
+    seen = loop.seen
     set_arm(seen, fail_drop_feedback=True)
     seen.wait(lambda: time.time() - seen.last_pose_s > 0.02, "the silence")
     assert seen.rest_s(seen.last_pose_s) - seen.last_pose_s < 0.08 + SLACK_S
@@ -98,13 +116,11 @@ def test_a_pose_stream_that_is_cut_stops_the_arm(
     seen.wait(lambda: seen.newest().moves(), "the motion to go on")
 
 
-def test_a_sensor_that_is_killed_stops_the_arm_itself(
-    loop: tuple[Executable, Executable, Observer],
-) -> None:
-    sensor, _, seen = loop
-    seen.wait(lambda: seen.newest().moves(), "a motion")
+def test_a_sensor_that_is_killed_stops_the_arm_itself(loop: Loop) -> None:
+    seen = loop.seen
     killed_s = time.time()
-    sensor.process.send_signal(signal.SIGKILL)
+    # The last of this file: a test after it would have to start another one.
+    loop.sensor.process.send_signal(signal.SIGKILL)
     assert seen.rest_s(killed_s) - killed_s < 0.08 + SLACK_S
     state = seen.wait_for_reason("stopped", "force_stale")
     assert "the newest force came" in state.message

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
+from dotsim_ros.nodes.common.beat import Beat
+from dotsim_ros.nodes.tactile_policy.loops import InferenceLoop
 from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
 from dotsim_ros.tasks.control.arm_control import ArmControl, ControlSettings, Order
 from dotsim_ros.tasks.control.freshness import HeardMessage, StreamWatch
@@ -43,6 +47,8 @@ class Bench:
     has_force: bool = True
     has_policy: bool = True
     image_lag_s: float = 0.0
+    pose_lag_s: float = 0.0
+    force_lag_s: float = 0.0
     tick: int = 0
     image_s: float = -1.0
     orders: list[Order] = field(default_factory=list)
@@ -77,13 +83,13 @@ class Bench:
         for _ in range(count):
             self.tick += 1
             if self.has_pose:
-                self.hear(self.pose)
+                self.hear(self.pose, self.pose_lag_s)
             if self.tick % 4 == 0:
                 if self.has_image:
                     self.hear(self.image, self.image_lag_s)
                     self.image_s = self.now_s
                 if self.has_force:
-                    self.hear(self.force)
+                    self.hear(self.force, self.force_lag_s)
             if self.has_policy and self.now_s - self.image_s == pytest.approx(2 * TICK_S):
                 self.control.put(self.command, self.now_s, image_s=self.image_s)
             order = self.control.tick(self.readings())
@@ -217,15 +223,82 @@ def test_without_resuming_a_silence_is_latched():
     assert rig.step(10).state is State.RUNNING
 
 
-def test_old_images_stop_it_although_they_come_in_time():
-    rig = bench()
+@pytest.mark.parametrize(
+    ("stream", "reason"),
+    [
+        ("image", Reason.IMAGE_DELAYED),
+        ("pose", Reason.POSE_DELAYED),
+        ("force", Reason.FORCE_STALE),
+    ],
+)
+def test_old_messages_stop_it_although_they_come_in_time(stream: str, reason: Reason) -> None:
+    rig = bench(WITH_FORCE)
     rig.start()
     # Little by little, as a queue grows: no jump of the stamps.
-    for lag_s in np.arange(0.0, 0.32, 0.04):
-        rig.image_lag_s = float(lag_s)
-        rig.step(8)
-    assert (rig.orders[-1].state, rig.orders[-1].reason) == (State.STOPPED, Reason.IMAGE_DELAYED)
+    for lag_s in np.arange(0.0, 0.32, 0.005):
+        setattr(rig, f"{stream}_lag_s", float(lag_s))
+        rig.step()
+    assert not rig.orders[-1].twist.any()
+    assert (rig.orders[-1].state, rig.orders[-1].reason) == (State.STOPPED, reason)
+    assert f"the newest {stream} came 0.2" in rig.orders[-1].detail
     assert "after the time of its stamp" in rig.orders[-1].detail
+
+
+@dataclass
+class SpoiltPolicy:
+    """Answers what it is told to, or fails with it."""
+
+    distance: Any = 0.5
+    command: Any = None
+
+    def image_distance(self, image: np.ndarray, idle: np.ndarray) -> float:
+        return answer_of(self.distance)
+
+    def __call__(self, image: np.ndarray, idle: np.ndarray) -> np.ndarray:
+        return answer_of(self.command)
+
+
+def answer_of(answer: Any) -> Any:
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+@pytest.mark.parametrize(
+    ("policy", "reason", "words"),
+    [
+        (SpoiltPolicy(command=RuntimeError("no kernel")), Reason.POLICY_FAILED, "no kernel"),
+        (SpoiltPolicy(distance=MemoryError("all gone")), Reason.POLICY_FAILED, "all gone"),
+        (SpoiltPolicy(command=ValueError("3 by 2 px")), Reason.WRONG_SENSOR, "3 by 2 px"),
+        (SpoiltPolicy(distance=1.1), Reason.WRONG_SENSOR, "1.1 away from those of the training"),
+        (SpoiltPolicy(distance=np.nan), Reason.WRONG_SENSOR, "nan away from those of the training"),
+        (SpoiltPolicy(command=np.full(6, np.nan)), Reason.NOT_FINITE, "nan"),
+    ],
+)
+def test_a_policy_that_fails_is_latched_and_its_last_command_is_not_given_any_more(
+    policy: SpoiltPolicy, reason: Reason, words: str
+) -> None:
+    rig = bench()
+    rig.start()
+    image = SimpleNamespace(pixels=lambda: np.zeros((2, 3, 3), np.uint8), arrival_s=rig.now_s)
+    loop = InferenceLoop(
+        policy,  # type: ignore[arg-type]
+        largest_distance=1.0,
+        inputs=SimpleNamespace(),  # type: ignore[arg-type]
+        control=rig.control,
+        beat=Beat(0.04, ticks=4, start_s=rig.now_s, margin_s=0.005),
+        now_s=lambda: rig.now_s,
+        wait=lambda last, until_s: image,  # type: ignore[arg-type, return-value]
+        compute=lambda work, take: take(work()),
+        report=lambda miss: None,
+    )
+    loop.idle = np.zeros((2, 3, 3), np.uint8)
+    loop.run(rig.now_s)
+    assert loop.taken == 0
+    rig.ticks_to_rest()
+    assert (rig.orders[-1].state, rig.orders[-1].reason) == (State.LATCHED, reason)
+    assert words in rig.orders[-1].detail
+    assert not rig.step(100).twist.any()
 
 
 @pytest.mark.parametrize("lag_s", [-0.7, 0.7])
