@@ -235,11 +235,14 @@ def _write_sensor(
     """Write the idle image, its description and the sensor's file, in this order."""
     from dotsim_ros.calibration.idle_files import idle_image_of, write_description
     from dotsim_ros.files import write_image
+    from dotsim_ros.optics.idle import fine_path
     from dotsim_ros.specification import read_comment, sensor_path, write_sensor
 
     out = arguments.out.resolve()
     image, _ = idle_image_of(out)
     write_image(image, filmed.idle)
+    # Samples between the pixels of the image that was there before.
+    fine_path(image).unlink(missing_ok=True)
     command = (
         f"dotsim_ros calibrate-camera --data {arguments.data.name} --sensor {sensor.name} "
         f"--out {out.name}"

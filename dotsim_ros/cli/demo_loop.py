@@ -55,16 +55,25 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.trajectory.page import path_image, trial_report
     from dotsim_ros.evaluation.trajectory.trials import judge, summary_of, trial_start
     from dotsim_ros.files import beside, write_json
+    from dotsim_ros.geometry.indenter import load_indenter
     from dotsim_ros.measured.bag_hash import bag_sha256
     from dotsim_ros.nodes.common.transport import stay_local
-    from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
+    from dotsim_ros.nodes.loop.closed_loop import (
+        SENSOR,
+        ClosedLoop,
+        LoopSetup,
+        loop_parameters,
+        policy_name,
+    )
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
     from dotsim_ros.page import write_page
     from dotsim_ros.progress import bar
     from dotsim_ros.provenance import provenance
+    from dotsim_ros.specification import load_sensor
     from dotsim_ros.tasks.control.loop_recording import LoopRecording
     from dotsim_ros.tasks.policy.card import read_policy
-    from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
+    from dotsim_ros.tasks.policy.demonstration import contact_of
+    from dotsim_ros.tasks.policy.paths import reference_path
     from dotsim_ros.tasks.policy.rollout import APPROACH_S
 
     if not (0.0 < arguments.laps < MOST_LAPS):
@@ -72,7 +81,8 @@ def run(arguments: argparse.Namespace) -> int:
     stay_local()
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)
-    contact = DomeContact()
+    sensor = load_sensor(arguments.sensor or card.sensor)
+    contact = contact_of(sensor, load_indenter(loop_parameters(SENSOR)["indenter"]))
     path = reference_path(arguments.path, contact)
     bag: Path = arguments.out / "loop"
     setup = LoopSetup(

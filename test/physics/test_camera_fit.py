@@ -212,7 +212,10 @@ def test_the_command_writes_a_sensor_that_has_the_fitted_camera(
     command, fit, tmp_path, monkeypatch
 ):
     monkeypatch.setattr(fit_module, "fit_camera", lambda *_given, **_known: fit)
+    fine_of_before = tmp_path / "mine_idle_fine.png"
+    fine_of_before.touch()
     assert main([*command, "--sensor", "densetact2"]) == 0
+    assert not fine_of_before.exists()
     sensor = load_sensor(tmp_path / "mine.yaml")
     assert sensor.camera.idle_image == str(tmp_path / "mine_idle.png")
     _, lighting, _ = read_description(tmp_path / "mine_idle.yaml")

@@ -12,6 +12,7 @@ import imageio.v2 as imageio
 import numpy as np
 import pytest
 
+from dotsim_ros.cli.main import main
 from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
 from dotsim_ros.replacement import remove_made
 
@@ -68,6 +69,14 @@ def test_what_an_interrupted_demonstration_leaves_is_its_own(tmp_path, command, 
     # What the same command begins with.
     remove_made(tmp_path, bag)
     assert not (tmp_path / bag).exists()
+
+
+def test_a_loop_on_a_pad_is_refused_before_a_file_is_written(tmp_path, capsys):
+    pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
+    out = tmp_path / "loop"
+    assert main(["demo-loop", "--sensor", "gelsight_mini", "--out", str(out)]) == 1
+    assert "'gelsight_mini' has the shape flat_pad; paths are for a dome" in capsys.readouterr().err
+    assert not out.exists()
 
 
 def _peak_ns(trajectory):
