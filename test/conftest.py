@@ -14,6 +14,7 @@ from __future__ import annotations
 import gc
 import json
 import re
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -48,7 +49,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the marker."""
+    """Declare the markers, and let Ctrl-C reach what the tests start: a program that a shell starts
+    in the background ignores it, and so would all that it starts."""
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")
     config.addinivalue_line(
         "markers", "timed: its nodes must keep times: no other test runs beside it"
