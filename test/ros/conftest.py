@@ -28,7 +28,6 @@ stay_local()
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="dotsim_ros_log_"))
 TIMED = {
     "test_closed_loop",
-    "test_drop_in",
     "test_realtime",
     "test_tactile_policy",
     "test_tactile_policy_loop",
@@ -37,7 +36,14 @@ TIMED = {
 """Files whose nodes must keep times: their tests run one at a time, the others three."""
 
 
-LONG = ("test_simulated_loop", "test_effects_overlay", "test_time_stepper", "test_ros_examples")
+LONG = (
+    "test_simulated_loop",
+    "test_effects_overlay",
+    "test_time_stepper",
+    "test_ros_examples",
+    "test_drop_in",
+    "test_demo",
+)
 """Files that begin first, so that the end does not wait for one of them."""
 
 

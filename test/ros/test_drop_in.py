@@ -60,7 +60,7 @@ def test_the_reader_of_the_ros_1_driver_gets_its_topics(tmp_path: Path) -> None:
 # 2 s later: 8 s show all states, whatever the phase.
 @pytest.mark.parametrize(
     ("interface", "seconds", "form"),
-    [("dual_compressed", 1.0, "jpeg"), ("dual_difference", 9.0, "jpeg"), ("dual_raw", 1.0, "bgr8")],
+    [("dual_compressed", 3.0, "jpeg"), ("dual_difference", 9.0, "jpeg"), ("dual_raw", 3.0, "bgr8")],
 )
 def test_the_readers_of_the_driver_of_two_get_both(
     interface: str, seconds: float, form: str, tmp_path: Path
