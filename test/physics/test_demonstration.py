@@ -11,12 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from work_here import open_pool_here
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.documents import read_json
 from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.indenter import box, load_indenter, sphere
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.optics import pattern
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.policy.demonstration import (
     DEPTHS_M,
@@ -33,12 +35,32 @@ from dotsim_ros.tasks.policy.examples import moved_crop, moved_position
 from dotsim_ros.tasks.policy.network import load_policy
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
 from dotsim_ros.tasks.policy.rollout import follow
+from dotsim_ros.worker_pool import pool
 
 SENSOR = load_sensor("densetact2")
 # An episode is made in the same way of any gel; this one takes a tenth of the time.
 COARSE = replace(SENSOR, solver=replace(SENSOR.solver, refined=False, grid_spacing_m=3.6e-3))
 BALL = load_indenter("sphere_4mm")
 PLAN = Plan(sensor="densetact2", paths=PATHS, episode_count=2, frame_count=12, look_count=2)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick_looks():
+    """Make episodes here, with coats whose grain is as coarse as their blotches: to draw a fine one
+    takes longer than all frames."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pool, "open_worker_pool", open_pool_here)
+        patch.setattr(pattern, "GRAIN_SHARE", 1.0)
+        patch.setattr(pattern, "SUPERSAMPLING", 1)
+        yield
+
+
+@pytest.fixture(scope="module")
+def sensor():
+    """The sensor as it ships under the ball; reset it before use."""
+    from dotsim_ros.sensor import TactileSensor
+
+    return TactileSensor(SENSOR, indenter=BALL)
 
 
 @pytest.fixture(scope="module")
@@ -180,11 +202,9 @@ def test_a_sensor_or_indenter_without_paths_is_refused():
         Demonstrator(SENSOR, box([0.01, 0.01, 0.01]), PLAN)
 
 
-@pytest.mark.parametrize("name", ["figure_eight", "press"])
-def test_the_shipped_policy_follows_its_path_by_touch(name):
-    from dotsim_ros.sensor import TactileSensor
-
-    sensor = TactileSensor(SENSOR, indenter=BALL)
+@pytest.mark.parametrize(("name", "frame_count"), [("figure_eight", 75), ("press", 90)])
+def test_the_shipped_policy_follows_its_path_by_touch(sensor, name, frame_count):
+    sensor.reset()
     contact = DomeContact()
     policy = load_policy(parameter_path("policies/densetact2_sphere"), name)
     path = reference_path(name, contact)
@@ -197,7 +217,7 @@ def test_the_shipped_policy_follows_its_path_by_touch(name):
         sensor.idle_image,
         path,
         Pose(start),
-        frame_count=90,
+        frame_count=frame_count,
         rate_hz=policy.rate_hz,
     )
     figures = result.figures()
@@ -206,12 +226,10 @@ def test_the_shipped_policy_follows_its_path_by_touch(name):
     assert figures["laps"] > 0.6 * figures["laps_of_expert"]
 
 
-def test_turning_a_crop_is_turning_the_sensor():
+def test_turning_a_crop_is_turning_the_sensor(sensor):
     """What training takes for granted: the turned crop is what the turned place gives."""
-    from dotsim_ros.sensor import TactileSensor
     from dotsim_ros.tasks.policy.images import PolicyView
 
-    sensor = TactileSensor(SENSOR, indenter=BALL)
     view = PolicyView(side_px=48)
     contact = DomeContact()
     depths = {}

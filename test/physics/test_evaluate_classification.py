@@ -5,12 +5,14 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+from work_here import open_pool_here
 
 from dotsim_ros import TactileSensor, load_sensor
 from dotsim_ros.arrays import ImageArray
@@ -18,10 +20,13 @@ from dotsim_ros.cli.evaluate import DOMAINS as COMMAND_DOMAINS
 from dotsim_ros.cli.main import main
 from dotsim_ros.evaluation.classification.domains import DOMAINS
 from dotsim_ros.evaluation.classification.presses import PressPlan
+from dotsim_ros.gel.distance_field import indenter_field
+from dotsim_ros.gel.implicit import contact
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.data_set_writer import trajectory_of_frames, write_data_set
 from dotsim_ros.specification import SensorSpecification, write_sensor
+from dotsim_ros.worker_pool import pool
 
 SIZE = (96, 72)
 INDENTERS = {
@@ -34,6 +39,14 @@ DEPTHS_M = (-0.2e-3, 0.8e-3, 1.6e-3)
 
 def small(image: ImageArray) -> ImageArray:
     return np.asarray(cv2.resize(image, SIZE, interpolation=cv2.INTER_AREA))
+
+
+@pytest.fixture(autouse=True)
+def quick_presses(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Press with distances of the meshes that are as coarse as the gel; to sample them as finely as
+    a gel of full resolution needs took longer than all presses."""
+    monkeypatch.setattr(pool, "open_worker_pool", open_pool_here)
+    monkeypatch.setattr(contact, "indenter_field", partial(indenter_field, spacing_m=0.4e-3))
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +79,11 @@ def unit(sensor: SensorSpecification, tmp_path_factory: pytest.TempPathFactory) 
             frames = [replace(frame, image=small(frame.image)) for frame in frames]
             presses.append((trajectory_of_frames(frames, name=f"{name}_{number}"), indenter))
     write_data_set(
-        folder / "data", presses, skin=film.skin, idle_images=[small(film.idle_image)] * 2
+        folder / "data",
+        presses,
+        skin=film.skin,
+        idle_images=[small(film.idle_image)] * 2,
+        indenter_step_m=0.5e-3,
     )
     return folder
 

@@ -121,7 +121,7 @@ def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
     (calibrated / "hard.yaml").write_text(moved)
     command = [
         *("evaluate", "optics", "--data", str(tmp_path), "--sensor", str(calibrated)),
-        *("--models", "carried", "paper", "--budget-minutes", "0.01", "--network-width", "64"),
+        *("--models", "carried", "unet", "--budget-minutes", "0.001", "--network-width", "64"),
         *("--out", str(tmp_path / "out"), "--images", str(tmp_path / "images")),
     ]
     assert main([*command, "--splits", "medium"]) == 1
@@ -132,7 +132,7 @@ def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
         f"{level}.{way}" for level in ("easy", "hard") for way in ("by_frame", "by_trajectory")
     }
     assert figures["hard"]["by_frame"]["carried"]["training"] is None
-    training = figures["hard"]["by_frame"]["paper"]["training"]
+    training = figures["hard"]["by_frame"]["unet"]["training"]
     assert (training["width_px"], training["height_px"]) == (64, 48)
     assert training["epochs"] >= 1
     assert training["cut_short"]
@@ -145,7 +145,7 @@ def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
     added = json.loads((tmp_path / "out" / "optics.json").read_text())
     assert added["easy"] == figures["easy"]
     assert added["splits"] == figures["splits"]
-    assert added["hard"]["by_frame"]["paper"] == figures["hard"]["by_frame"]["paper"]
+    assert added["hard"]["by_frame"]["unet"] == figures["hard"]["by_frame"]["unet"]
     anew = added["hard"]["by_frame"]["carried"]
     assert anew["psnr_db"] != figures["hard"]["by_frame"]["carried"]["psnr_db"]
     assert anew["sensor"].endswith("easy.yaml")

@@ -4,23 +4,27 @@
 """The evaluation of reinforcement learning, in small: its rows, its pictures, and going on."""
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
+from work_here import open_pool_here
 
 from dotsim_ros.cli import evaluate as command
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.rl import study
+from dotsim_ros.evaluation.rl import study, worlds
 from dotsim_ros.evaluation.rl.study import FIRST_EPISODE, Study
 from dotsim_ros.evaluation.rl.sweep import VALIDATION, settings_to_try
 from dotsim_ros.evaluation.rl.worlds import AS_LEARNT, WORLDS
+from dotsim_ros.tasks.environments import box_yaw, reinforcement
+from dotsim_ros.worker_pool import pool
 
 
 def evaluate(folder: Path) -> dict[str, Any]:
-    given = ["evaluate", "rl", "--seeds", "1", "--steps", "16", "--episodes", "1"]
-    for tried in (["rollout", "16", "24"], ["epochs", "1"], ["mini_batches", "1"]):
+    given = ["evaluate", "rl", "--seeds", "1", "--steps", "8", "--episodes", "1"]
+    for tried in (["rollout", "8", "12"], ["epochs", "1"], ["mini_batches", "1"]):
         given += ["--try", *tried]
     places = ["--out", f"{folder}/out", "--images", f"{folder}/images", "--cache", f"{folder}/kept"]
     assert main([*given, *places, "--image-size", "16", "--workers", "1"]) == 0
@@ -31,13 +35,20 @@ def evaluate(folder: Path) -> dict[str, Any]:
 def test_settings_are_tried_and_a_study_is_printed_kept_and_not_done_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(pool, "open_worker_pool", open_pool_here)
     monkeypatch.setattr(command, "ROLLOUT_EPISODES", 1)
+    # What is seen is scaled by a few moves, where training itself takes no more.
+    monkeypatch.setattr(reinforcement, "RANDOM_MOVES", 8)
+    # Episodes of a third of a second are played and judged like those of one.
+    task = partial(box_yaw.BoxYawTask, duration_s=1.0 / 3.0)
+    monkeypatch.setattr(box_yaw, "BoxYawTask", task)
+    monkeypatch.setattr(worlds, "BoxYawTask", task)
     # Of the moves that are played blind, two are tried like nine.
     monkeypatch.setattr(study, "MOVES", study.MOVES[:2])
     found = evaluate(tmp_path)
     page = capsys.readouterr().out
     assert (tmp_path / "out" / "rl.md").read_text("utf-8") in page
-    assert [(row["rollout"], row["steps"]) for row in found["sweep"]] == [(16, 16), (24, 24)]
+    assert [(row["rollout"], row["steps"]) for row in found["sweep"]] == [(8, 8), (12, 12)]
     best = max(found["sweep"], key=lambda row: row["success"])
     settings = found["study"]["settings"]
     assert settings["rollout"] == best["rollout"]

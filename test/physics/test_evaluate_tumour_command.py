@@ -17,7 +17,7 @@ from dotsim_ros import load_sensor
 from dotsim_ros.arrays import Float32Array
 from dotsim_ros.cli.evaluate import SOFT_SKINS
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.tumour import presses, reality
+from dotsim_ros.evaluation.tumour import pictures, presses, reality, study
 from dotsim_ros.evaluation.tumour.images import OTHER, Eye, Light
 from dotsim_ros.evaluation.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
 from dotsim_ros.evaluation.tumour.rigid import rigid_presses
@@ -51,6 +51,10 @@ def test_a_table_is_printed_kept_and_not_made_again(
     monkeypatch.setattr(reality, "CALCULIX", (quick,))
     monkeypatch.setattr(presses, "MARKERS_M", 2.0e-3)
     monkeypatch.setattr(presses, "GRID_M", 4.8e-3)
+    # A layer on a coarse grid, too.
+    skins = SKINS | {"skin_2": replace(SKINS["skin_2"], spacing_m=3.0e-3, cells=2)}
+    for module in (study, pictures):
+        monkeypatch.setattr(module, "SKINS", skins)
     assert detect(tmp_path, "--skins", "skin_2") == 0
     page = capsys.readouterr().out
     assert (tmp_path / "out" / "tumour.md").read_text("utf-8") in page

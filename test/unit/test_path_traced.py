@@ -71,8 +71,8 @@ def pressed_skins():
 
 
 @pytest.fixture(scope="module")
-def studio(mitsuba, tmp_path_factory):
-    """A studio whose source is one press at the apex."""
+def source(tmp_path_factory):
+    """A data set of one press at the apex."""
     folder = tmp_path_factory.mktemp("source")
     data_set = DataSetWriter(folder, SKIN)
     stamp = np.array([1_000_000_000, 3_000_000_000, 5_000_000_000])
@@ -84,7 +84,13 @@ def studio(mitsuba, tmp_path_factory):
     )
     indenter = replace(load_indenter("sphere_4mm"), name="sphere_4mm")
     data_set.add(trajectory, indenter, {"images": False})
-    return Studio(read_data_set(folder), mitsuba, width=32, height=24, sample_count=9)
+    return read_data_set(folder)
+
+
+@pytest.fixture(scope="module")
+def studio(source, mitsuba):
+    """A studio of that press."""
+    return Studio(source, mitsuba, width=32, height=24, sample_count=9)
 
 
 def spot(direction, width_rad):
@@ -143,7 +149,7 @@ def test_a_spot_lands_at_its_equidistant_pixel(renderer_of, azimuth_deg):
     way = np.array([np.sin(0.7) * np.cos(azimuth), np.sin(0.7) * np.sin(azimuth), np.cos(0.7)])
     inside = Inside(np.zeros_like(GREY), DARKNESS, glow=spot(way, 0.08))
     eye = Eye()
-    image = renderer_of(inside, size=(64, 48), samples=9, edges=1).radiance(REST_M, eye, seed=4)
+    image = renderer_of(inside, size=(64, 48), samples=4, edges=1).radiance(REST_M, eye, seed=4)
     seen = RADIUS_M * way - eye.position_m
     angle = np.arctan2(np.hypot(seen[0], seen[1]), seen[2])
     focal = 24.0 / eye.half_height_angle_rad
@@ -205,43 +211,54 @@ def test_a_map_of_the_coat_is_looked_up_where_it_was_drawn():
     assert np.min(np.sum(found * directions, axis=1)) > np.cos(0.006)
 
 
-def difference_of(studio, name, session_s=0.0):
-    """Return what the largest size of a law does to the light of a press (H, W, 3), of white."""
+@pytest.fixture(scope="module")
+def pressed_light(studio):
+    """Skin and light (H, W, 3) of a press with nothing wrong: the same at any time."""
     skin = studio.smooth_skins(pressed_skins())[-1]
-    size = LAWS[name].sizes[-1]
-    light = [
-        studio.light(unit, skin, session_s, seed=7)
-        for unit in (studio.unit, LAWS[name].change(studio.unit, size, studio.white))
-    ]
-    return light[1] - light[0], light[0], size
+    return skin, studio.light(studio.unit, skin, 0.0, seed=7)
 
 
-def test_leds_that_fade_do_so_with_time(studio):
-    change, light, size = difference_of(studio, "fading_leds")
+@pytest.fixture
+def difference_of(studio, pressed_light):
+    """What the largest size of a law does to the light of a press (H, W, 3), of white."""
+    skin, light = pressed_light
+
+    def difference(name, session_s=0.0):
+        size = LAWS[name].sizes[-1]
+        unit = LAWS[name].change(studio.unit, size, studio.white)
+        return studio.light(unit, skin, session_s, seed=7) - light, light, size
+
+    return difference
+
+
+def test_leds_that_fade_do_so_with_time(studio, pressed_light, difference_of):
+    skin, light = pressed_light
+    np.testing.assert_array_equal(studio.light(studio.unit, skin, 4.0, seed=7), light)
+    change, light, size = difference_of("fading_leds")
     np.testing.assert_array_equal(change, 0.0)
-    change, light, size = difference_of(studio, "fading_leds", session_s=4.0)
+    change, light, size = difference_of("fading_leds", session_s=4.0)
     np.testing.assert_allclose(change, -0.5 * size * light, rtol=1e-4, atol=1e-9)
 
 
-def test_a_weak_colour_is_missed_most_in_its_own_channel(studio):
-    change, light, size = difference_of(studio, "weak_green")
+def test_a_weak_colour_is_missed_most_in_its_own_channel(difference_of):
+    change, light, size = difference_of("weak_green")
     lost = -change.sum(axis=(0, 1)) / light.sum(axis=(0, 1))
     assert 0.8 * size < lost[1] < size
     assert max(lost[0], lost[2]) < 0.15 * size
-    change, light, size = difference_of(studio, "one_weak_blue")
+    change, light, size = difference_of("one_weak_blue")
     lost = -change.sum(axis=(0, 1)) / light.sum(axis=(0, 1))
     assert 0.2 * size < lost[2] < 0.45 * size
 
 
-def test_daylight_adds_to_all_colours_alike(studio):
-    change, _, size = difference_of(studio, "daylight")
+def test_daylight_adds_to_all_colours_alike(difference_of):
+    change, _, size = difference_of("daylight")
     middle = change[8:16, 12:20]
     assert size < middle.mean() < 2.0 * size
     np.testing.assert_allclose(middle[..., 0], middle[..., 2], rtol=1e-6)
 
 
-def test_a_worn_spot_is_darker_there(studio):
-    change, light, size = difference_of(studio, "worn_spot")
+def test_a_worn_spot_is_darker_there(difference_of):
+    change, light, size = difference_of("worn_spot")
     lost = -change.mean(axis=2) / np.maximum(light.mean(axis=2), 0.02)
     row, column = np.unravel_index(np.argmax(lost), lost.shape)
     assert lost.max() > 0.5 * size
@@ -254,8 +271,8 @@ def test_a_worn_spot_is_darker_there(studio):
 @pytest.mark.parametrize(
     "name", ["moved_camera", "turned_camera", "dark_edge", "out_of_focus", "dusty"]
 )
-def test_what_is_wrong_with_the_camera_changes_the_image(studio, name):
-    change, light, _ = difference_of(studio, name)
+def test_what_is_wrong_with_the_camera_changes_the_image(difference_of, name):
+    change, light, _ = difference_of(name)
     assert np.sqrt(np.mean(change**2)) > 0.01 * np.sqrt(np.mean(light**2))
     if name in ("dark_edge", "dusty"):
         assert change.sum() < 0.0
@@ -269,7 +286,8 @@ def test_an_exposure_that_follows_keeps_the_metered_mean(studio):
     assert np.abs(followed - as_it_was).mean() < 1.0
 
 
-def test_a_data_set_of_a_unit_is_whole_and_its_noise_the_seed_s(studio, tmp_path):
+def test_a_data_set_of_a_unit_is_whole_and_its_noise_the_seed_s(source, mitsuba, tmp_path):
+    studio = Studio(source, mitsuba, width=16, height=12, sample_count=4)
     for name, seed in (("one", 1), ("same", 1), ("other", 2)):
         studio.measure(tmp_path / name, ["press"], studio.unit, frames=2, seed=seed)
     data_set = read_data_set(tmp_path / "one")
@@ -279,7 +297,7 @@ def test_a_data_set_of_a_unit_is_whole_and_its_noise_the_seed_s(studio, tmp_path
     assert data_set.indenter_mesh(entry.indenter).is_file()
     found = [read_data_set(tmp_path / n).entries[0].read() for n in ("one", "same", "other")]
     assert found[0].image is not None
-    assert found[0].image.pixels.shape == (2, 24, 32, 3)
+    assert found[0].image.pixels.shape == (2, 12, 16, 3)
     np.testing.assert_array_equal(found[0].image.stamp_ns, [1_000_000_000, 5_000_000_000])
     np.testing.assert_array_equal(found[0].image.pixels, found[1].image.pixels)
     assert np.any(found[0].image.pixels != found[2].image.pixels)

@@ -341,10 +341,12 @@ def test_two_dimensions_give_what_three_give():
     indenter = load_indenter("sphere_4mm")
     specification = load_sensor("densetact2")
     skin = dome_skin(OUTER_M, 1e-3)
-    fine = AxisymmetricSettings(spacing_m=0.5e-3, surface_step_m=0.3e-3)
+    # Without drag, both bear the whole press in one increment.
+    quick = {"surface_step_m": 0.4e-3, "control": StepControl(first=1.0)}
+    flat = AxisymmetricSettings(spacing_m=0.6e-3, **quick)
     two, three = (
         solved_press(ReferencePress(specification, indenter, 1.0e-3, 1, settings=settings), skin)[0]
-        for settings in (fine, ReferenceSettings(spacing_m=2.4e-3))
+        for settings in (flat, ReferenceSettings(spacing_m=2.4e-3, **quick))
     )
     force = two.wrench.force_n[1]
     np.testing.assert_allclose(force[:2], 0.0)
@@ -370,7 +372,7 @@ def reference(tmp_path_factory):
     sensor.write_text(SENSOR)
     out = folder / "out"
     command = ["reference", "--sensor", str(sensor), "--out", str(out), "--tilt-deg", "25"]
-    command += ["--depth-mm", "0.5", "--frames", "1", "--spacing-mm", "2.4"]
+    command += ["--depth-mm", "0.5", "--frames", "1", "--spacing-mm", "3"]
     command += ["--json", str(folder / "table.json")]
     assert main(command) == 0
     return command, out
@@ -431,7 +433,7 @@ def test_solved_press_says_what_it_was_solved_for(reference):
     skin, (press,) = read_solved_presses(out)
     assert press.specification.name == "coarse"
     assert press.trajectory.name == Path(press.notes["bag"]).name
-    assert press.trajectory.name.endswith("spacing2.4")
+    assert press.trajectory.name.endswith("spacing3")
     assert press.specification.material.c20_pa == 4.0e3
     assert press.specification.contact.friction_coefficient == 0.3
     assert press.notes["press"]["tilt_deg"] == 25.0
