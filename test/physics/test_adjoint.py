@@ -45,8 +45,8 @@ DOME_SKIN = dome_skin_of(RADIUS, 0.8e-3)
 PAD = Pad((0.0150, 0.0150, 0.0104))
 PAD_SKIN = flat_pad_skin((0.0150, 0.0150), 0.0104, 0.8e-3)
 PRESS = ((0.0, 0.0005, -0.0005), (0.0001, 0.0005, -0.0008))
-SLIDE = (*PRESS, (0.0005, 0.0004, -0.0009), (0.0009, 0.0003, -0.0009))
-HOLD = (*PRESS, PRESS[1], PRESS[1])
+SLIDE = (*PRESS, (0.0005, 0.0004, -0.0009))
+HOLD = (*PRESS, PRESS[1])
 NEO_HOOKEAN = NeoHookean(3.0e5, 0.45)
 ELASTIC = PronySeries()
 CONTACT = ContactSpecification()
@@ -382,7 +382,7 @@ def test_gradient_with_a_marker_on_the_indenters_axis(index: int) -> None:
 
 def test_gradient_after_the_indenter_has_left_and_come_back() -> None:
     away = (0.0, 0.0, 0.003)
-    case = replace(SLIDING, path=(*SLIDING.path[:3], away, *PRESS))
+    case = replace(SLIDING, path=(*SLIDE, away, *PRESS))
     check(case, "contact.friction_coefficient", 0.4, 4e-5, adjoint(case).friction_coefficient)
     check(case, "body.outer_radius_m", RADIUS, 1e-8, adjoint(case).geometry["outer_radius_m"])
 
@@ -391,7 +391,7 @@ def test_gradient_with_a_refined_contact(
     tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DOTSIM_ROS_CACHE", str(tmp_path_factory.mktemp("cache")))
-    case = replace(SLIDING, solver=replace(SLIDING.solver, refined=True), path=SLIDE[:3])
+    case = replace(SLIDING, solver=replace(SLIDING.solver, refined=True))
     gradient = adjoint(case)
     check(case, "law.youngs_modulus_pa", 3e5, 3e3, gradient.by_law(case.law)["youngs_modulus_pa"])
     check(case, "contact.friction_coefficient", 0.4, 2e-3, gradient.friction_coefficient)
@@ -419,7 +419,7 @@ def test_gradient_at_the_settings_of_the_shipped_sensor(indenter: str) -> None:
         law=material.law,
         contact=contact,
         indenter=load_indenter(indenter),
-        path=SLIDE[:3],
+        path=SLIDE,
         solver=SHIPPED.solver,
         dome_skin_spacing_m=SHIPPED.gel.skin_spacing_m,
     )
@@ -469,10 +469,10 @@ def test_a_reshaped_body_is_its_reference_moved() -> None:
 
 def test_what_does_not_fit_is_refused() -> None:
     gel, recorder, _ = recorded(SLIDING)
-    with pytest.raises(ValueError, match="2 loss gradients for 4 recorded steps"):
+    with pytest.raises(ValueError, match="2 loss gradients for 3 recorded steps"):
         trajectory_gradient(gel, recorder.trajectories[0], [None, None])
     wrong = LossGradient(np.zeros((3, 3)))
     with pytest.raises(ValueError, match=r"step 0: skin has shape \(3, 3\)"):
-        trajectory_gradient(gel, recorder.trajectories[0], [wrong, None, None, None])
+        trajectory_gradient(gel, recorder.trajectories[0], [wrong, None, None])
     with pytest.raises(ValueError, match="both zero or both positive"):
         ReshapedDome(RADIUS, 0.0, DOME)

@@ -57,7 +57,7 @@ from dotsim_ros.twin.simulator import GelSimulator, offset_pose
 Array = NDArray[np.float64]
 
 RADIUS = 0.01575
-SKIN_MESH = dome_skin(RADIUS, 0.9e-3)
+SKIN_MESH = dome_skin(RADIUS, 1.2e-3)
 SENSOR = replace(
     SensorSpecification(), solver=SolverSpecification(grid_spacing_m=4.8e-3, refined=False)
 )
@@ -65,6 +65,12 @@ BALL = sphere(0.004)
 TRUTH = replace(values_of(SENSOR), youngs_modulus_pa=2.0e5, poisson_ratio=0.465, friction=0.25)
 NOISE = LossNoise(skin_discretisation_m=0.0, force_discretisation=0.01)
 NAMES = ("E", "nu", "friction")
+QUICK = ((-0.2e-3, 0.0), (0.7e-3, 0.0), (1.4e-3, 0.0), (1.4e-3, 0.7e-3))
+SLOW = (
+    *((-0.2e-3, 0.0), (0.6e-3, 0.0), (1.2e-3, 0.0)),
+    *((1.4e-3, 0.2e-3), (1.4e-3, 0.4e-3), (1.4e-3, 0.6e-3), (1.4e-3, 0.8e-3)),
+)
+"""Depths and slides of the frames of a press, m."""
 
 
 @cache
@@ -72,7 +78,7 @@ def simulator() -> GelSimulator:
     return GelSimulator(SENSOR, SKIN_MESH)
 
 
-def path(seed: int) -> list[Pose]:
+def path(seed: int, frames: tuple[tuple[float, float], ...] = QUICK) -> list[Pose]:
     """Return a press into the dome from outside, and a slide along it."""
     random = np.random.default_rng(seed)
     axis = np.array([*(0.4 * random.normal(size=2)), 1.0])
@@ -80,18 +86,19 @@ def path(seed: int) -> list[Pose]:
     half = np.array([-axis[1], axis[0], 0.0, 1.0 + axis[2]])
     aside = np.cross(axis, random.normal(size=3))
     aside /= np.linalg.norm(aside)
-    depth_m, slide_m = (-0.2e-3, 0.6e-3, 1.2e-3, 1.4e-3, 1.4e-3), (0.0, 0.0, 0.0, 0.4e-3, 0.9e-3)
     return [
         Pose((RADIUS - depth) * axis + slide * aside, half / np.linalg.norm(half))
-        for depth, slide in zip(depth_m, slide_m, strict=True)
+        for depth, slide in frames
     ]
 
 
 @cache
-def observed(seed: int, values: GelValues = TRUTH) -> Observation:
+def observed(
+    seed: int, values: GelValues = TRUTH, frames: tuple[tuple[float, float], ...] = QUICK
+) -> Observation:
     """Return a press of the gel with the given values, measured with noise."""
     random = np.random.default_rng([seed, 1])
-    poses = path(seed)
+    poses = path(seed, frames)
     stamp_s = 1.0 + 0.1 * np.arange(len(poses))
     offset = NOISE.offset() * random.normal(size=6) * [1, 1, 1, 0, 0, 0]
     exact = simulator().press(values, BALL, [offset_pose(p, offset) for p in poses], stamp_s)
@@ -148,7 +155,8 @@ def adjoint_gradient(observation: Observation, values: GelValues) -> dict[str, f
 def test_the_gradient_that_the_columns_give_is_the_adjoints() -> None:
     # Off the truth, so that the gradient is no sum of noise.
     values = replace(TRUTH, youngs_modulus_pa=2.4e5, poisson_ratio=0.44, friction=0.35)
-    observation = observed(0)
+    # In small steps: of a long slide in one step the two solvers find the friction less alike.
+    observation = observed(0, frames=SLOW)
     # A gradient is compared, not a Gauss-Newton step: smaller steps, both ways; at a step of 0.03
     # a marker that sticks in one solution slips in the other, however tightly both are solved.
     both = []
@@ -202,8 +210,8 @@ def test_one_press_is_fitted_from_far_away(skin_loss: str) -> None:
     problem = problem_of(skin_loss=skin_loss)
     observation = observed(2)
     start = linearise(simulator(), observation, problem, problem.centre())
-    fit = fit_press(simulator(), observation, problem, start, budget=30)
-    assert fit.solve_count <= 30
+    fit = fit_press(simulator(), observation, problem, start, budget=15)
+    assert fit.solve_count <= 15
     assert all(later < earlier for earlier, later in zip(fit.losses, fit.losses[1:], strict=False))
     found = fit.best.point - coordinates(problem.parameters, TRUTH)
     # E by the force's common error and the pose's; nu and friction as one press tells them.
@@ -261,7 +269,7 @@ def test_intervals_cover_the_truth_of_simulated_presses() -> None:
                     loss={SKIN: 0.0},
                 )
             )
-        found = joint_estimate(problem, drawn, replicates=300, seed=trial)
+        found = joint_estimate(problem, drawn, replicates=200, seed=trial)
         covered.append((found.low <= truth) & (truth <= found.high))
     # 0.95, of 300 within four deviations, and a little less for so few presses.
     assert np.all(np.mean(covered, axis=0) > 0.88)
@@ -294,7 +302,7 @@ def write_data_set(directory: Path, seeds: range, values: GelValues = TRUTH) -> 
         on_base=SKIN_MESH.on_base,
     )
     (directory / "indenters").mkdir()
-    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.004)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
     ball.apply_translation([0.0, 0.0, 0.004])
     ball.export(directory / "indenters" / "ball.stl")
 
@@ -306,14 +314,14 @@ def test_the_command_fits_reports_and_goes_on_where_it_was_killed(tmp_path: Path
     command = ["calibrate", "--data", str(data), "--sensor", str(sensor), "--out", str(out)]
     command += ["--hold-out", "0", "--noise-skin-discretisation-m", "0"]
     command += ["--noise-force-discretisation", "0.01", "--joint-steps", "1"]
-    command += ["--workers", "1"]
+    command += ["--workers", "1", "--solves", "12"]
     assert main(command) == 0
 
     fitted = values_of(load_sensor(out))
     assert fitted.youngs_modulus_pa == pytest.approx(TRUTH.youngs_modulus_pa, rel=0.06)
     assert np.log(0.5 - fitted.poisson_ratio) == pytest.approx(np.log(0.035), abs=0.4)
     report = json.loads((tmp_path / "fitted_report" / "report.json").read_text())
-    assert report["most_solves"] <= 40
+    assert report["most_solves"] <= 12
     assert report["frozen"] == []
     assert [o["name"] for o in report["omissions"]] == ["press_2"]
     assert "holds ball" in report["omissions"][0]["reason"]
@@ -340,7 +348,7 @@ def test_a_joint_fit_that_leads_beyond_a_bound_ends_there_and_says_so(tmp_path: 
         hold_out=0,
         noise=NOISE,
         workers=1,
-        solves=20,
+        solves=12,
     )
     assert found.values.poisson_ratio == 0.2
     assert found.values.youngs_modulus_pa == pytest.approx(TRUTH.youngs_modulus_pa, rel=0.15)

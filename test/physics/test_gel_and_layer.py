@@ -163,8 +163,8 @@ def bonded_layer_factor(poisson_ratio: float, share: float) -> float:
 
 def test_two_elastic_bodies_press_as_hertz_says() -> None:
     """The force is that of the effective modulus, 1 / E* = (1 - nu1^2) / E1 + (1 - nu2^2) / E2."""
-    radius, spacing, depth, nu = 8.0e-3, 1.0e-3, 0.2e-3, 0.3
-    spec = LayerSpecification(8.0e-3, 1.0e5, nu, side_m=14.0e-3, spacing_m=spacing, cells=8)
+    radius, spacing, depth, nu = 8.0e-3, 1.2e-3, 0.25e-3, 0.3
+    spec = LayerSpecification(7.2e-3, 1.0e5, nu, side_m=12.0e-3, spacing_m=spacing, cells=6)
     skin = dome_skin(radius, 0.5e-3)
     force: dict[float, float] = {}
     for youngs in (1.0e8, 1.0e5):
@@ -174,8 +174,8 @@ def test_two_elastic_bodies_press_as_hertz_says() -> None:
         effective = 1.0 / ((1.0 - nu**2) * (1.0 / youngs + 1.0 / spec.youngs_modulus_pa))
         hertz = 4.0 / 3.0 * effective * np.sqrt(radius) * depth**1.5
         force[youngs] = float(state.wrench.force_n[2]) / hertz
-    # Both bodies are some 6 contact radii thick, and a grid of 1 mm under a contact of 1.3 mm is
-    # too stiff by a tenth.
+    # Both bodies are some 5 contact radii thick, and a grid of 1.2 mm under a contact of 1.4 mm is
+    # too stiff by 8 %.
     share = np.sqrt(radius * depth) / spec.thickness_m
     assert force[1.0e8] == pytest.approx(bonded_layer_factor(nu, share), rel=0.13)
     assert force[1.0e5] == pytest.approx(force[1.0e8], rel=0.05)
@@ -183,7 +183,7 @@ def test_two_elastic_bodies_press_as_hertz_says() -> None:
 
 def test_a_hard_layer_is_a_rigid_face(skin: SkinMesh) -> None:
     pair = pair_of(Dome(RADIUS_M, CORE_M), skin, 3.6e-3, GEL, PairSettings(contact_stiffness=0.4))
-    hard = LayerSpecification(4.0e-3, 1.0e8)
+    hard = LayerSpecification(4.0e-3, 1.0e8, side_m=18.0e-3)
     state = pair.put(SoftLayer(hard, Insert()))
     alone = ImplicitGel(
         Dome(RADIUS_M, CORE_M),
@@ -204,13 +204,13 @@ def test_a_hard_layer_is_a_rigid_face(skin: SkinMesh) -> None:
 
 def test_finer_grids_change_little(skin: SkinMesh, pair: GelAndLayer) -> None:
     insert = Insert(1.2e-3, 5.0e-3)
-    fine = replace(SKIN, spacing_m=1.5e-3, cells=4)
+    coarse = replace(SKIN, side_m=18.0e-3)
+    fine = replace(coarse, spacing_m=1.5e-3, cells=4)
     finer = pair_of(Dome(RADIUS_M, CORE_M), skin, 2.4e-3, GEL, PairSettings())
     force = []
-    for gel, layer in ((pair, SKIN), (finer, fine)):
+    for gel, layer in ((pair, coarse), (finer, fine)):
         state = gel.put(SoftLayer(layer, insert))
-        for depth in (0.8e-3, 1.6e-3):
-            state = gel.press(state, facing(layer, RADIUS_M, depth))
+        state = gel.press(state, facing(layer, RADIUS_M, 1.6e-3))
         force.append(float(state.wrench.force_n[2]))
     assert force[0] == pytest.approx(force[1], rel=0.03)
 
@@ -231,7 +231,7 @@ def test_calculix_finds_the_same_skin(skin: SkinMesh, pair: GelAndLayer) -> None
         SKIN,
         insert,
         [pose(-20e-6), pose(1.0e-3)],
-        LayerPressSettings(gel_spacing_m=3.5e-3, layer_spacing_m=3.0e-3),
+        LayerPressSettings(gel_spacing_m=4.0e-3, layer_spacing_m=3.0e-3),
     )
     assert solved.failure == ""
     state = pair.press(pair.put(SoftLayer(SKIN, insert)), pose(1.0e-3))

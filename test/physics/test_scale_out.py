@@ -44,8 +44,8 @@ def on_ray() -> Iterator[Crew]:
 
 def presses(sensor: SensorSpecification, count: int) -> list[SolveRequest]:
     """Presses of a ball whose mesh is large enough to be shared."""
-    mesh = trimesh.creation.icosphere(subdivisions=5, radius=4.0e-3)
-    vertices_m = np.asarray(mesh.vertices) + np.array([0.0, 0.0, 4.0e-3])
+    mesh = trimesh.creation.icosphere(subdivisions=5, radius=2.0e-3)
+    vertices_m = np.asarray(mesh.vertices) + np.array([0.0, 0.0, 2.0e-3])
     surface = IndenterMesh(vertices_m, np.asarray(mesh.faces, dtype=np.int32))
     shape = Indenter(IndenterKind.MESH, (), mesh=surface)
     apex_m = skin_of(sensor.gel).apex_m
