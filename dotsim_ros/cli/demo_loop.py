@@ -81,13 +81,13 @@ def run(arguments: argparse.Namespace) -> int:
     stay_local()
     folder = policy_folder(arguments.policy)
     card, _ = read_policy(folder)
-    sensor = load_sensor(arguments.sensor or card.sensor)
-    contact = contact_of(sensor, load_indenter(loop_parameters(SENSOR)["indenter"]))
+    sensor = arguments.sensor or card.sensor
+    contact = contact_of(load_sensor(sensor), load_indenter(loop_parameters(SENSOR)["indenter"]))
     path = reference_path(arguments.path, contact)
     bag: Path = arguments.out / "loop"
     setup = LoopSetup(
         policy_name(folder),
-        sensor=arguments.sensor or card.sensor,
+        sensor=sensor,
         one_process=arguments.one_process,
     )
 

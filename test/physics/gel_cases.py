@@ -87,8 +87,10 @@ DOME = Dome(15.75e-3, 6.0e-3)
 DOME_TOP_M = DOME.outer_radius_m
 
 
-def pad_skin(spacing_m: float = 0.8e-3) -> SkinMesh:
-    return flat_pad_skin(PAD_SIZE_M[:2], PAD_TOP_M, spacing_m)
+def pad_skin(
+    spacing_m: float = 0.8e-3, size_m: tuple[float, float, float] = PAD_SIZE_M
+) -> SkinMesh:
+    return flat_pad_skin(size_m[:2], size_m[2], spacing_m)
 
 
 def pad_gel(**changes: Any) -> ImplicitGel:
@@ -103,8 +105,9 @@ def pad_gel(**changes: Any) -> ImplicitGel:
         "indenter": sphere(10.0e-3),
         "solver": SolverSpecification(**{"friction_passes": 100, **solver}),
     }
-    skin = changes.pop("skin", None) or pad_skin()
-    return ImplicitGel(Pad(PAD_SIZE_M), skin, material, **(arguments | changes))
+    size_m = changes.pop("size_m", PAD_SIZE_M)
+    skin = changes.pop("skin", None) or pad_skin(size_m=size_m)
+    return ImplicitGel(Pad(size_m), skin, material, **(arguments | changes))
 
 
 def dome_gel(indenter: Indenter, **changes: Any) -> ImplicitGel:

@@ -20,6 +20,7 @@ from gel_cases import (
     dome_gel,
     one,
     pad_gel,
+    pad_skin,
     pressed,
     towards_centre,
 )
@@ -38,13 +39,12 @@ HERTZ_PAD_M = (21.6e-3, 21.6e-3, 9.6e-3)
 
 
 def hertz_gel(poisson_ratio: float, *, exact: bool = False, **solver: Any) -> ImplicitGel:
-    return ImplicitGel(
-        Pad(HERTZ_PAD_M),
-        flat_pad_skin(HERTZ_PAD_M[:2], HERTZ_PAD_M[2], 0.6e-3),
-        Material(NeoHookean(YOUNGS_PA, poisson_ratio)),
-        contact=FRICTIONLESS,
+    return pad_gel(
+        size_m=HERTZ_PAD_M,
+        skin=pad_skin(0.6e-3, HERTZ_PAD_M),
+        law=NeoHookean(YOUNGS_PA, poisson_ratio),
         indenter=sphere(HERTZ_RADIUS_M),
-        solver=SolverSpecification(friction_passes=100, **solver),
+        solver=solver,
         exact=exact,
     )
 
@@ -56,8 +56,7 @@ def refined_pads(tmp_path_factory: pytest.TempPathFactory) -> dict[float, Implic
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("DOTSIM_ROS_CACHE", str(tmp_path_factory.mktemp("cache")))
         return {
-            ratio: hertz_gel(ratio, grid_spacing_m=2.4e-3, refined=True, tolerance_m=1.0e-7)
-            for ratio in (0.3, 0.49)
+            ratio: hertz_gel(ratio, grid_spacing_m=2.4e-3, refined=True) for ratio in (0.3, 0.49)
         }
 
 
@@ -168,9 +167,7 @@ def test_refinement_gives_the_force_of_the_finer_grid(
     gel.reset()
     force["refined"] = one(gel, sunk_by(0.5e-3)).wrench.force_n[2]
     for name, spacing in (("coarse", 2.4e-3), ("fine", 1.2e-3)):
-        plain = hertz_gel(
-            0.3, exact=True, grid_spacing_m=spacing, refined=False, tolerance_m=4.0e-6
-        )
+        plain = hertz_gel(0.3, exact=True, grid_spacing_m=spacing, tolerance_m=4.0e-6)
         force[name] = one(plain, sunk_by(0.5e-3)).wrench.force_n[2]
     assert force["refined"] == pytest.approx(force["fine"], rel=0.015)
     assert abs(force["refined"] - force["fine"]) < 0.4 * abs(force["coarse"] - force["fine"])

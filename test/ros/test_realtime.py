@@ -159,7 +159,7 @@ def test_a_velocity_moves_the_indenter_for_as_long_as_time_passes(session: Sessi
     for _ in range(50):
         twists.publish(message)
         time.sleep(0.02)
-    assert client.set_parameters(rate_hz=25.0).successful
+    assert client.set_parameters(rate_hz=RATE_HZ).successful
     # Poses are heard again once the velocity has been silent.
     client.wait_for_state("input", lambda state: "no input for" in state.message)
     heights_m = {

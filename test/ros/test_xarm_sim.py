@@ -61,11 +61,11 @@ def velocities(stamps: Any, positions: Any) -> Any:
 def settled(client: ArmClient) -> Any:
     """Return where the tool is once it stands, by what the arm sent from now on: a pose may be
     heard long after it was sent."""
-    since_ns = client.node.get_clock().now().nanoseconds
+    since_s, since_ns = time.monotonic(), client.node.get_clock().now().nanoseconds
     places = []
 
     def stands() -> bool:
-        places[:] = client.positions(sent_after_ns=since_ns)[1][-10:]
+        places[:] = client.positions(since_s, sent_after_ns=since_ns)[1][-10:]
         return len(places) == 10 and float(np.ptp(places, axis=0).max()) < 1e-7
 
     client.wait(stands, "the arm to stand")

@@ -157,9 +157,8 @@ class SteppedTime:
 
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """See `LoopTime.watch`; the time is rounded to whole steps."""
-        steps = round(seconds / self.stepper.settings.period_s)
-        step_ns = round(self.stepper.settings.period_s * NANOSECONDS_PER_SECOND)
-        end_ns = self.stepper.time_ns + steps * step_ns
+        steps = round(seconds * NANOSECONDS_PER_SECOND / self.stepper.period_ns)
+        end_ns = self.stepper.time_ns + steps * self.stepper.period_ns
         while (left_ns := end_ns - self.stepper.time_ns) > 0 and not is_over():
             since_ns, period_s = self.stepper.time_ns, self._diagnostics_period_s
             self.go(min(period_s, left_ns / NANOSECONDS_PER_SECOND))

@@ -78,6 +78,7 @@ class Stepper:
         settings: how time goes.
 
     Attributes:
+        period_ns: of a step.
         time_ns: where the participants are.
         waiting_for: what `join` or a step has been waiting for, for a moment or longer, in words.
         speed_factor: simulated seconds for each real one, over the last `advance`.
@@ -88,8 +89,8 @@ class Stepper:
     ) -> None:
         self._node = node
         self.settings = settings
-        self._period_ns = round(settings.period_s * NANOSECONDS_PER_SECOND)
-        if self._period_ns <= 0:
+        self.period_ns = round(settings.period_s * NANOSECONDS_PER_SECOND)
+        if self.period_ns <= 0:
             raise ValueError(f"the step is {settings.period_s:g} s, expected more than 0")
         self.time_ns = round(settings.start_s * NANOSECONDS_PER_SECOND)
         self.waiting_for = ""
@@ -189,7 +190,7 @@ class Stepper:
         if not self._is_joined:
             self.join()
         with self._changed:
-            self.time_ns += self._period_ns
+            self.time_ns += self.period_ns
             heard = {topic: watch.sent for topic, watch in self._watches.items()}
             step = Step(self.time_ns, Kind.STEP, {**self._news, **heard})
             self._news = {}
@@ -211,7 +212,7 @@ class Stepper:
             self.join()
         begun_s = time.monotonic()
         limit = SpeedLimit(self.settings.speed, now_s=begun_s)
-        count = round(duration_s * NANOSECONDS_PER_SECOND / self._period_ns)
+        count = round(duration_s * NANOSECONDS_PER_SECOND / self.period_ns)
         for index in range(count):
             self.step()
             time.sleep(limit.delay_s(self.settings.period_s, time.monotonic()))
@@ -288,7 +289,7 @@ class Stepper:
         """Raise a ValueError where what is published falls between two steps: which step it then
         belonged to would be a matter of chance."""
         every_ns = round(publication.every_s * NANOSECONDS_PER_SECOND)
-        if every_ns % self._period_ns:
+        if every_ns % self.period_ns:
             raise ValueError(
                 f"{where} is published every {publication.every_s:g} s, expected a whole number of "
                 f"steps of {self.settings.period_s:g} s: make the steps shorter"
