@@ -28,7 +28,7 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     ),
     "find-gap": ("--sensor", "--alpha", "--candidates", "--effects", "--budget", "--channels"),
     "plan-gap": ("--sensor", "--effects", "--channels", "--workers", "--ray-address"),
-    "train-optics": ("--sensor", "--size", "--budget-minutes", "--hold-out", "--network"),
+    "train-optics": ("--sensor", "--size", "--epochs", "--hold-out", "--network"),
     "calibrate-camera": ("--sensor", "--hold-out", "--skin", "--stated"),
     "reference": ("--sensor", "--indenter", "--depth-mm", "--frames", "--spacing-mm", "--tilt-deg"),
     "demonstrate": ("--sensor", "--indenter", "--paths", "--episodes", "--frames", "--wander"),

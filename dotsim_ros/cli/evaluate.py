@@ -341,9 +341,9 @@ def _add_tumour_arguments(tumour: argparse.ArgumentParser) -> None:
 
 def _add_network_arguments(subject: argparse.ArgumentParser) -> None:
     subject.add_argument(
-        "--budget-minutes",
-        type=float,
-        help="CPU time after which the training of one published network ends",
+        "--network-epochs",
+        type=int,
+        help="of a published network's training (the network's own number, 100)",
     )
     subject.add_argument(
         "--network-width",
@@ -488,7 +488,7 @@ def _optics(arguments: argparse.Namespace) -> int:
     from dotsim_ros.specification import load_sensor
     from dotsim_ros.twin.footage import camera_for, read_filmed_data, render_filmed
 
-    settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
+    settings = FitSettings(arguments.seed, arguments.network_epochs, arguments.network_width)
     data_set = read_data_set(arguments.data)
 
     # One at a time: the frames of one take half a gigabyte.
@@ -511,7 +511,7 @@ def _optics(arguments: argparse.Namespace) -> int:
     origin = {
         "sensor": str(arguments.sensor),
         "seed": str(arguments.seed),
-        "budget_minutes": str(arguments.budget_minutes),
+        "network_epochs": str(arguments.network_epochs),
         "network_width": str(arguments.network_width),
     }
     source = provenance() | {"data": arguments.data.name} | origin
@@ -573,11 +573,11 @@ def _ball_settings(arguments: argparse.Namespace) -> tuple[FitSettings, Path, di
     from dotsim_ros.evaluation.optics.models import FitSettings
     from dotsim_ros.files import cache_directory
 
-    settings = FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width)
+    settings = FitSettings(arguments.seed, arguments.network_epochs, arguments.network_width)
     state = (arguments.cache or cache_directory() / "optics") / f"gelsight-{arguments.seed}"
     origin = {
         "seed": str(arguments.seed),
-        "budget_minutes": str(arguments.budget_minutes),
+        "network_epochs": str(arguments.network_epochs),
         "network_width": str(arguments.network_width),
     }
     return settings, state, origin
@@ -814,7 +814,7 @@ def _classification(arguments: argparse.Namespace) -> int:
         seeds=arguments.classifiers,
         plan=PressPlan(count=arguments.presses, seed=arguments.seed),
         classifier=ClassifierSettings(epochs=arguments.epochs),
-        fit=FitSettings(arguments.seed, arguments.budget_minutes, arguments.network_width),
+        fit=FitSettings(arguments.seed, arguments.network_epochs, arguments.network_width),
     )
     kept = arguments.cache or cache_directory() / "classification"
     figures = run_study(study, kept, workers=crew_of(arguments), tell=_say)

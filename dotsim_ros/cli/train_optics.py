@@ -13,7 +13,7 @@ networks see the measured resolution; without, the published ones are trained on
 example:
   dotsim_ros train-optics --data measured/sensor_a --sensor sensor_a --out out/optics
   dotsim_ros train-optics --data measured/sensor_a --sensor sensor_a --out out/paper \\
-      --network paper --budget-minutes 60 --size 160
+      --network paper --epochs 20 --size 160
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add("--split-seed", type=int, default=0, help="seed of the split (0)")
     add("--seed", type=int, default=0, help="seed of the training (0)")
     add(
-        "--budget-minutes",
-        type=float,
-        metavar="MINUTES",
-        help="end the training after so much CPU time",
+        "--epochs",
+        type=int,
+        metavar="COUNT",
+        help="passes over all frames (the network's own number)",
     )
     add("--size", type=int, metavar="WIDTH", help="width of the network's images, in pixels")
     add("--json", type=Path, metavar="FILE", help="copy the figures to this file as well")
@@ -125,7 +125,7 @@ def run(arguments: argparse.Namespace) -> int:
             held_out=held_out,
             kind=arguments.network,
             seed=arguments.seed,
-            budget_minutes=arguments.budget_minutes,
+            epochs=arguments.epochs,
             size=arguments.size,
             out=arguments.out,
             record=arguments.record or arguments.out.with_name(f"{arguments.out.name}_training"),

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,13 +17,8 @@ from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.examples import inputs_of, make_examples, network_input
 from dotsim_ros.learning.networks import make_network
-from dotsim_ros.learning.training import (
-    RECIPES,
-    NetworkTraining,
-    Trained,
-    TrainingProgress,
-    TrainingRecipe,
-)
+from dotsim_ros.learning.recipe import RECIPES, TrainingRecipe
+from dotsim_ros.learning.training import NetworkTraining, Trained, TrainingProgress
 from dotsim_ros.optics.network.card import BASES, FORMAT, NetworkCard, camera_hash
 from dotsim_ros.optics.network.input import CompletionInput, resized
 from dotsim_ros.twin.footage import OpticalPress, Rest
@@ -144,7 +139,7 @@ def fit_network(
     camera: Camera,
     *,
     seed: int = 0,
-    budget_minutes: float | None = None,
+    epochs: int | None = None,
     size: int | None = None,
     directory: Path | None = None,
     recipe: TrainingRecipe | None = None,
@@ -152,8 +147,7 @@ def fit_network(
 ) -> FittedNetwork:
     """Train a network on measured presses.
 
-    The same seed on the same machine and number of threads gives the same network, unless the
-    budget ends its training.
+    The same seed on the same machine and number of threads gives the same network.
 
     Args:
         kind: one of `networks.KINDS`.
@@ -161,7 +155,7 @@ def fit_network(
         rest: what the camera sees of the gel untouched.
         camera: of the measured images.
         seed: of the first weights and of the order of the frames.
-        budget_minutes: CPU time after which training ends, resumed runs included; None for none.
+        epochs: passes over all frames, resumed runs included; None for the recipe's number.
         size: width of the network's images in pixels; None for the measured one on CUDA and
             `CPU_WIDTH` at most on a CPU.
         directory: where the training leaves its state and resumes from; None for nowhere.
@@ -169,12 +163,12 @@ def fit_network(
         progress: called after every epoch.
 
     Raises:
-        ValueError: no such kind, a size or budget out of range, fewer than ten frames, images of
-            another size than the camera's, or a folder with another training's state.
+        ValueError: no such kind, a size or number of epochs out of range, fewer than ten frames,
+            images of another size than the camera's, or a folder with another training's state.
         FloatingPointError: the training diverged.
     """
-    if budget_minutes is not None and not budget_minutes > 0.0:
-        raise ValueError(f"budget_minutes is {budget_minutes}, expected a positive number")
+    if epochs is not None and epochs < 1:
+        raise ValueError(f"epochs is {epochs}, expected 1 or more")
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     with torch.random.fork_rng():
         torch.manual_seed(seed)
@@ -188,13 +182,15 @@ def fit_network(
             raise ValueError(
                 f"the gel has moved in none of {len(train)} presses; record presses that touch it"
             )
+    recipe = recipe or RECIPES[kind]
+    if epochs is not None:
+        recipe = replace(recipe, epochs=epochs)
     training = NetworkTraining(
         kind,
         network,
         examples,
-        recipe or RECIPES[kind],
+        recipe,
         seed=seed,
-        budget_s=None if budget_minutes is None else 60.0 * budget_minutes,
         device=device,
         directory=directory,
     )

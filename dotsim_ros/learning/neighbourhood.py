@@ -209,5 +209,5 @@ def fit_neighbourhood(
     last = sum(errors[-100:]) / len(errors[-100:])
     if not last < float("inf"):
         raise FloatingPointError("the training diverged; look for frames that are not finite")
-    trained = Trained(network.eval(), recipe.steps, 0.0, False, [psnr_db(last)])
+    trained = Trained(network.eval(), recipe.steps, 0.0, [psnr_db(last)])
     return FittedNetwork(KIND, trained, camera, pixels_wide)

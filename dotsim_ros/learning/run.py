@@ -53,7 +53,7 @@ class TrainOpticsRequest:
         train, held_out: names of the presses to train on, and to judge on (may be none).
         kind: of the network.
         seed: of the training.
-        budget_minutes: CPU time after which it ends; None for none.
+        epochs: of the training; None for the network's own number.
         size: width of the network's images; None for the default.
         out: folder of what a sensor with the network needs.
         record: folder of the training's state, preview and report.
@@ -67,7 +67,7 @@ class TrainOpticsRequest:
     held_out: tuple[str, ...]
     kind: str
     seed: int
-    budget_minutes: float | None
+    epochs: int | None
     size: int | None
     out: Path
     record: Path
@@ -140,7 +140,7 @@ def train_optics(
         data.rest,
         data.camera,
         seed=request.seed,
-        budget_minutes=request.budget_minutes,
+        epochs=request.epochs,
         size=request.size,
         directory=request.record,
         progress=progress,
@@ -159,7 +159,6 @@ def train_optics(
         "metrics": metrics,
         "epochs": network.trained.epochs,
         "minutes": round(network.trained.spent_s / 60.0, 2),
-        "cut_short_by_budget": network.trained.cut_short,
         "training_psnr_db": [round(value, 3) for value in network.trained.psnr_db],
         "weights_sha256": card.weights_sha256,
         "origin": origin,

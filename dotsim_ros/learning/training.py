@@ -19,53 +19,13 @@ from torch import Tensor, nn
 from dotsim_ros.files import whole_file
 from dotsim_ros.learning.checkpoint import state_to_resume, take_weights
 from dotsim_ros.learning.examples import ImageExamples
+from dotsim_ros.learning.recipe import TrainingRecipe
 from dotsim_ros.optics.network.card import BASES
 from dotsim_ros.optics.network.input import CARRIED
 
 CHECKPOINT = "training.pt"
 CHECKPOINT_INTERVAL_S = 20.0
 """Time between two checkpoints: the published network's takes half a gigabyte."""
-
-
-@dataclass(frozen=True)
-class TrainingRecipe:
-    """How a network is trained on the mean square error of its image.
-
-    Attributes:
-        learning_rate: of Adam, the highest where it changes.
-        weight_decay: added to the gradient, or, where decoupled, to the step (AdamW).
-        batch: frames a step.
-        epochs: passes over all frames.
-        one_cycle: the learning rate rises over the first tenth and falls to zero along a cosine
-            (Smith, "A disciplined approach to neural network hyper-parameters", 2018).
-        decoupled: AdamW in place of Adam.
-        averaging: share of the running mean of the weights that stays in each step; 0 for none.
-    """
-
-    learning_rate: float = 3e-4
-    weight_decay: float = 1e-4
-    batch: int = 8
-    epochs: int = 100
-    one_cycle: bool = False
-    decoupled: bool = False
-    averaging: float = 0.0
-
-
-PUBLISHED = TrainingRecipe()
-RECIPES: dict[str, TrainingRecipe] = {
-    "ours": TrainingRecipe(
-        learning_rate=4e-3,
-        weight_decay=1e-2,
-        batch=4,
-        epochs=16,
-        one_cycle=True,
-        decoupled=True,
-        averaging=0.98,
-    ),
-    **dict.fromkeys(
-        ("paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet"), PUBLISHED
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -95,14 +55,12 @@ class Trained:
         network: with the averaged weights, in evaluation mode.
         epochs: done.
         spent_s: CPU time spent, in all runs.
-        cut_short: whether the budget ended the training, which then depends on the machine's speed.
         psnr_db: (epochs,) of each epoch's mean square error in training.
     """
 
     network: nn.Module
     epochs: int
     spent_s: float
-    cut_short: bool
     psnr_db: list[float]
 
 
@@ -161,8 +119,6 @@ class NetworkTraining:
         examples: what it is trained on.
         recipe: how.
         seed: of the order of the frames.
-        budget_s: CPU time of this process, all its threads together, after which the training
-            ends: what else the machine does then costs it nothing; None for none.
         device: where.
         directory: of the checkpoint; None for none.
         checkpoint_interval_s: least time between two checkpoints; they are made after an epoch.
@@ -179,14 +135,13 @@ class NetworkTraining:
         recipe: TrainingRecipe,
         *,
         seed: int = 0,
-        budget_s: float | None = None,
         device: torch.device | None = None,
         directory: Path | None = None,
         checkpoint_interval_s: float = CHECKPOINT_INTERVAL_S,
     ) -> None:
         self._checkpoint_interval_s = checkpoint_interval_s
         device = device or torch.device("cpu")
-        self.kind, self.recipe, self.budget_s = kind, recipe, budget_s
+        self.kind, self.recipe = kind, recipe
         self._checkpoint = None if directory is None else directory / CHECKPOINT
         self._fingerprint = _fingerprint(kind, recipe, examples, seed)
         self._examples = examples.to(device)
@@ -199,7 +154,7 @@ class NetworkTraining:
         self._order = torch.Generator().manual_seed(seed)
         self._steps_an_epoch = len(batches(torch.arange(len(examples.frame)), recipe.batch))
         self._psnr_db: list[float] = []
-        self._spent_s, self._step, self._cut_short = 0.0, 0, False
+        self._spent_s, self._step = 0.0, 0
         if self._checkpoint is not None:
             self._resume(self._checkpoint)
 
@@ -208,17 +163,10 @@ class NetworkTraining:
         """Epochs that are done."""
         return len(self._psnr_db)
 
-    def _done(self) -> float:
-        """Return the share of the training that is done, by epochs or by the budget."""
-        share = self._step / (self.recipe.epochs * self._steps_an_epoch)
-        if self.budget_s is not None:
-            share = max(share, self._spent_s / self.budget_s)
-        return min(share, 1.0)
-
     def _learning_rate(self) -> float:
         if not self.recipe.one_cycle:
             return self.recipe.learning_rate
-        share, rise = self._done(), 0.1
+        share, rise = self._step / (self.recipe.epochs * self._steps_an_epoch), 0.1
         if share < rise:
             return self.recipe.learning_rate * (0.05 + 0.95 * share / rise)
         falling = (share - rise) / (1.0 - rise)
@@ -252,7 +200,7 @@ class NetworkTraining:
         return float(loss.item()) * len(index)
 
     def run(self, progress: Callable[[TrainingProgress], None] | None = None) -> Trained:
-        """Train to the end of the epochs or the budget.
+        """Train to the end of the epochs.
 
         Raises:
             FloatingPointError: the error is no longer finite.
@@ -260,37 +208,29 @@ class NetworkTraining:
         count = len(self._examples.frame)
         saved_s = time.monotonic()
         self.network.train()
-        while self.epoch < self.recipe.epochs and not self._cut_short:
+        while self.epoch < self.recipe.epochs:
             begun_s, total = time.process_time(), 0.0
-            spent_before_s = self._spent_s
             order = torch.randperm(count, generator=self._order)
-            seen = 0
             for index in batches(order, self.recipe.batch):
                 total += self._train_on(index)
-                seen += len(index)
-                self._spent_s = spent_before_s + time.process_time() - begun_s
-                if self.budget_s is not None and self._spent_s >= self.budget_s:
-                    self._cut_short = True
-                    break
+            self._spent_s += time.process_time() - begun_s
             if not math.isfinite(total):
                 raise FloatingPointError(
                     f"training of {self.kind!r} diverged in epoch {self.epoch + 1}; look for "
                     "frames with values that are not finite"
                 )
-            self._psnr_db.append(psnr_db(total / seen))
-            ended = self._cut_short or self.epoch == self.recipe.epochs
+            self._psnr_db.append(psnr_db(total / count))
+            ended = self.epoch == self.recipe.epochs
             if ended or time.monotonic() - saved_s >= self._checkpoint_interval_s:
                 self._save()
                 saved_s = time.monotonic()
             if progress is not None:
                 progress(self._progress())
         network = copy.deepcopy(self._averaged).cpu().eval()
-        return Trained(network, self.epoch, self._spent_s, self._cut_short, list(self._psnr_db))
+        return Trained(network, self.epoch, self._spent_s, list(self._psnr_db))
 
     def _progress(self) -> TrainingProgress:
         left_s = self._spent_s * (self.recipe.epochs - self.epoch) / max(self.epoch, 1)
-        if self.budget_s is not None:
-            left_s = min(left_s, max(self.budget_s - self._spent_s, 0.0))
         return TrainingProgress(
             self.epoch, self.recipe.epochs, self._psnr_db[-1], self._spent_s, left_s
         )
@@ -326,4 +266,3 @@ class NetworkTraining:
         self._order.set_state(state["order"])
         self._psnr_db = list(state["psnr_db"])
         self._spent_s, self._step = float(state["spent_s"]), int(state["step"])
-        self._cut_short = self.budget_s is not None and self._spent_s >= self.budget_s

@@ -251,17 +251,17 @@ def test_hard_is_made_once_for_both_ways(tmp_path: Path) -> None:
     assert len(list(tmp_path.glob("*.json"))) == 1
 
 
-def test_a_budget_matters_to_networks_alone(tmp_path: Path) -> None:
+def test_epochs_matter_to_networks_alone(tmp_path: Path) -> None:
     split = splits_of(DATA)["easy"]["by_frame"]
-    maker(tmp_path, budget_minutes=1.0).make("idle", split, [])
-    maker(tmp_path, budget_minutes=2.0).make("idle", split, [])
+    maker(tmp_path, network_epochs=1).make("idle", split, [])
+    maker(tmp_path, network_epochs=2).make("idle", split, [])
     assert len(list(tmp_path.glob("*.json"))) == 1
 
 
-def test_budget_and_width_are_those_of_published_networks() -> None:
-    settings = FitSettings(budget_minutes=2.0, network_width=64)
-    assert settings.budget_of("paper") == settings.budget_of("unet") == 2.0
-    assert settings.budget_of("ours") is None
+def test_epochs_and_width_are_those_of_published_networks() -> None:
+    settings = FitSettings(network_epochs=2, network_width=64)
+    assert settings.epochs_of("paper") == settings.epochs_of("unet") == 2
+    assert settings.epochs_of("ours") is None
     assert settings.width_of("paper") == settings.width_of("paper_direct") == 64
     assert settings.width_of("ours") is None
 
@@ -373,8 +373,8 @@ def test_shown_frames_are_full_depths_of_several_indenters() -> None:
 
 def test_settings_that_make_no_sense(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["evaluate", "optics", "--data", str(tmp_path), "--out", str(tmp_path / "out")]
-    assert main([*command, "--budget-minutes", "0"]) == 1
-    assert "budget is 0.0 minutes, expected a positive number" in capsys.readouterr().err
+    assert main([*command, "--network-epochs", "0"]) == 1
+    assert "network_epochs is 0, expected 1 or more" in capsys.readouterr().err
     assert main([*command, "--seed", "-1"]) == 1
     assert "seed is -1, expected 0 or more" in capsys.readouterr().err
 

@@ -20,9 +20,9 @@ from dotsim_ros.learning.networks import (  # noqa: E402
     make_network,
 )
 from dotsim_ros.learning.preview import write_preview  # noqa: E402
+from dotsim_ros.learning.recipe import RECIPES  # noqa: E402
 from dotsim_ros.learning.training import (  # noqa: E402
     CHECKPOINT,
-    RECIPES,
     NetworkTraining,
     TrainingProgress,
     batches,
@@ -153,12 +153,14 @@ def test_a_killed_training_goes_on_where_it_stopped(data, tmp_path):
     assert training(tmp_path).run().psnr_db == whole.psnr_db
 
 
-def test_a_budget_ends_the_training_and_says_so(data):
-    fitted = fit_network("ours", data.presses, data.rest, data.camera, budget_minutes=1e-5)
-    assert fitted.trained.cut_short
-    assert fitted.trained.epochs == 1
-    whole = fit_network("ours", data.presses, data.rest, data.camera, recipe=FEW_EPOCHS)
-    assert not whole.trained.cut_short
+def test_epochs_are_those_asked_for_and_the_learning_rate_falls_over_them(data):
+    def fit(**options):
+        return fit_network("ours", data.presses, data.rest, data.camera, **options).trained
+
+    few = fit(epochs=4)
+    assert few.epochs == len(few.psnr_db) == 4
+    assert few.psnr_db == fit(recipe=FEW_EPOCHS).psnr_db
+    assert few.psnr_db != fit(epochs=5).psnr_db[:4]
 
 
 def test_the_state_of_another_training_is_refused_and_kept(data, tmp_path):
@@ -201,8 +203,8 @@ def test_bad_data_is_refused(data):
         fit(size=60)
     with pytest.raises(ValueError, match="size is 128"):
         fit(size=128)
-    with pytest.raises(ValueError, match="budget_minutes is 0"):
-        fit(budget_minutes=0.0)
+    with pytest.raises(ValueError, match="epochs is 0, expected 1 or more"):
+        fit(epochs=0)
     untouched = [
         replace(press, depth_m=np.broadcast_to(press.depth_m[:1], press.depth_m.shape))
         for press in data.presses

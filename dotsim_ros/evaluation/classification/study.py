@@ -169,7 +169,7 @@ def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str
     split = "in_domain" if (model, domain_name) == (BOUND, "out_of_domain") else domain_name
     domain = domain_of(split, recordings_of(measured.data))
     digest = code_digest(model) if model != BOUND else ""
-    budget = (study.fit.budget_of(model), study.fit.width_of(model))
+    trained = (study.fit.epochs_of(model), study.fit.width_of(model))
     key = content_key(
         DECIDED_BY,
         (measured.filmed.idle, [press.measured for press in measured.filmed.presses]),
@@ -178,7 +178,7 @@ def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str
         domain,
         model,
         digest,
-        (study.seeds, study.plan, study.classifier, study.fit.seed, budget),
+        (study.seeds, study.plan, study.classifier, study.fit.seed, trained),
     )
     path = kept / "rows" / f"{domain_name}-{model}-{key}.json"
     if not path.is_file():

@@ -57,30 +57,30 @@ class FitSettings:
 
     Attributes:
         seed: of all draws.
-        budget_minutes: CPU time after which the training of one published network ends; None for
-            none. The others take a minute or two.
+        network_epochs: of a published network's training; None for its own number. The others take
+            a minute or two.
         network_width: of the published networks' images, pixels; None for their own choice.
 
     Raises:
-        ValueError: a seed below zero, or a budget that is no time.
+        ValueError: a seed below zero, or no epoch.
     """
 
     seed: int = 0
-    budget_minutes: float | None = None
+    network_epochs: int | None = None
     network_width: int | None = None
 
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}, expected 0 or more")
-        if self.budget_minutes is not None and not self.budget_minutes > 0.0:
+        if self.network_epochs is not None and self.network_epochs < 1:
             raise ValueError(
-                f"budget is {self.budget_minutes} minutes, expected a positive number; leave it "
-                "out for a training of full length"
+                f"network_epochs is {self.network_epochs}, expected 1 or more; leave it out for a "
+                "training of full length"
             )
 
-    def budget_of(self, network: str) -> float | None:
-        """Return the minutes after which a network's training ends; None for none."""
-        return self.budget_minutes if network in PUBLISHED else None
+    def epochs_of(self, network: str) -> int | None:
+        """Return the epochs of a network's training; None for the network's own number."""
+        return self.network_epochs if network in PUBLISHED else None
 
     def width_of(self, network: str) -> int | None:
         """Return the width of a network's images, pixels; None for the network's own choice."""
@@ -141,7 +141,7 @@ def _network(
             rest,
             camera,
             seed=settings.seed,
-            budget_minutes=settings.budget_of(name),
+            epochs=settings.epochs_of(name),
             size=settings.width_of(name),
             directory=state,
             progress=lambda p: progress(

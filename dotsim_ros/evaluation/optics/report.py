@@ -16,6 +16,7 @@ from dotsim_ros.evaluation.optics.names import NETWORKS
 from dotsim_ros.evaluation.optics.rows import Row, RowMaker
 from dotsim_ros.evaluation.optics.split import LEVELS, WAYS, FrameKey, OpticalSplit
 from dotsim_ros.evaluation.table import Column, entry_list, markdown_table
+from dotsim_ros.learning.recipe import RECIPES
 from dotsim_ros.metrics.images import SIGNIFICANT_SHARE, SSIM_SIGMA_PX, depth_ranges
 from dotsim_ros.twin.footage import OpticalPress
 
@@ -245,10 +246,11 @@ def _trainings(rows: Mapping[str, Any]) -> dict[str, str]:
         if training is None:
             words[model] = f"{row['fit_s'] / 60.0:.1f} minutes, its epochs were not counted"
             continue
-        ended = ", **cut short by the time budget**" if training["cut_short"] else ""
+        count, own = training["epochs"], RECIPES[model].epochs
+        epochs = f"**{count} of its {own} epochs**" if count < own else f"{count} epochs"
         words[model] = (
-            f"{training['epochs']} epochs in {training['minutes']:.1f} minutes of CPU time, images "
-            f"of {training['width_px']}x{training['height_px']}{ended}"
+            f"{epochs} in {training['minutes']:.1f} minutes of CPU time, images of "
+            f"{training['width_px']}x{training['height_px']}"
         )
     return words
 

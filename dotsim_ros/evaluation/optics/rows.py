@@ -51,7 +51,6 @@ _FORMAT = 1
 class _Course(Protocol):
     epochs: int
     spent_s: float
-    cut_short: bool
 
 
 @runtime_checkable
@@ -67,15 +66,13 @@ class TrainingRecord:
     """How far a network was trained.
 
     Attributes:
-        epochs: begun; the last one may be cut short.
+        epochs: passes over all frames.
         minutes: of CPU time spent training.
-        cut_short: whether a budget ended it.
         width_px, height_px: of its images.
     """
 
     epochs: int
     minutes: float
-    cut_short: bool
     width_px: int
     height_px: int
 
@@ -144,7 +141,7 @@ class RowMaker:
     def _path(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Path:
         fitted: list[Any] = [code_digest(model)]
         if model in NETWORKS:
-            fitted += [self.settings.budget_of(model), self.settings.width_of(model)]
+            fitted += [self.settings.epochs_of(model), self.settings.width_of(model)]
         parts = [_FORMAT, self._digest, split.train, split.test, list(shown)]
         key = repr((*parts, model, self.settings.seed, fitted)).encode()
         return self.cache / f"{model}-{hashlib.sha256(key).hexdigest()[:24]}.json"
@@ -200,7 +197,7 @@ def _training_of(model: ImageModel) -> TrainingRecord | None:
     if not isinstance(model, _TrainedModel):
         return None
     course = model.trained
-    return TrainingRecord(course.epochs, course.spent_s / 60.0, course.cut_short, *model.size)
+    return TrainingRecord(course.epochs, course.spent_s / 60.0, *model.size)
 
 
 def _store(path: Path, row: Row) -> None:
