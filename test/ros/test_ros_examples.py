@@ -11,6 +11,7 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
 from harness import PATIENCE_S, Executable, running
 
 from dotsim_ros.nodes.loop.controller_run import Controller, ControllerLoop
@@ -23,6 +24,7 @@ def example(name: str, *arguments: str) -> Executable:
     return Executable("", arguments=arguments, script=EXAMPLES / name)
 
 
+@pytest.mark.timed
 def test_a_controller_keeps_a_force_that_a_subscriber_reads() -> None:
     with running():
         subscriber = example("ros_subscriber.py")
