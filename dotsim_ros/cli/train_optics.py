@@ -116,9 +116,6 @@ def run(arguments: argparse.Namespace) -> int:
     sensor_file = arguments.sensor_out or arguments.out / SENSOR
     if sensor_file.suffix not in (".yaml", ".yml"):
         raise ValueError(f"--sensor-out is {sensor_file}, expected a file that ends in .yaml")
-    # Before the gel is solved for every frame, which takes minutes.
-    if arguments.epochs is not None and arguments.epochs < 1:
-        raise ValueError(f"--epochs is {arguments.epochs}, expected 1 or more")
     train, held_out = split(arguments)
     report = train_optics(
         TrainOpticsRequest(

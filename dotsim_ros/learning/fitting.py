@@ -17,7 +17,7 @@ from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.learning.examples import inputs_of, make_examples, network_input
 from dotsim_ros.learning.networks import make_network
-from dotsim_ros.learning.recipe import RECIPES, TrainingRecipe
+from dotsim_ros.learning.recipe import RECIPES, TrainingRecipe, check_epochs
 from dotsim_ros.learning.training import NetworkTraining, Trained, TrainingProgress
 from dotsim_ros.optics.network.card import BASES, FORMAT, NetworkCard, camera_hash
 from dotsim_ros.optics.network.input import CompletionInput, resized
@@ -167,8 +167,7 @@ def fit_network(
             images of another size than the camera's, or a folder with another training's state.
         FloatingPointError: the training diverged.
     """
-    if epochs is not None and epochs < 1:
-        raise ValueError(f"epochs is {epochs}, expected 1 or more")
+    check_epochs(epochs)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     with torch.random.fork_rng():
         torch.manual_seed(seed)

@@ -47,3 +47,19 @@ RECIPES: dict[str, TrainingRecipe] = {
         ("paper", "paper_direct", "paper_mobile", "paper_mobile_warped", "unet"), PUBLISHED
     ),
 }
+
+
+def check_epochs(epochs: int | None, name: str = "epochs") -> None:
+    """Refuse a number of epochs.
+
+    Args:
+        epochs: passes over all frames; None for the recipe's number.
+        name: what the user calls it.
+
+    Raises:
+        ValueError: it is below one.
+    """
+    if epochs is not None and epochs < 1:
+        raise ValueError(
+            f"{name} is {epochs}, expected 1 or more; leave it out for a training of full length"
+        )

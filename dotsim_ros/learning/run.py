@@ -22,6 +22,7 @@ from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, check_width, fit_network
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.learning.preview import write_preview
+from dotsim_ros.learning.recipe import check_epochs
 from dotsim_ros.learning.training import TrainingProgress
 from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle import description_of, fine_path, lights_of
@@ -131,6 +132,7 @@ def train_optics(
     # What cannot be trained is refused before the gel is solved for every frame.
     if request.size is not None:
         check_width(request.size)
+    check_epochs(request.epochs)
     filmed, data = read_presses(request, say)
     by_name = {press.name: press for press in data.presses}
     train = [by_name[name] for name in request.train]

@@ -308,7 +308,8 @@ class Rig(Observer):
         # Those that say so by now are of the motion before, if there was one.
         self.diagnostics.clear()
         self.wait(lambda: self.newest().moves(), "a motion")
-        self.wait(lambda: self.state().values["state"] == "running", "a steady motion")
+        # The first of the node, before its control began, names no state and may come late.
+        self.wait(lambda: self.state().values.get("state") == "running", "a steady motion")
 
     def _mend(self) -> bool:
         """Let the streams be as they should; return whether they were not."""

@@ -111,7 +111,7 @@ def test_a_camera_is_fitted_to_the_trajectories_named():
         (["--trajectories", "2_cone_0", "--hold-out", "0"], "8 frames"),
         (["--sensor-out", "sensor.txt"], "ends in .yaml"),
         (["--network", "ours", "--size", "100"], "size is 100"),
-        (["--epochs", "0"], "--epochs is 0, expected 1 or more"),
+        (["--epochs", "0"], "epochs is 0, expected 1 or more"),
     ],
 )
 def test_bad_requests_are_refused_and_nothing_is_written(options, reason, tmp_path, capsys):

@@ -16,6 +16,7 @@ from dotsim_ros.code_version import version_of
 from dotsim_ros.evaluation.optics.judge import Factory, Idle, ImageModel, WarpedIdle
 from dotsim_ros.evaluation.optics.names import NAMES, NETWORKS, PUBLISHED, WARPED
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.learning.recipe import check_epochs
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
 CLIPPED = ("tacto", "tacto_refined", "tacto_warped")
@@ -72,11 +73,7 @@ class FitSettings:
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise ValueError(f"seed is {self.seed}, expected 0 or more")
-        if self.network_epochs is not None and self.network_epochs < 1:
-            raise ValueError(
-                f"network_epochs is {self.network_epochs}, expected 1 or more; leave it out for a "
-                "training of full length"
-            )
+        check_epochs(self.network_epochs, "network_epochs")
 
     def epochs_of(self, network: str) -> int | None:
         """Return the epochs of a network's training; None for the network's own number."""
