@@ -26,7 +26,6 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"
 AS_MADE = {
     "closed_loop": "its benchmark loads ROS",
-    "geometry_first_draw": "its figures do not say where their rows come from",
     "loop_faults": "its benchmark loads ROS",
     "optics": "some of its figures cannot be had again, and its words are those of their time",
     "trajectory_shifted/trajectory": "its figures are of an earlier form",
