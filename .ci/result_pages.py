@@ -28,7 +28,6 @@ AS_MADE = {
     "closed_loop": "its benchmark loads ROS",
     "loop_faults": "its benchmark loads ROS",
     "optics": "some of its figures cannot be had again, and its words are those of their time",
-    "trajectory_shifted/trajectory": "its figures are of an earlier form",
     "tumour": "a column that pages have now is not in its figures",
 }
 """Pages that stay as they were made, and why."""
