@@ -10,6 +10,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -155,6 +156,7 @@ class NetworkTraining:
         self._steps_an_epoch = len(batches(torch.arange(len(examples.frame)), recipe.batch))
         self._psnr_db: list[float] = []
         self._spent_s, self._step = 0.0, 0
+        self._is_abandoned = False
         if self._checkpoint is not None:
             self._resume(self._checkpoint)
 
@@ -200,11 +202,27 @@ class NetworkTraining:
         return float(loss.item()) * len(index)
 
     def run(self, progress: Callable[[TrainingProgress], None] | None = None) -> Trained:
-        """Train to the end of the epochs.
+        """Train to the end of the epochs, in a thread of its own.
+
+        Weights that a network no longer uses decay into numbers below the smallest normal float,
+        with which an Intel core computes some twenty times as slowly. That thread, and those that
+        PyTorch starts from it, take them for zero; what else runs in this process does not.
+
+        Args:
+            progress: called after every epoch, in that thread.
 
         Raises:
             FloatingPointError: the error is no longer finite.
         """
+        with ThreadPoolExecutor(1, "training", torch.set_flush_denormal, (True,)) as own:
+            training = own.submit(self._run, progress)
+            try:
+                return training.result()
+            finally:
+                # Ctrl-C reaches this thread alone.
+                self._is_abandoned = True
+
+    def _run(self, progress: Callable[[TrainingProgress], None] | None) -> Trained:
         count = len(self._examples.frame)
         saved_s = time.monotonic()
         self.network.train()
@@ -212,6 +230,8 @@ class NetworkTraining:
             begun_s, total = time.process_time(), 0.0
             order = torch.randperm(count, generator=self._order)
             for index in batches(order, self.recipe.batch):
+                if self._is_abandoned:
+                    raise CancelledError
                 total += self._train_on(index)
             self._spent_s += time.process_time() - begun_s
             if not math.isfinite(total):

@@ -3,6 +3,9 @@
 
 """Networks of images: they learn what they can, go on after a kill, and refuse bad data."""
 
+import os
+import signal
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -116,6 +119,37 @@ def test_the_seed_decides_the_network(data):
 
 class KilledError(Exception):
     pass
+
+
+def small_training(data) -> NetworkTraining:
+    examples = make_examples("ours", data.presses, data.rest, data.camera, (64, 48))
+    return NetworkTraining("ours", make_network("ours"), examples, FEW_EPOCHS)
+
+
+def test_a_training_takes_what_is_next_to_nothing_for_zero(data):
+    def are_denormals_zero() -> bool:
+        return (torch.tensor(1e-40) * 1.0).item() == 0.0
+
+    # An ARM core, or an old PyTorch, may not be able to.
+    can = torch.set_flush_denormal(True)
+    torch.set_flush_denormal(False)
+    seen = []
+    small_training(data).run(lambda _: seen.append(are_denormals_zero()))
+    assert seen == [can] * FEW_EPOCHS.epochs
+    assert not are_denormals_zero()
+
+
+def test_ctrl_c_ends_a_training_at_once(data):
+    told = []
+
+    def press_ctrl_c(progress: TrainingProgress) -> None:
+        told.append(progress.epoch)
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)
+
+    with pytest.raises(KeyboardInterrupt):
+        small_training(data).run(press_ctrl_c)
+    assert told == [1]
 
 
 def test_a_killed_training_goes_on_where_it_stopped(data, tmp_path):
