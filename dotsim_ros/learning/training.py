@@ -13,6 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from threading import Event
 
 import torch
 from torch import Tensor, nn
@@ -156,7 +157,6 @@ class NetworkTraining:
         self._steps_an_epoch = len(batches(torch.arange(len(examples.frame)), recipe.batch))
         self._psnr_db: list[float] = []
         self._spent_s, self._step = 0.0, 0
-        self._is_abandoned = False
         if self._checkpoint is not None:
             self._resume(self._checkpoint)
 
@@ -214,15 +214,18 @@ class NetworkTraining:
         Raises:
             FloatingPointError: the error is no longer finite.
         """
+        is_abandoned = Event()
         with ThreadPoolExecutor(1, "training", torch.set_flush_denormal, (True,)) as own:
-            training = own.submit(self._run, progress)
+            training = own.submit(self._run, progress, is_abandoned)
             try:
                 return training.result()
             finally:
                 # Ctrl-C reaches this thread alone.
-                self._is_abandoned = True
+                is_abandoned.set()
 
-    def _run(self, progress: Callable[[TrainingProgress], None] | None) -> Trained:
+    def _run(
+        self, progress: Callable[[TrainingProgress], None] | None, is_abandoned: Event
+    ) -> Trained:
         count = len(self._examples.frame)
         saved_s = time.monotonic()
         self.network.train()
@@ -230,7 +233,7 @@ class NetworkTraining:
             begun_s, total = time.process_time(), 0.0
             order = torch.randperm(count, generator=self._order)
             for index in batches(order, self.recipe.batch):
-                if self._is_abandoned:
+                if is_abandoned.is_set():
                     raise CancelledError
                 total += self._train_on(index)
             self._spent_s += time.process_time() - begun_s

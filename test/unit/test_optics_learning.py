@@ -121,9 +121,16 @@ class KilledError(Exception):
     pass
 
 
-def small_training(data) -> NetworkTraining:
-    examples = make_examples("ours", data.presses, data.rest, data.camera, (64, 48))
-    return NetworkTraining("ours", make_network("ours"), examples, FEW_EPOCHS)
+def small_training(data, directory=None) -> NetworkTraining:
+    torch.manual_seed(5)
+    return NetworkTraining(
+        "ours",
+        make_network("ours"),
+        make_examples("ours", data.presses, data.rest, data.camera, (64, 48)),
+        FEW_EPOCHS,
+        directory=directory,
+        checkpoint_interval_s=0.0,
+    )
 
 
 def test_a_training_takes_what_is_next_to_nothing_for_zero(data):
@@ -147,36 +154,26 @@ def test_ctrl_c_ends_a_training_at_once(data):
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(1.0)
 
+    training = small_training(data)
     with pytest.raises(KeyboardInterrupt):
-        small_training(data).run(press_ctrl_c)
+        training.run(press_ctrl_c)
     assert told == [1]
+    # It can be gone on with.
+    assert training.run().epochs == FEW_EPOCHS.epochs
 
 
 def test_a_killed_training_goes_on_where_it_stopped(data, tmp_path):
-    examples = make_examples("ours", data.presses, data.rest, data.camera, (64, 48))
-
-    def training(directory):
-        torch.manual_seed(5)
-        return NetworkTraining(
-            "ours",
-            make_network("ours"),
-            examples,
-            FEW_EPOCHS,
-            directory=directory,
-            checkpoint_interval_s=0.0,
-        )
-
     def die(progress: TrainingProgress) -> None:
         if progress.epoch == 2:
             raise KilledError
 
     with pytest.raises(KilledError):
-        training(tmp_path).run(die)
-    resumed = training(tmp_path)
+        small_training(data, tmp_path).run(die)
+    resumed = small_training(data, tmp_path)
     assert resumed.epoch == 2
     epochs = []
     broken = resumed.run(lambda progress: epochs.append(progress.epoch))
-    whole = training(None).run()
+    whole = small_training(data).run()
     assert epochs == [3, 4]
     assert broken.psnr_db == whole.psnr_db
     assert equal(
@@ -184,7 +181,7 @@ def test_a_killed_training_goes_on_where_it_stopped(data, tmp_path):
         [value.numpy() for value in whole.network.state_dict().values()],
     )
     # Nothing is left to do, and nothing changes.
-    assert training(tmp_path).run().psnr_db == whole.psnr_db
+    assert small_training(data, tmp_path).run().psnr_db == whole.psnr_db
 
 
 def test_epochs_are_those_asked_for_and_the_learning_rate_falls_over_them(data):
