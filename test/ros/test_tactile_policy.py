@@ -262,11 +262,12 @@ def test_speed_and_acceleration_are_those_of_the_parameters(network: Path) -> No
     limits = {"maximum_linear_m_s": 0.002, "maximum_linear_m_s2": 0.1, "retreat_m_s": 0.001}
     with policy_and_rig(network, command_rate_hz=100.0, **limits) as (_, rig):
         rig.start()
-        rig.wait(lambda: np.linalg.norm(rig.newest().twist[:3]) > 0.0019, "the full speed")
+        full_speed = pytest.approx(0.002)
+        rig.wait(lambda: np.linalg.norm(rig.newest().twist[:3]) == full_speed, "the full speed")
         rig.enable(False)
         rig.rest_s(time.time())
         speeds_m_s = [np.linalg.norm(command.twist[:3]) for command in rig.commands]
-        assert max(speeds_m_s) == pytest.approx(0.002)
+        assert max(speeds_m_s) == full_speed
         moved = [command for command in rig.commands if command.moves()]
         for before, after in itertools.pairwise(moved):
             step_m_s = np.linalg.norm(after.twist[:3] - before.twist[:3])
