@@ -117,8 +117,16 @@ class ArmClient:
         )
 
     def position_m(self) -> np.ndarray[Any, Any]:
-        """Return where the tool is now."""
-        return msg_adapters.decode_pose_stamped(self.newest("ee_pose", time.monotonic()))[0]
+        """Return where the tool is, by a pose that is sent from now on."""
+        since_s, since_ns = time.monotonic(), self.now_ns()
+        found = self.wait(
+            lambda: list(self.positions(since_s, sent_after_ns=since_ns)[1]), "a pose of now"
+        )
+        return found[-1]
+
+    def now_ns(self) -> int:
+        """Return the time that messages are stamped with."""
+        return self.node.get_clock().now().nanoseconds
 
     def positions(
         self, since_s: float = -np.inf, *, sent_after_ns: int = 0

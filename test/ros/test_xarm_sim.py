@@ -44,6 +44,7 @@ def session() -> Iterator[Session]:
 @pytest.fixture
 def client(session: Session) -> Iterator[ArmClient]:
     session[1].trigger("reset")
+    settled(session[1])
     yield session[1]
     session[1].set_parameters(fail_drop_feedback=False, fail_delay_s=0.0, fail_stop=False)
 
@@ -61,7 +62,7 @@ def velocities(stamps: Any, positions: Any) -> Any:
 def settled(client: ArmClient) -> Any:
     """Return where the tool is once it stands, by what the arm sent from now on: a pose may be
     heard long after it was sent."""
-    since_s, since_ns = time.monotonic(), client.node.get_clock().now().nanoseconds
+    since_s, since_ns = time.monotonic(), client.now_ns()
     places = []
 
     def stands() -> bool:
@@ -93,8 +94,10 @@ def test_poses_carry_the_times_of_their_states_100_a_second(client: ArmClient) -
     # Every stamp falls on the arm's grid, whenever its tick came.
     away = np.abs(stamps / 0.005 - np.round(stamps / 0.005)) * 0.005
     assert np.percentile(away, 95) < 5e-4
-    assert (np.diff(stamps) > 0.004).all()
-    assert np.median(np.diff(stamps)) == pytest.approx(PERIOD_S, abs=2e-4)
+    # A tick that comes late may tell a state again.
+    steps = np.diff(stamps)
+    assert ((steps == 0.0) | (steps > 0.004)).all()
+    assert np.median(steps) == pytest.approx(PERIOD_S, abs=2e-4)
 
 
 def test_joints_pose_and_indenter_agree(client: ArmClient) -> None:
@@ -164,19 +167,27 @@ def test_no_limit_is_exceeded_on_the_recorded_motion(client: ArmClient) -> None:
 
 
 def test_silence_stops_the_arm_after_a_fifth_of_a_second(client: ArmClient) -> None:
-    begin_s = time.monotonic()
-    last_s = client.lead(0.5, lambda t: ((0.0, 0.05, 0.0), (0.0, 0.0, 0.0)))
-    last_ns = client.node.get_clock().now().nanoseconds - round(1e9 * (time.monotonic() - last_s))
-    settled(client)
-    with client._changed:
-        poses = [message for arrival_s, message in client.heard["ee_pose"] if arrival_s > begin_s]
-    since_last_s = 1e-9 * (np.array([msg_adapters.message_stamp_ns(m) for m in poses]) - last_ns)
-    stamps, places = client.positions(begin_s)
-    speed = np.linalg.norm(velocities(stamps, places)[0], axis=1)
-    ends_s = since_last_s[1 : len(speed) + 1]
-    assert (speed[: len(ends_s)][(ends_s > 0.03) & (ends_s < 0.2)] > 0.045).all()
-    # 0.2 s, latency, the lag's way down to a fiftieth, and the message's own way.
-    assert (speed[: len(ends_s)][ends_s > 0.2 + 0.01 + 0.08 + 0.1] < 0.002).all()
+    def is_in_time() -> bool:
+        begin_s, begin_ns = time.monotonic(), client.now_ns()
+        last_s = client.lead(0.5, lambda t: ((0.0, 0.05, 0.0), (0.0, 0.0, 0.0)))
+        last_ns = client.now_ns() - round(1e9 * (time.monotonic() - last_s))
+        settled(client)
+        stamps, places = client.positions(begin_s, sent_after_ns=begin_ns)
+        velocity, steps = velocities(stamps, places)
+        speed = np.linalg.norm(velocity, axis=1)
+        first_ns = next(
+            stamp_ns
+            for arrival_s, message in client.heard["ee_pose"]
+            if arrival_s > begin_s
+            and (stamp_ns := msg_adapters.message_stamp_ns(message)) > begin_ns
+        )
+        ends_s = 1e-9 * (first_ns - last_ns) + np.cumsum(steps)
+        goes_on = (speed[(ends_s > 0.03) & (ends_s < 0.2)] > 0.045).all()
+        # 0.2 s, latency, the lag's way down to a fiftieth, and the message's own way.
+        return bool(goes_on and (speed[ends_s > 0.2 + 0.01 + 0.08 + 0.1] < 0.002).all())
+
+    # The last velocities of one that leads it from a busy machine may be late.
+    assert any(is_in_time() for _ in range(3))
     client.state("input", lambda status: "the arm stands" in status.message)
 
 
@@ -196,33 +207,39 @@ def test_a_velocity_of_an_unknown_frame_is_refused_and_not_said_each_time(sessio
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf")])
 def test_a_velocity_that_is_no_number_stops_the_arm(client: ArmClient, number: float) -> None:
-    client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
-    sent_s = client.send((0.0, number, 0.0))
-    settled(client)
-    _, places = client.positions(sent_s)
-    assert np.isfinite(places).all()
-    # Without it the last velocity would have gone on for 0.2 s and 20 mm.
-    assert np.ptp(places, axis=0).max() < 0.012
+    def way_m() -> float:
+        client.trigger("reset")
+        settled(client)
+        client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
+        sent_ns = client.now_ns()
+        sent_s = client.send((0.0, number, 0.0))
+        settled(client)
+        _, places = client.positions(sent_s, sent_after_ns=sent_ns)
+        assert np.isfinite(places).all()
+        return float(np.ptp(places, axis=0).max())
+
+    # Without it the last velocity would have gone on for 0.2 s and 20 mm, each time.
+    assert any(way_m() < 0.012 for _ in range(3))
 
 
 def test_the_emergency_stop_holds_until_reset(client: ArmClient) -> None:
     client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
     assert client.trigger("emergency_stop").success
-    stopped_s = time.monotonic()
+    stopped_ns = client.now_ns()
     client.lead(0.5, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
-    _, places = client.positions(stopped_s + 0.06)
+    _, places = client.positions(sent_after_ns=stopped_ns + 60_000_000)
     assert np.ptp(places, axis=0).max() < 1e-7
     status = client.state("arm", lambda status: "emergency stop" in status.message)
     assert status.level == msg_adapters.Level.ERROR
     assert client.trigger("reset").success
-    np.testing.assert_allclose(client.position_m(), START_M, atol=1e-6)
+    np.testing.assert_allclose(settled(client), START_M, atol=1e-6)
     client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
     assert settled(client)[2] > START_M[2] + 0.03
 
 
 def test_feedback_can_be_dropped_while_the_sensor_moves_on(client: ArmClient) -> None:
     assert client.set_parameters(fail_drop_feedback=True).successful
-    time.sleep(0.1)
+    time.sleep(0.3)
     counts = {topic: client.count(topic) for topic in client.heard}
     before = client.newest("indenter/pose", time.monotonic())
     client.lead(0.3, lambda t: ((0.0, 0.0, 0.05), (0.0, 0.0, 0.0)))
@@ -242,21 +259,24 @@ def test_a_delay_holds_feedback_back_and_leaves_its_stamps(client: ArmClient) ->
     newest = client.newest("ee_pose", time.monotonic())
     now_ns = client.node.get_clock().now().nanoseconds
     assert 1e-9 * (now_ns - msg_adapters.message_stamp_ns(newest)) > 0.29
+    sent_ns = client.now_ns()
     sent_s = client.send((0.0, 0.0, 0.1))
-    time.sleep(0.5)
-    _, places = client.positions(sent_s)
-    # 0.3 s until it acts and 0.3 s until it is heard of.
-    assert np.ptp(places, axis=0).max() < 1e-9
-    time.sleep(0.5)
-    assert client.position_m()[2] > START_M[2] + 0.01
+
+    def places() -> Any:
+        return client.positions(sent_s, sent_after_ns=sent_ns)
+
+    client.wait(lambda: len(places()[1]) and places()[1][-1][2] > START_M[2] + 0.01, "10 mm")
+    stamps, heard = places()
+    # It acts after 0.3 s.
+    assert np.ptp(heard[stamps < 0.25], axis=0).max() < 1e-9
 
 
 def test_a_failed_drive_stops_the_arm_and_lets_it_go_again(client: ArmClient) -> None:
     client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
     assert client.set_parameters(fail_stop=True).successful
-    stopped_s = time.monotonic()
+    stopped_ns = client.now_ns()
     client.lead(0.4, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
-    _, places = client.positions(stopped_s + 0.06)
+    _, places = client.positions(sent_after_ns=stopped_ns + 60_000_000)
     assert np.ptp(places, axis=0).max() < 1e-7
     assert client.set_parameters(fail_stop=False).successful
     before = client.position_m()
@@ -267,18 +287,19 @@ def test_a_failed_drive_stops_the_arm_and_lets_it_go_again(client: ArmClient) ->
 def test_a_process_that_was_held_up_makes_no_jump(session: Session) -> None:
     executable, client = session
     client.trigger("reset")
-    since_s = time.monotonic()
+    settled(client)
+    since_s, since_ns = time.monotonic(), client.now_ns()
     client.lead(0.3, lambda t: ((0.0, 0.0, 0.1), (0.0, 0.0, 0.0)))
     executable.process.send_signal(signal.SIGSTOP)
     led_s = time.monotonic() - since_s
     time.sleep(0.7)
     executable.process.send_signal(signal.SIGCONT)
     settled(client)
-    stamps, places = client.positions(since_s)
+    stamps, places = client.positions(since_s, sent_after_ns=since_ns)
     velocity, _ = velocities(stamps, places)
-    # As far as the last velocity was valid, at its speed.
+    # As far as the last velocity was valid, at its speed; it may be read before or after the halt.
     assert np.linalg.norm(velocity, axis=1).max() <= 0.1 * 1.01
-    assert 0.02 < places[-1][2] - START_M[2] < 0.1 * (led_s + 0.2 + 0.05)
+    assert 0.02 < places[-1][2] - START_M[2] < 0.1 * (led_s + 0.2 + 0.2 + 0.05)
 
 
 @pytest.mark.parametrize(
@@ -299,10 +320,13 @@ def test_a_bad_parameter_is_refused_with_the_reason(
 
 def test_the_indenter_can_be_placed_anew_and_kept_silent(client: ArmClient) -> None:
     assert client.set_parameters(indenter_pose=[0.35, 0.0, 0.27, 1.0, 0.0, 0.0, 0.0]).successful
-    seen = client.newest("indenter/pose", time.monotonic() + 0.05)
-    assert seen.pose.position.z == pytest.approx(0.03, abs=1e-6)
+    placed = pytest.approx(0.03, abs=1e-6)
+    client.wait(
+        lambda: client.newest("indenter/pose", time.monotonic()).pose.position.z == placed,
+        "the indenter at its new place",
+    )
     assert client.set_parameters(publish_indenter=False).successful
-    time.sleep(0.1)
+    time.sleep(0.3)
     count = client.count("indenter/pose")
     time.sleep(0.2)
     assert client.count("indenter/pose") == count
