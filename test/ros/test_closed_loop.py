@@ -110,10 +110,8 @@ def wait_for_stop(loop: ClosedLoop, reasons: set[str]) -> None:
     )
     time.sleep(0.3)
     loop.observer.forget()
-    time.sleep(0.5)
-    commands = loop.observer.heard("cmd_vel")
-    assert commands
-    assert not any(map(moves, commands))
+    loop.observer.wait(lambda: loop.observer.count("cmd_vel") >= 10, "ten commands")
+    assert not any(map(moves, loop.observer.heard("cmd_vel")))
 
 
 def test_feedback_that_is_dropped_stops_the_arm(
@@ -150,6 +148,7 @@ def test_a_sensor_that_is_killed_stops_the_arm(
     # The last of this file: a test after it would have to start another one.
     loop.process(SENSOR).signal(signal.SIGKILL)
     wait_for_stop(loop, {"image_stale", "force_stale"})
+    loop.observer.wait(lambda: loop.observer.count("ee_pose") >= 10, "ten poses")
     places = [
         msg_adapters.decode_pose_stamped(h.message)[0] for h in loop.observer.heard("ee_pose")
     ]

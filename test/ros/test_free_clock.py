@@ -44,6 +44,11 @@ def test_the_arm_goes_by_the_simulated_time() -> None:
         assert client.count("ee_pose") == standing
         clock.is_standing = False
         client.lead(0.5 / SLOWNESS, to_the_right)
+        end_ns = round(1e9 * (begun_s + 2.4))
+        client.wait(
+            lambda: msg_adapters.message_stamp_ns(client.heard["ee_pose"][-1][1]) >= end_ns,
+            "the last poses",
+        )
 
         messages = [message for _, message in client.heard["ee_pose"]]
         stamps_s = 1e-9 * np.array([msg_adapters.message_stamp_ns(each) for each in messages])

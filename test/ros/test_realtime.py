@@ -154,6 +154,7 @@ def test_a_velocity_moves_the_indenter_for_as_long_as_time_passes(session: Sessi
     client.next_frame(is_at_rest)
     # More than a machine renders, so that frames are dropped.
     assert client.set_parameters(rate_hz=240.0).successful
+    client.diagnostics.clear()
     client.wait_for_state("input", lambda state: "no input for" in state.message)
     client.frames.clear()
     for _ in range(50):
@@ -168,7 +169,8 @@ def test_a_velocity_moves_the_indenter_for_as_long_as_time_passes(session: Sessi
         if (place := frame.indenter_m()) is not None
     }
     ways_m, times_s = np.diff(list(heights_m.values())), 1e-9 * np.diff(list(heights_m))
-    moves = ways_m > 0.0
+    # After a longer halt of the machine it moves for as long as an input is good.
+    moves = (ways_m > 0.0) & (times_s < 0.3)
     assert moves.sum() > 5
     assert times_s[moves].max() > 2.0 / 240.0
     np.testing.assert_allclose(ways_m[moves][1:], 0.005 * times_s[moves][1:], rtol=1e-3)
@@ -177,12 +179,13 @@ def test_a_velocity_moves_the_indenter_for_as_long_as_time_passes(session: Sessi
 def test_ten_thousand_poses_a_second_leave_the_frames_running(session: Session) -> None:
     client = session[1]
     first = press(client, 0.001)
-    begun_s, begun_ns = time.monotonic(), time.time_ns()
+    before = int(client.state_from_now("frames").values["frames"])
+    begun_s = time.monotonic()
     for _ in range(20_000):
         client.send((0.0, 0.0, APEX_M - 0.0005))
     # Counted before anything else: a node that stands still meanwhile goes on afterwards.
     lasted_s = time.monotonic() - begun_s
-    count = sum(stamp_ns > begun_ns for stamp_ns in list(client.frames))
+    count = int(client.state_from_now("frames").values["frames"]) - before
     # The flood takes more than a core; half of the frames come on two that are busy.
     assert count > 0.2 * RATE_HZ * lasted_s
     held = client.next_frame(lambda frame: frame.indenter_m() == [0.0, 0.0, APEX_M - 0.0005])

