@@ -70,7 +70,7 @@ SEARCH = """(async word => {
   field.focus();
   field.value = word;
   field.dispatchEvent(new Event('keyup', {bubbles: true}));
-  for (let tries = 0; tries < 100; ++tries) {
+  for (let tries = 0; tries < 1200; ++tries) {
     await new Promise(done => setTimeout(done, 100));
     const found = document.querySelectorAll('.md-search-result__item').length;
     if (found) return found;

@@ -72,7 +72,7 @@ def test_what_is_answered_is_no_finding() -> None:
         Target("planted", lambda folder: None, _hold), seconds=0.3, first_case=0
     )
     assert not summary.found
-    assert summary.case_count > 10
+    assert summary.case_count > 1
 
 
 def _refuse(words: str) -> object:

@@ -9,7 +9,6 @@ import importlib
 import json
 import re
 import subprocess
-import sys
 import tomllib
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -105,11 +104,11 @@ def test_citation_names_the_paper_and_all_its_authors() -> None:
 @pytest.mark.parametrize(("name", "schema"), SCHEMAS.items(), ids=SCHEMAS)
 def test_file_matches_its_schema(name: str, schema: str) -> None:
     pytest.importorskip("check_jsonschema", reason="needs the extra dev: pip install '.[dev]'")
-    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", f"vendor.{schema}"]
-    checked = subprocess.run(
-        [*command, str(ROOT / name)], capture_output=True, text=True, check=False
-    )
-    assert checked.returncode == 0, checked.stdout + checked.stderr
+    from check_jsonschema import main
+    from click.testing import CliRunner
+
+    checked = CliRunner().invoke(main, ["--builtin-schema", f"vendor.{schema}", str(ROOT / name)])
+    assert checked.exit_code == 0, checked.output
 
 
 def test_containers_install_extras_that_there_are_and_run_commands_that_there_are() -> None:

@@ -33,10 +33,12 @@ QUICK = {
     # So that a machine that is gone is soon known to be.
     "health_check_initial_delay_ms": 0,
     "health_check_period_ms": 300,
-    "health_check_timeout_ms": 1000,
+    # What is gone answers with a refusal at once; a busy machine may take its time.
+    "health_check_timeout_ms": 10_000,
     "health_check_failure_threshold": 2,
 }
 SUM = 100_000.0
+PATIENCE_S = 240.0
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -177,7 +179,7 @@ def test_a_worker_that_is_killed_loses_nothing(nodes: TwoNodes, tmp_path: Path) 
 def places_until(pool: Executor, count: int) -> set[str]:
     """Return the machines that work is done on, once there are so many."""
     places: set[str] = set()
-    end_s = time.monotonic() + 30.0
+    end_s = time.monotonic() + PATIENCE_S
     while len(places) < count:
         assert time.monotonic() < end_s, f"work is done on {places} alone"
         places |= {place for _, place in pool.map(pool_work.place, range(4), [0.05] * 4)}
@@ -189,9 +191,9 @@ def test_a_machine_that_is_killed_loses_nothing(nodes: TwoNodes) -> None:
     with open_pool(RayWorkers(2, nodes.address), pool_work.begin, None) as pool:
         both = places_until(pool, 2)
         running = [pool.submit(pool_work.place, number, 0.3) for number in range(count)]
-        assert {future.result(timeout=30.0)[1] for future in running[:2]} == both
+        assert {future.result(timeout=PATIENCE_S)[1] for future in running[:2]} == both
         nodes.kill_second()
-        found = [future.result(timeout=30.0) for future in running]
+        found = [future.result(timeout=PATIENCE_S) for future in running]
         assert [number for number, _ in found] == list(range(count))
         assert pool.deaths == 1  # type: ignore[attr-defined]
         # One that joins later gets work as well.
@@ -206,9 +208,9 @@ def test_a_task_that_kills_workers_is_given_up(
     with open_pool(RayWorkers(2, nodes.address), pool_work.begin, None) as pool:
         deadly = pool.submit(pool_work.die)
         with pytest.raises(OSError, match="3 workers died of the same task") as told:
-            deadly.result(timeout=30.0)
+            deadly.result(timeout=PATIENCE_S)
         # The others' work goes on.
-        assert pool.submit(abs, -3).result(timeout=30.0) == 3
+        assert pool.submit(abs, -3).result(timeout=PATIENCE_S) == 3
     text = str(told.value)
     assert "--num-cpus" in text
     assert "\n" not in text
@@ -218,7 +220,7 @@ def test_a_task_that_kills_workers_is_given_up(
 def test_an_initializer_that_fails_is_told(nodes: TwoNodes) -> None:
     with open_pool(RayWorkers(1, nodes.address), pool_work.refuse) as pool:
         with pytest.raises(ValueError, match="no gel to press"):
-            pool.submit(abs, 1).result(timeout=30.0)
+            pool.submit(abs, 1).result(timeout=PATIENCE_S)
         with pytest.raises(RuntimeError, match="closed"):
             pool.submit(abs, 1)
 
@@ -228,7 +230,7 @@ def test_workers_that_never_begin_are_given_up(nodes: TwoNodes) -> None:
     with open_pool(crew, pool_work.die_at_the_beginning) as pool:
         asked = pool.submit(abs, 1)
         with pytest.raises(OSError, match="3 workers died before they had begun"):
-            asked.result(timeout=30.0)
+            asked.result(timeout=PATIENCE_S)
 
 
 def test_what_is_not_begun_is_cancelled_where_the_block_fails(nodes: TwoNodes) -> None:
@@ -248,7 +250,7 @@ def test_a_folder_that_is_not_there_is_told(
     with open_pool(crew, pool_work.begin, None, reads=(tmp_path / "data",)) as pool:
         asked = pool.submit(abs, 1)
         with pytest.raises(OSError, match=r"does not see .*/data; expected a file system") as told:
-            asked.result(timeout=30.0)
+            asked.result(timeout=PATIENCE_S)
     answered(f"the worker on HOST {str(told.value).partition(') ')[2]}")
     kept = tmp_path / "kept"
     with open_pool(crew, pool_work.begin, None, writes=(kept,)) as pool:
@@ -316,27 +318,26 @@ def test_no_process_of_ray_is_left(number: signal.Signals, tmp_path: Path) -> No
         text=True,
         env=environment,
     )
-    wait_until(lambda: told.is_file() and bool(told.read_text()), 40.0)
+    wait_until(lambda: told.is_file() and bool(told.read_text()))
     worker = int(told.read_text())
     family = descendants(process.pid)
     assert worker in family
     process.send_signal(number)
-    _, errors = process.communicate(timeout=20.0)
+    _, errors = process.communicate(timeout=PATIENCE_S)
     try:
         if number == signal.SIGTERM:
             assert (process.returncode, errors) == (143, "dotsim_ros calibrate: terminated\n")
-            wait_until(lambda: not any(map(is_there, family)), 20.0)
+            wait_until(lambda: not any(map(is_there, family)))
         else:
             # Two of Ray's own, which do no work, look only now and then whether it is there.
-            wait_until(lambda: sum(map(is_there, family)) <= 2, 20.0)
-            assert not is_there(worker)
+            wait_until(lambda: sum(map(is_there, family)) <= 2 and not is_there(worker))
     finally:
         for pid in filter(is_there, family):
             os.kill(pid, signal.SIGKILL)
 
 
-def wait_until(happened: Callable[[], bool], seconds: float) -> None:
-    end_s = time.monotonic() + seconds
+def wait_until(happened: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
     while not happened():
         assert time.monotonic() < end_s, "it has not happened"
         time.sleep(0.05)

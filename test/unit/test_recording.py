@@ -212,7 +212,7 @@ def test_recorder_that_is_killed_leaves_what_it_wrote(tmp_path):
         "import os, signal, sys, time; sys.path.insert(0, sys.argv[2]); "
         "from pathlib import Path; from test_recording import *; "
         "r = BagRecording(Path(sys.argv[1]), {TOPIC: WRENCH}, queue_bytes=2**20); "
-        "[r.put(TOPIC, serialized(i)) for i in range(50)]; time.sleep(1.0); "
+        "[r.put(TOPIC, serialized(i)) for i in range(50)]; wait_until_written(r, 50); "
         "[r.put(TOPIC, serialized(i)) for i in range(50, 80)]; "
         "os.kill(os.getpid(), signal.SIGKILL)"
     )

@@ -9,6 +9,7 @@ import ast
 import importlib
 import itertools
 import json
+import os
 import re
 import subprocess
 import sys
@@ -62,7 +63,10 @@ class MadeUp:
 
     def git(self, *arguments: str) -> str:
         command = ["git", "-C", str(self.root), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        # Whoever runs this may sign, or have hooks.
+        bare = {**os.environ, "GIT_CONFIG_GLOBAL": os.devnull, "GIT_CONFIG_NOSYSTEM": "1"}
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=bare)
+        return done.stdout.strip()
 
     def write(self, files: dict[str, str]) -> None:
         for name, text in files.items():
