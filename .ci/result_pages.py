@@ -27,7 +27,6 @@ RESULTS = ROOT / "docs" / "results"
 AS_MADE = {
     "closed_loop": "its benchmark loads ROS",
     "loop_faults": "its benchmark loads ROS",
-    "optics": "some of its figures cannot be had again, and its words are those of their time",
     "tumour": "a column that pages have now is not in its figures",
 }
 """Pages that stay as they were made, and why."""
@@ -68,8 +67,10 @@ def _functions() -> dict[str, Callable[[Any], str]]:
         "gelsight_taxim": gelsight_taxim_page,
         "geometry": of_geometry,
         "geometry_later": of_geometry,
-        # Its sheets of images are not published.
-        "optics_hard/optics": partial(optics_page, sheets={}),
+        "optics": partial(
+            optics_page,
+            sheets={level: f"{images}/optics_{level}.jpg" for level in ("easy", "medium", "hard")},
+        ),
         "real_cylinders": cylinders_page,
         "real_force": pad_page,
         "real_pair": real_pair_page,
