@@ -51,6 +51,12 @@ def loop() -> Iterator[ControllerLoop]:
         yield loop
 
 
+def test_a_sensor_on_which_no_path_lies_is_refused() -> None:
+    controller = Controller("sideways", [sys.executable, "-c", CODE])
+    with pytest.raises(ValueError, match=r"digit has a gel of the shape .* dome of 15.75 mm"):
+        ControllerLoop(controller, sensor="digit")
+
+
 def led(loop: ControllerLoop, **faults_s: float) -> tuple[ControllerRun, dict[str, float]]:
     """Return a run with faults at times, and when the last message of each kind was stamped."""
     faults = [TimedFault(at_s, LoopFault[name]) for name, at_s in faults_s.items()]

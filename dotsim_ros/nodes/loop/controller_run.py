@@ -23,6 +23,7 @@ from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.nodes.simulated_time.participants import Participant, Publication
 from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
+from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.control.loop_recording import LoopRecording
 from dotsim_ros.tasks.policy.paths import DomeContact, ReferencePath, reference_path
 
@@ -114,9 +115,12 @@ class ControllerLoop:
     Args:
         controller: under test.
         path: that it is to follow: line, arc, figure_eight or press.
-        sensor: name or file of the simulated sensor.
+        sensor: name or file of the simulated sensor, a dome on which the paths lie.
         sensor_parameters, arm_parameters: of tactile_sim and xarm_sim.
         stepping: how simulated time goes.
+
+    Raises:
+        ValueError: the sensor is no such dome.
     """
 
     def __init__(
@@ -132,6 +136,7 @@ class ControllerLoop:
         stay_local()
         self._controller = controller
         self._contact = DomeContact()
+        _check_paths_lie_on(sensor, self._contact)
         self._path = reference_path(path, self._contact)
         self._alone = LoopSetup(
             policy="",
@@ -199,4 +204,15 @@ class ControllerLoop:
             begun_s,
             np.array(stamps_ns) / NANOSECONDS_PER_SECOND,
             np.array([msg_adapters.decode_pose_stamped(message)[0] for message in places]),
+        )
+
+
+def _check_paths_lie_on(sensor: str, contact: DomeContact) -> None:
+    gel = load_sensor(sensor).gel
+    if gel.shape != "dome" or not np.isclose(gel.outer_radius_m, contact.dome_radius_m):
+        what = f"of {1e3 * gel.outer_radius_m:g} mm radius" if gel.shape == "dome" else "no dome"
+        raise ValueError(
+            f"the sensor {sensor} has a gel of the shape {gel.shape}, {what}; expected a dome of "
+            f"{1e3 * contact.dome_radius_m:g} mm radius, on which the paths lie: name one, such as "
+            "densetact2"
         )
