@@ -53,7 +53,7 @@ def loop() -> Iterator[ControllerLoop]:
 
 def test_a_sensor_on_which_no_path_lies_is_refused() -> None:
     controller = Controller("sideways", [sys.executable, "-c", CODE])
-    with pytest.raises(ValueError, match=r"digit has a gel of the shape .* dome of 15.75 mm"):
+    with pytest.raises(ValueError, match=r"'digit' has the shape .* paths are for a dome"):
         ControllerLoop(controller, sensor="digit")
 
 

@@ -15,9 +15,16 @@ from geometry_msgs.msg import PoseStamped
 import msg_adapters
 from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.evaluation.trajectory.trials import trial_start
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.common.transport import stay_local
-from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, TimedFault
+from dotsim_ros.nodes.loop.closed_loop import (
+    SENSOR,
+    ClosedLoop,
+    LoopSetup,
+    TimedFault,
+    loop_parameters,
+)
 from dotsim_ros.nodes.loop.loop_time import SIMULATED
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.nodes.simulated_time.participants import Participant, Publication
@@ -25,7 +32,8 @@ from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.control.loop_recording import LoopRecording
-from dotsim_ros.tasks.policy.paths import DomeContact, ReferencePath, reference_path
+from dotsim_ros.tasks.policy.demonstration import contact_of
+from dotsim_ros.tasks.policy.paths import ReferencePath, reference_path
 
 PLACES = "indenter/pose"
 STANDING_M_S = 1e-4
@@ -115,12 +123,12 @@ class ControllerLoop:
     Args:
         controller: under test.
         path: that it is to follow: line, arc, figure_eight or press.
-        sensor: name or file of the simulated sensor, a dome on which the paths lie.
+        sensor: name or file of the simulated sensor, a dome; the paths are those on it.
         sensor_parameters, arm_parameters: of tactile_sim and xarm_sim.
         stepping: how simulated time goes.
 
     Raises:
-        ValueError: the sensor is no such dome.
+        ValueError: the sensor is no dome, or its indenter no ball.
     """
 
     def __init__(
@@ -135,8 +143,8 @@ class ControllerLoop:
     ) -> None:
         stay_local()
         self._controller = controller
-        self._contact = DomeContact()
-        _check_paths_lie_on(sensor, self._contact)
+        indenter = (loop_parameters(SENSOR) | dict(sensor_parameters or {}))["indenter"]
+        self._contact = contact_of(load_sensor(sensor), load_indenter(indenter))
         self._path = reference_path(path, self._contact)
         self._alone = LoopSetup(
             policy="",
@@ -204,15 +212,4 @@ class ControllerLoop:
             begun_s,
             np.array(stamps_ns) / NANOSECONDS_PER_SECOND,
             np.array([msg_adapters.decode_pose_stamped(message)[0] for message in places]),
-        )
-
-
-def _check_paths_lie_on(sensor: str, contact: DomeContact) -> None:
-    gel = load_sensor(sensor).gel
-    if gel.shape != "dome" or not np.isclose(gel.outer_radius_m, contact.dome_radius_m):
-        what = f"of {1e3 * gel.outer_radius_m:g} mm radius" if gel.shape == "dome" else "no dome"
-        raise ValueError(
-            f"the sensor {sensor} has a gel of the shape {gel.shape}, {what}; expected a dome of "
-            f"{1e3 * contact.dome_radius_m:g} mm radius, on which the paths lie: name one, such as "
-            "densetact2"
         )
