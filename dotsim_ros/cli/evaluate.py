@@ -36,9 +36,9 @@ examples:
   dotsim_ros evaluate geometry_later --data LATER --fit-data DIR --sensor FILE --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
-  dotsim_ros evaluate gelsight --data ../shared/real/gelsight --out docs/results
-  dotsim_ros evaluate gelsight_taxim --data ../shared/real/gelsight_taxim --out docs/results
-  dotsim_ros evaluate real_pair --data ../shared/real/densetact --out docs/results
+  dotsim_ros evaluate gelsight --data real/gelsight --out docs/results
+  dotsim_ros evaluate gelsight_taxim --data real/gelsight_taxim --out docs/results
+  dotsim_ros evaluate real_pair --data real/densetact --out docs/results
   dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
   dotsim_ros evaluate gap --sets DIR --sensor DIR/sensor_a.yaml --out docs/results
   dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
@@ -46,8 +46,8 @@ examples:
   dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
   dotsim_ros evaluate classification --data DIR --sensor FOLDER --gelsight DIR --out docs/results
   dotsim_ros evaluate tumour --presses 30 --judged 6 --out docs/results
-  dotsim_ros evaluate real_force --data ../shared/real/gelsight_mini_force --out docs/results
-  dotsim_ros evaluate real_cylinders --data ../shared/real/ecoflex_compression --out docs/results
+  dotsim_ros evaluate real_force --data real/gelsight_mini_force --out docs/results
+  dotsim_ros evaluate real_cylinders --data real/ecoflex_compression --out docs/results
 """
 
 from __future__ import annotations

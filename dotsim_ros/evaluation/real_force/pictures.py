@@ -3,7 +3,7 @@
 
 """The pictures of docs/real_data.md, from the results and the published data.
 
-python -m dotsim_ros.evaluation.real_force.pictures ../shared/real docs/results docs/images
+python -m dotsim_ros.evaluation.real_force.pictures real docs/results docs/images
 """
 
 from __future__ import annotations
