@@ -26,7 +26,6 @@ RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 # last. Tests of nodes mostly wait.
 IN_ORDER := --dist loadfile --no-loadscope-reorder
 SOLVING := -n 2 $(IN_ORDER)
-LONG_AND_LATE := test/unit/test_worker_pool.py
 WAITING := -n 3 $(IN_ORDER)
 
 # What the tests saw of bad input and faults, for docs/faults.md.
@@ -70,7 +69,7 @@ demo-loop: setup
 test: setup
 	@rm -f $(FAULTS)
 	export $(RUN); tests="python -m pytest -rs --faults=$(FAULTS) $(PYTEST_OPTIONS)"; failed=0; \
-	$$tests $(SOLVING) $(LONG_AND_LATE) test/physics test/unit || failed=1; \
+	$$tests $(SOLVING) test/physics test/unit || failed=1; \
 	$$tests $(WAITING) -m "not timed" test/ros || failed=1; \
 	$$tests -m timed test/ros || failed=1; \
 	exit $$failed
