@@ -20,7 +20,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
-from harness import PATIENCE_S, Executable, running, spin_in_background
+from harness import PATIENCE_S, Executable, measured_until, running, spin_in_background
 from rclpy.client import Client
 from sensor_msgs.msg import CompressedImage, Image
 from std_srvs.srv import SetBool, Trigger
@@ -36,7 +36,6 @@ FOLLOWED = (0.004, 0.0, 0.001, 0.0, 0.0, 0.02)
 DOWN = (1.0, 0.0, 0.0, 0.0)
 IMAGE_PERIOD_S, POSE_PERIOD_S = 0.04, 0.01
 QUIET_S = 0.25
-TRIES, LATE_S = 3, 1.0
 _numbers = itertools.count()
 
 
@@ -121,23 +120,13 @@ class Command:
 
 
 def stopping_times_s(stop: Callable[[], float], *, limit_s: float) -> list[float]:
-    """Stop the arm until it stops in time, three times at most, and return what each stop took.
-
-    A node that is late is so every time, a busy machine now and then.
+    """Stop the arm until it stops in time, as `measured_until` does; none may take a second.
 
     Args:
         stop: starts the arm, brings the fault about and returns how long the arm went on (s).
         limit_s: what is in time.
-
-    Raises:
-        AssertionError: no stop was in time, or one took a second.
     """
-    times_s: list[float] = []
-    while not times_s or times_s[-1] >= limit_s:
-        assert len(times_s) < TRIES, f"{times_s} s, where {limit_s} s are in time"
-        times_s.append(stop())
-        assert times_s[-1] < LATE_S
-    return times_s
+    return measured_until(stop, below=limit_s, never=1.0)
 
 
 class Observer:

@@ -69,10 +69,10 @@ def test_what_goes_wrong_is_found(
 
 def test_what_is_answered_is_no_finding() -> None:
     summary = run.run_target(
-        Target("planted", lambda folder: None, _hold), seconds=0.3, first_case=0
+        Target("planted", lambda folder: None, _hold), seconds=2.0, first_case=0
     )
     assert not summary.found
-    assert summary.case_count > 1
+    assert summary.case_count > 10
 
 
 def _refuse(words: str) -> object:
