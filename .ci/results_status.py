@@ -17,7 +17,9 @@ until they are measured anew; nothing new belongs there.
 
 A result is older than the code where that code is not what it was at the result's commit. What
 counts as its code is told in measured_code.py, what counts as a change in
-dotsim_ros/code_version.py. Older results are no error.
+dotsim_ros/code_version.py. Older results are no error. Data that were judged before anyone had seen
+them cannot be unseen again: docs/results/first_sight.yaml names such results, each with its reason
+and with the result of the same data that is made anew as code changes. They stay as they are.
 
 README.md and the pages of docs/ show figures beside a link to their result, its JSON file or its
 page. Behind the link to a result that is not current stands a mark, "(measured at commit ...)";
@@ -33,7 +35,7 @@ import os
 import re
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -44,6 +46,7 @@ from measured_code import Checkout
 
 RESULTS = Path("docs/results")
 EXCEPTIONS = "not_reproducible.yaml"
+FIRST_SIGHT = "first_sight.yaml"
 STATUS_PAGE = "status.md"
 INDEX_PAGE = "index.md"
 NONE = "none"
@@ -63,6 +66,7 @@ class State(Enum):
     """How a figure stands to the code of today; the last one is the worst."""
 
     CURRENT = "current"
+    FIRST_SIGHT = "record of first sight"
     OLDER = "older than the code"
     UNKNOWN = "older: unknown commit"
     NOT_REPRODUCIBLE = "not reproducible as recorded"
@@ -96,6 +100,19 @@ class Origin:
         """Return the commit's own digits, as many as were recorded; "" for none."""
         found = _COMMIT.fullmatch(self.commit)
         return found["hash"] if found else ""
+
+
+@dataclass(frozen=True)
+class FirstSight:
+    """Why a result is not made anew.
+
+    Attributes:
+        again: the result of the same data under the code of today, below docs/results.
+        reason: in a sentence.
+    """
+
+    again: Path
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -144,9 +161,11 @@ class Result:
         shown = worst[-1]
         if not shown.hash:
             return " (measured at an unrecorded commit)"
-        why = {State.OLDER: "before later changes", State.UNKNOWN: "not in this history"}.get(
-            self.state, "with uncommitted changes"
-        )
+        why = {
+            State.FIRST_SIGHT: "judged once, before later changes",
+            State.OLDER: "before later changes",
+            State.UNKNOWN: "not in this history",
+        }.get(self.state, "with uncommitted changes")
         others = len(self.commits) - 1
         among = f" and {others} other{'s' if others > 1 else ''}" if others else ""
         some = "some " if len(worst) < len(self.origins) else ""
@@ -183,14 +202,29 @@ def _records(value: Any, keys: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...
             yield from _records(inner, (*keys, str(index)))
 
 
-def read_results(checkout: Checkout) -> tuple[list[Result], dict[Path, str], list[str]]:
-    """Judge every result.
+@dataclass(frozen=True)
+class Judged:
+    """All results and what is said of some.
 
-    Returns:
-        The results, the reasons why some are not reproducible, and what is wrong.
+    Attributes:
+        results: of all files.
+        not_reproducible: the reason of each file that is not.
+        first_sight: by file.
+        problems: what is wrong.
     """
+
+    results: list[Result]
+    not_reproducible: dict[Path, str]
+    first_sight: dict[Path, FirstSight]
+    problems: list[str]
+
+
+def read_results(checkout: Checkout) -> Judged:
+    """Judge every result."""
     folder = checkout.root / RESULTS
     excused, problems = _exceptions(folder)
+    once, wrong_records = _records_of_first_sight(folder)
+    problems += wrong_records
     results = []
     for path in sorted(folder.rglob("*.json")):
         file = path.relative_to(folder)
@@ -204,6 +238,8 @@ def read_results(checkout: Checkout) -> tuple[list[Result], dict[Path, str], lis
         wrong: dict[str, list[str]] = {}
         for origin in origins:
             state, problem = _judge(origin, checkout, allowed)
+            if state is State.OLDER and file in once:
+                state = State.FIRST_SIGHT
             judged.append((origin, state))
             if problem:
                 wrong.setdefault(problem, []).append(origin.part or "the file itself")
@@ -219,8 +255,15 @@ def read_results(checkout: Checkout) -> tuple[list[Result], dict[Path, str], lis
         page = path.with_suffix(".md")
         shown_by = page if page.is_file() else path
         results.append(Result(file, shown_by.relative_to(folder), tuple(judged)))
-    missing = sorted(set(excused) - {result.file for result in results})
+    present = {result.file for result in results}
+    missing = sorted(set(excused) - present)
     problems += [f"{RESULTS / EXCEPTIONS}: there is no {file}: remove it" for file in missing]
+    problems += [
+        f"{RESULTS / FIRST_SIGHT}: there is no {name}, which {file} names"
+        for file, record in sorted(once.items())
+        for name in (file, record.again)
+        if name not in present
+    ]
     for page in sorted(folder.rglob("*.md")):
         has_figures = page not in (folder / STATUS_PAGE, folder / INDEX_PAGE)
         if has_figures and not page.with_suffix(".json").is_file():
@@ -228,7 +271,8 @@ def read_results(checkout: Checkout) -> tuple[list[Result], dict[Path, str], lis
                 f"{page.relative_to(checkout.root)}: no JSON file beside it says where its figures "
                 "come from"
             )
-    return results, {file: reason for file, (_, reason) in excused.items()}, problems
+    reasons = {file: reason for file, (_, reason) in excused.items()}
+    return Judged(results, reasons, once, problems)
 
 
 def _exceptions(folder: Path) -> tuple[dict[Path, tuple[tuple[str, ...], str]], list[str]]:
@@ -248,6 +292,25 @@ def _exceptions(folder: Path) -> tuple[dict[Path, tuple[tuple[str, ...], str]], 
                     f"(or {NONE}), and a `reason`"
                 )
     return excused, problems
+
+
+def _records_of_first_sight(folder: Path) -> tuple[dict[Path, FirstSight], list[str]]:
+    """Return what is said of each result that is not made anew, and what is wrong."""
+    path = folder / FIRST_SIGHT
+    if not path.is_file():
+        return {}, []
+    records = {}
+    problems = []
+    for file, entry in (yaml.safe_load(path.read_text(encoding="utf-8")) or {}).items():
+        match entry:
+            case {"again": str(again), "reason": str(reason)} if reason.strip() and again != file:
+                records[Path(file)] = FirstSight(Path(again), " ".join(reason.split()))
+            case _:
+                problems.append(
+                    f"{RESULTS / FIRST_SIGHT}: {file} needs `again`, the result of the same data "
+                    "that is made anew, and a `reason`"
+                )
+    return records, problems
 
 
 def _judge(origin: Origin, checkout: Checkout, allowed: Sequence[str]) -> tuple[State, str]:
@@ -292,8 +355,9 @@ def _commits(result: Result) -> str:
     return result.last.commit + (f" and {others} more" if others else "")
 
 
-def page_of(results: Sequence[Result], reasons: Mapping[Path, str], checkout: Checkout) -> str:
+def page_of(judged: Judged, checkout: Checkout) -> str:
     """Return the page of all results, for the documentation."""
+    results = judged.results
     counts = Counter(result.state for result in results)
     parts = [
         "# State of the results",
@@ -301,7 +365,8 @@ def page_of(results: Sequence[Result], reasons: Mapping[Path, str], checkout: Ch
         "the commit, the date and the command that it was made with. It is *current* if the code "
         "behind the command, the script and all Python files of this package that it imports, is "
         "the same now as at that commit; comments, docstrings and the places of files do not "
-        "count. Data files and other libraries are not compared. An *unknown commit* is not part "
+        "count. Data files and other libraries are not compared. A *record of first sight* judged "
+        "data that no one had seen, which cannot be done twice. An *unknown commit* is not part "
         "of the published history. Where README.md or a page of the documentation links to a "
         "result that is not current, it says so behind the link.",
         "; ".join(f"{counts[state]} {state.value}" for state in State if counts[state]) + ".",
@@ -311,6 +376,7 @@ def page_of(results: Sequence[Result], reasons: Mapping[Path, str], checkout: Ch
         for r in results
     ]
     parts.append(_table(("result", "commit", "date", "state", "command"), rows))
+    by_file = {result.file: result for result in results}
     several = [result for result in results if len(result.commits) > 1]
     if several:
         parts += [
@@ -335,12 +401,28 @@ def page_of(results: Sequence[Result], reasons: Mapping[Path, str], checkout: Ch
                 ],
             ),
         ]
-    if reasons:
+    if judged.first_sight:
+        parts += [
+            "## Records of first sight",
+            "Data that no one had seen were judged, by the code of that time. What is made anew as "
+            "code changes stands beside each, on the same data, which are known by then.",
+            _table(
+                ("result", "the same data anew", "why it stays"),
+                [
+                    (_linked(by_file[file]), _linked(by_file[record.again]), record.reason)
+                    for file, record in sorted(judged.first_sight.items())
+                    if file in by_file and record.again in by_file
+                ],
+            ),
+        ]
+    if judged.not_reproducible:
         parts += [
             "## Not reproducible as recorded",
             "Measured on a tree with changes that no commit holds, so that the commit alone does "
             "not give them again. They stand until they are measured anew.",
-            "\n".join(f"- {file}: {reason}" for file, reason in sorted(reasons.items())),
+            "\n".join(
+                f"- {file}: {reason}" for file, reason in sorted(judged.not_reproducible.items())
+            ),
         ]
     return "\n\n".join(parts) + "\n"
 
@@ -455,9 +537,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--check", action="store_true", help="compare only, and write nothing")
     given = parser.parse_args(arguments)
     checkout = Checkout(given.root)
-    results, reasons, problems = read_results(checkout)
-    print(table(results))
-    _print_listed(results, reasons)
+    judged = read_results(checkout)
+    problems = list(judged.problems)
+    print(table(judged.results))
+    _print_listed(judged)
     if not checkout.has_whole_history():
         partial = (
             "this is no clone with its whole history: commits are unknown, so the page and the "
@@ -469,49 +552,38 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             print(f"\nNote: {partial}")
     elif given.check:
-        problems += _not_up_to_date(checkout, results, reasons, given.markdown)
+        problems += _not_up_to_date(checkout, judged, given.markdown)
     else:
-        _write(checkout, results, reasons, given.markdown, given.mark)
+        _write(checkout, judged, given.markdown, given.mark)
     if problems:
         print("\nErrors:", *problems, sep="\n  ")
     return 1 if problems else 0
 
 
-def _print_listed(results: Sequence[Result], reasons: Mapping[Path, str]) -> None:
+def _print_listed(judged: Judged) -> None:
     for state in list(State)[1:-1]:
-        names = [str(result.file) for result in results if result.state is state]
+        names = [str(result.file) for result in judged.results if result.state is state]
         if names:
             print(f"\n{state.value.upper()}: {', '.join(names)}")
-    for file, reason in sorted(reasons.items()):
+    for file, reason in sorted(judged.not_reproducible.items()):
         print(f"  {file}: {reason}")
 
 
-def _write(
-    checkout: Checkout,
-    results: Sequence[Result],
-    reasons: Mapping[Path, str],
-    status_page: Path | None,
-    with_marks: bool,
-) -> None:
+def _write(checkout: Checkout, judged: Judged, status_page: Path | None, with_marks: bool) -> None:
     if status_page is not None:
-        status_page.write_text(page_of(results, reasons, checkout), encoding="utf-8")
+        status_page.write_text(page_of(judged, checkout), encoding="utf-8")
     for page in pages(checkout.root) if with_marks else ():
         before = page.read_text(encoding="utf-8")
-        after = marked(before, page.parent.relative_to(checkout.root), results)
+        after = marked(before, page.parent.relative_to(checkout.root), judged.results)
         if after != before:
             page.write_text(after, encoding="utf-8")
 
 
-def _not_up_to_date(
-    checkout: Checkout,
-    results: Sequence[Result],
-    reasons: Mapping[Path, str],
-    status_page: Path | None,
-) -> list[str]:
-    root, problems = checkout.root, []
+def _not_up_to_date(checkout: Checkout, judged: Judged, status_page: Path | None) -> list[str]:
+    root, results, problems = checkout.root, judged.results, []
     if status_page is not None:
         before = status_page.read_text(encoding="utf-8") if status_page.is_file() else ""
-        if before != page_of(results, reasons, checkout):
+        if before != page_of(judged, checkout):
             problems.append(f"{status_page} is not up to date: run `make results-status`")
     for page in pages(root):
         text, folder = page.read_text(encoding="utf-8"), page.parent.relative_to(root)

@@ -1,14 +1,15 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tests that were skipped: note them while the tests run, and refuse those without a known cause.
+"""Tests that did not run: note them while the others run, and refuse those without a known cause.
 
     PYTHONPATH=.ci pytest -p skips --skips FILE ...
     skips.py FILE
 
-The first adds each skip to a JSON file: what was skipped, why, and the areas of docs/faults.md that
-it would have shown answers of. The second fails on a skip for a reason that `KNOWN` does not list,
-or whose cause is not there: a test must not stop running unseen.
+The first adds each skip to a JSON file, what was skipped, why, and the areas of docs/faults.md that
+it would have shown answers of, and which files had tests that ran. The second fails on a skip for a
+reason that `KNOWN` does not list, or whose cause is not there, and on a file below test/ of which
+nothing ran, as where pytest leaves out a folder: a test must not stop running unseen.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -63,6 +65,7 @@ KNOWN: dict[str, Callable[[], bool]] = {
 """Reasons as the tests give them, and whether each holds on this machine."""
 
 _found: list[dict[str, object]] = []
+_files: set[str] = set()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -79,7 +82,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
-    """Note a test that was skipped; one that is known to fail is none."""
+    """Note the file, and a test that was skipped; one that is known to fail is none."""
+    _files.add(_file_of(report.nodeid))
     if report.skipped and not hasattr(report, "wasxfail"):
         _note(
             report, sorted({str(value) for name, value in report.user_properties if name == AREA})
@@ -89,9 +93,14 @@ def pytest_runtest_logreport(report: pytest.TestReport) -> None:
 def pytest_collectreport(report: pytest.CollectReport) -> None:
     """Note a file that was skipped, and all areas that its tests would have shown."""
     if report.skipped:
+        _files.add(_file_of(report.nodeid))
         path = ROOT / report.nodeid
         text = path.read_text(encoding="utf-8") if path.is_file() else ""
         _note(report, sorted(set(re.findall(r'mark\.fault\(\s*"([^"]+)"', text))))
+
+
+def _file_of(nodeid: str) -> str:
+    return nodeid.partition("::")[0]
 
 
 def _note(report: pytest.TestReport | pytest.CollectReport, areas: list[str]) -> None:
@@ -106,8 +115,18 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     path: Path | None = session.config.getoption("--skips")
     if path is None or hasattr(session.config, "workerinput"):
         return
-    before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else []
-    path.write_text(json.dumps([*before, *_found], indent=2) + "\n", encoding="utf-8")
+    before = read(path) if path.is_file() else {"skips": [], "files": []}
+    seen = {
+        "skips": [*before["skips"], *_found],
+        "files": sorted({*before["files"], *_files}),
+    }
+    path.write_text(json.dumps(seen, indent=2) + "\n", encoding="utf-8")
+
+
+def read(path: Path) -> dict[str, list[Any]]:
+    """Return what was noted in a file: `skips`, and `files` of which tests ran or were skipped."""
+    noted: dict[str, list[Any]] = json.loads(path.read_text(encoding="utf-8"))
+    return noted
 
 
 def unexpected(skips: list[dict[str, object]]) -> list[str]:
@@ -121,14 +140,26 @@ def unexpected(skips: list[dict[str, object]]) -> list[str]:
     ]
 
 
+def left_out(files: list[str], root: Path = ROOT) -> list[str]:
+    """Return the files of tests in a checkout of which nothing ran."""
+    there = {path.relative_to(root).as_posix() for path in (root / "test").rglob("test_*.py")}
+    return sorted(there - set(files))
+
+
 def main() -> int:
-    """Check the skips of a file; return the exit status."""
-    skips = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    wrong = unexpected(skips)
-    print(f"{len(skips)} skipped, {len(wrong)} without a known cause", *wrong, sep="\n")
+    """Check what a file notes; return the exit status."""
+    noted = read(Path(sys.argv[1]))
+    wrong = unexpected(noted["skips"])
+    print(f"{len(noted['skips'])} skipped, {len(wrong)} without a known cause", *wrong, sep="\n")
     if wrong:
         print("install what is missing, or name the cause in KNOWN of .ci/skips.py")
-    return min(len(wrong), 1)
+    missing = left_out(noted["files"])
+    print(
+        f"tests of {len(noted['files'])} files, {len(missing)} files left out", *missing, sep="\n"
+    )
+    if missing:
+        print("pytest did not come to them: see how `make test` names the folders")
+    return min(len(wrong) + len(missing), 1)
 
 
 if __name__ == "__main__":

@@ -96,7 +96,7 @@ class MadeUp:
 
     def states(self) -> dict[str, str]:
         checkout = self.tool.Checkout(self.root)
-        results, _, _ = self.tool.read_results(checkout)
+        results = self.tool.read_results(checkout).results
         return {str(r.file.with_suffix("")): r.state.name for r in results}
 
 
@@ -385,6 +385,38 @@ def test_an_exception_is_shown_and_must_be_needed(made_up, capsys):
     assert "there is no geometry.json: remove it" in capsys.readouterr().out
     made_up.write({"docs/results/not_reproducible.yaml": "geometry.json: it is old\n"})
     assert made_up.run("--mark") == 1
+
+
+def test_a_record_of_first_sight_stays_beside_what_is_made_anew(made_up, capsys):
+    record = (
+        "geometry.json:\n  again: again/geometry.json\n  reason: No one had seen the presses.\n"
+    )
+    first = commit_of(made_up.root)
+    made_up.record("geometry", GEOMETRY)
+    made_up.write({"docs/results/first_sight.yaml": record})
+    assert made_up.run("--mark") == 1
+    assert "there is no again/geometry.json, which geometry.json names" in capsys.readouterr().out
+    made_up.record("again/geometry", GEOMETRY)
+    assert made_up.states() == {"geometry": "CURRENT", "again/geometry": "CURRENT"}
+
+    made_up.change("dotsim_ros/gel.py", "1.0", "1.5")
+    made_up.commit()
+    assert made_up.states() == {"geometry": "FIRST_SIGHT", "again/geometry": "OLDER"}
+    made_up.record("again/geometry", GEOMETRY)
+    assert made_up.states() == {"geometry": "FIRST_SIGHT", "again/geometry": "CURRENT"}
+    assert made_up.run("--mark") == 0
+    assert "RECORD OF FIRST SIGHT: geometry.json" in capsys.readouterr().out
+    readme = (made_up.root / "README.md").read_text(encoding="utf-8")
+    assert f"(measured at commit {first[:7]}, judged once, before later changes)" in readme
+    page = (made_up.root / "docs/results/status.md").read_text(encoding="utf-8")
+    linked = "| [geometry](geometry.json) | [again/geometry](again/geometry.json) |"
+    assert f"{linked} No one had seen the presses. |" in page
+
+    made_up.record("geometry", GEOMETRY, "0123456789ab-dirty")
+    assert made_up.states()["geometry"] == "REFUSED"
+    made_up.write({"docs/results/first_sight.yaml": "geometry.json:\n  reason: It is old.\n"})
+    assert made_up.run("--mark") == 1
+    assert "geometry.json needs `again`" in capsys.readouterr().out
 
 
 def test_a_page_of_figures_without_its_file_fails(made_up, capsys):

@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import importlib
-import json
 import os
 import subprocess
 import sys
@@ -55,13 +54,15 @@ def test_a_skip_is_noted_and_one_without_a_known_cause_is_refused(
         command, cwd=tmp_path, env=os.environ | paths, capture_output=True, text=True, check=False
     )
     assert "1 passed, 3 skipped, 1 xfailed" in done.stdout
-    noted = json.loads((tmp_path / "skips.json").read_text())
+    skips = tool("skips")
+    seen = skips.read(tmp_path / "skips.json")
+    assert seen["files"] == ["test_module.py", "test_some.py"]
+    noted = seen["skips"]
     assert {skip["test"].partition("::")[2]: skip["areas"] for skip in noted} == {
         "": [],
         "test_skipped": ["view"],
         "test_skips_itself": [],
     }
-    skips = tool("skips")
     assert [line.partition(": skipped: ")[2] for line in skips.unexpected(noted)] == [
         "could not import 'nowhere': No module named 'nowhere'",
         "for no good reason",
@@ -72,6 +73,27 @@ def test_a_skip_is_noted_and_one_without_a_known_cause_is_refused(
     assert not skips.unexpected(missing)
     (tmp_path / "ccx").touch(mode=0o755)
     assert skips.unexpected(missing)
+
+
+def test_a_file_that_pytest_did_not_come_to_is_found(tool: Any, tmp_path: Path) -> None:
+    for name in ("unit/test_first.py", "unit/test_second.py"):
+        (tmp_path / "test" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "test" / name).write_text("def test_runs():\n    pass\n")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "skips", "--skips=skips.json"]
+    paths = {"PYTHONPATH": str(ROOT / ".ci")}
+
+    def run(*given: str) -> list[str]:
+        subprocess.run(
+            [*command, f"--rootdir={tmp_path}", "-p", "no:cacheprovider", *given],
+            cwd=tmp_path, env=os.environ | paths, capture_output=True, check=True,
+        )  # fmt: skip
+        skips = tool("skips")
+        found: list[str] = skips.left_out(skips.read(tmp_path / "skips.json")["files"], tmp_path)
+        return found
+
+    assert run("test/unit/test_second.py") == ["test/unit/test_first.py"]
+    # What another part of the run comes to is added.
+    assert run("test/unit/test_first.py") == []
 
 
 ROWS = {"view": {("cut", "is shown"), ("full", "says so")}, "find-gap": {("no pose", "says so")}}
