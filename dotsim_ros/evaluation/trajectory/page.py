@@ -77,7 +77,7 @@ NOT_SO = (
 )
 SIMULATED_TIME = (
     "All nodes go on in steps together, with delays of camera and policy as they were measured in "
-    "real time: the figures are the same on any machine."
+    "real time: the figures are the same however busy the machine, on processors of one kind."
 )
 REAL_TIME = (
     "Everything shares the machine, and what comes late is late: the figures depend on the machine "
