@@ -62,6 +62,7 @@ def _functions() -> dict[str, Callable[[Any], str]]:
         "gap": gap_page,
         "gap_physics": solved_page,
         "gap_physics_new/gap_physics": solved_page,
+        "gap_physics_new_again/gap_physics": solved_page,
         "gap_physics_rule_9/gap_physics": solved_page,
         "gelsight": gelsight_page,
         "gelsight_taxim": gelsight_taxim_page,
