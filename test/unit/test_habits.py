@@ -11,6 +11,7 @@ import re
 import subprocess
 import tomllib
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -207,6 +208,12 @@ def test_files_that_a_page_names_are_there(name: str) -> None:
 def license_headers(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.syspath_prepend(str(ROOT / ".ci"))
     return importlib.import_module("license_headers")
+
+
+def test_no_two_files_of_tests_have_the_same_name() -> None:
+    """As pytest imports them by that name, a run of the whole folder would end at the second."""
+    names = Counter(path.name for path in (ROOT / "test").rglob("test_*.py"))
+    assert [name for name, count in names.items() if count > 1] == []
 
 
 def test_every_source_file_says_its_licence(license_headers: Any) -> None:
