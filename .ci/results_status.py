@@ -275,14 +275,16 @@ def read_results(checkout: Checkout) -> Judged:
     return Judged(results, reasons, once, problems)
 
 
+def _entries(path: Path) -> dict[str, Any]:
+    """Return what a file says of results, by their files; nothing where it is not there."""
+    return (yaml.safe_load(path.read_text(encoding="utf-8")) or {}) if path.is_file() else {}
+
+
 def _exceptions(folder: Path) -> tuple[dict[Path, tuple[tuple[str, ...], str]], list[str]]:
     """Return commits and reason of each file that is excused, and what is wrong."""
-    path = folder / EXCEPTIONS
-    if not path.is_file():
-        return {}, []
     excused = {}
     problems = []
-    for file, entry in (yaml.safe_load(path.read_text(encoding="utf-8")) or {}).items():
+    for file, entry in _entries(folder / EXCEPTIONS).items():
         match entry:
             case {"commits": [_, *_] as commits, "reason": str(reason)} if reason.strip():
                 excused[Path(file)] = (tuple(map(str, commits)), " ".join(reason.split()))
@@ -296,12 +298,9 @@ def _exceptions(folder: Path) -> tuple[dict[Path, tuple[tuple[str, ...], str]], 
 
 def _records_of_first_sight(folder: Path) -> tuple[dict[Path, FirstSight], list[str]]:
     """Return what is said of each result that is not made anew, and what is wrong."""
-    path = folder / FIRST_SIGHT
-    if not path.is_file():
-        return {}, []
     records = {}
     problems = []
-    for file, entry in (yaml.safe_load(path.read_text(encoding="utf-8")) or {}).items():
+    for file, entry in _entries(folder / FIRST_SIGHT).items():
         match entry:
             case {"again": str(again), "reason": str(reason)} if reason.strip() and again != file:
                 records[Path(file)] = FirstSight(Path(again), " ".join(reason.split()))
