@@ -20,6 +20,8 @@ import sys
 from collections.abc import Set
 from pathlib import Path
 
+from skips import read
+
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "faults.md"
 # By its path: the tests have several files of this name.
@@ -115,7 +117,7 @@ def main() -> int:
         PAGE.write_text(page(now), encoding="utf-8")
         print(f"{sum(map(len, now.values()))} answers in {PAGE.relative_to(ROOT)}")
         return 0
-    skips = json.loads(given.skips.read_text(encoding="utf-8"))["skips"] if given.skips else []
+    skips = read(given.skips)["skips"] if given.skips else []
     skipped = {area for skip in skips for area in skip["areas"]}
     wrong = differences(read_page(PAGE.read_text(encoding="utf-8")), now, skipped)
     if wrong:

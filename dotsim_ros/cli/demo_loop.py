@@ -6,9 +6,8 @@
 Starts tactile_sim, tactile_policy, xarm_sim and tactile_record as processes of their own, which
 talk over DDS, and enables the policy until it has made its laps. In simulated time, the default,
 the nodes go on in steps together: what comes out does not depend on what else the machine does.
-Leaves the bag
-OUT/loop, the image of the path OUT/path.png, the figures of the bag in OUT/report.json, and the
-report OUT/report.html and OUT/report.md.
+Leaves the bag OUT/loop, the image of the path OUT/path.png, the figures of the bag in
+OUT/report.json, and the report OUT/report.html and OUT/report.md.
 Needs ROS 2. DDS stays on this machine unless the environment names a Fast DDS profile.
 
 example:

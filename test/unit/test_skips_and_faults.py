@@ -42,17 +42,22 @@ def tool(monkeypatch: pytest.MonkeyPatch) -> Any:
     return importlib.import_module
 
 
+def run_tests(folder: Path, *given: str) -> subprocess.CompletedProcess[str]:
+    """Run the tests of a folder, noting in its skips.json what did not run."""
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "skips", "--skips=skips.json"]
+    command += ["-p", "no:cacheprovider", *given]
+    paths = {"PYTHONPATH": str(ROOT / ".ci")}
+    return subprocess.run(
+        command, cwd=folder, env=os.environ | paths, capture_output=True, text=True, check=False
+    )
+
+
 def test_a_skip_is_noted_and_one_without_a_known_cause_is_refused(
     tool: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "test_some.py").write_text(TESTS)
     (tmp_path / "test_module.py").write_text('import pytest\npytest.importorskip("nowhere")\n')
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "skips", "--skips=skips.json"]
-    command += ["-W", "ignore", "-p", "no:cacheprovider"]
-    paths = {"PYTHONPATH": str(ROOT / ".ci")}
-    done = subprocess.run(
-        command, cwd=tmp_path, env=os.environ | paths, capture_output=True, text=True, check=False
-    )
+    done = run_tests(tmp_path, "-W", "ignore")
     assert "1 passed, 3 skipped, 1 xfailed" in done.stdout
     skips = tool("skips")
     seen = skips.read(tmp_path / "skips.json")
@@ -79,21 +84,17 @@ def test_a_file_that_pytest_did_not_come_to_is_found(tool: Any, tmp_path: Path) 
     for name in ("unit/test_first.py", "unit/test_second.py"):
         (tmp_path / "test" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "test" / name).write_text("def test_runs():\n    pass\n")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "skips", "--skips=skips.json"]
-    paths = {"PYTHONPATH": str(ROOT / ".ci")}
+    skips = tool("skips")
 
-    def run(*given: str) -> list[str]:
-        subprocess.run(
-            [*command, f"--rootdir={tmp_path}", "-p", "no:cacheprovider", *given],
-            cwd=tmp_path, env=os.environ | paths, capture_output=True, check=True,
-        )  # fmt: skip
-        skips = tool("skips")
-        found: list[str] = skips.left_out(skips.read(tmp_path / "skips.json")["files"], tmp_path)
+    def missed_by(file: str) -> list[str]:
+        assert run_tests(tmp_path, f"--rootdir={tmp_path}", file).returncode == 0
+        files = skips.read(tmp_path / "skips.json")["files"]
+        found: list[str] = skips.left_out(files, tmp_path)
         return found
 
-    assert run("test/unit/test_second.py") == ["test/unit/test_first.py"]
+    assert missed_by("test/unit/test_second.py") == ["test/unit/test_first.py"]
     # What another part of the run comes to is added.
-    assert run("test/unit/test_first.py") == []
+    assert missed_by("test/unit/test_first.py") == []
 
 
 ROWS = {"view": {("cut", "is shown"), ("full", "says so")}, "find-gap": {("no pose", "says so")}}
