@@ -40,8 +40,11 @@ def is_at_rest(frame: TactileFrame) -> bool:
 
 def press(client: Client, depth_m: float) -> TactileFrame:
     """Come from afar, so that the press is a motion from rest, and hold."""
-    client.send((0.0, 0.0, APEX_M + 0.05))
-    client.next_frame(is_at_rest)
+    afar_m = [0.0, 0.0, APEX_M + 0.05]
+    client.send(afar_m)
+    # A sensor at rest sends such frames before it hears of the pose, and would not hear of it at
+    # all if the next one came meanwhile: only the newest counts.
+    client.next_frame(lambda frame: is_at_rest(frame) and frame.indenter_m() == afar_m)
     pose_m = [0.0, 0.0, APEX_M - depth_m]
     client.send((pose_m[0], pose_m[1], pose_m[2]))
     return client.next_frame(lambda frame: is_pressed(frame) and frame.indenter_m() == pose_m)
