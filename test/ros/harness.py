@@ -106,9 +106,9 @@ class Executable:
             self._changed.wait_for(is_over, START_PATIENCE_S)
         assert text in self.log, f"no line with {text!r} in:\n{self.log}"
 
-    def exit_status(self) -> int:
+    def exit_status(self, patience_s: float = START_PATIENCE_S) -> int:
         """Wait for the process to end by itself."""
-        status = self.process.wait(START_PATIENCE_S)
+        status = self.process.wait(patience_s)
         self._reader.join(PATIENCE_S)
         return status
 
@@ -319,7 +319,9 @@ class Client:
         self._poses = self.node.create_publisher(
             PoseStamped, "indenter/pose", QoSProfile(history=HistoryPolicy.KEEP_ALL)
         )
-        for topic, kind in {**topics, STATE_TOPIC: PoseStamped}.items():
+        # The state first: of what is ready together, what was subscribed first is taken first, so
+        # that a whole frame has its state.
+        for topic, kind in {STATE_TOPIC: PoseStamped, **topics}.items():
             self.node.create_subscription(kind, topic, self._collector(topic), 50)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self._thread = None if is_deaf else spin_in_background(self.node)

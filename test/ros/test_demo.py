@@ -24,7 +24,7 @@ def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):
         check=False,
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=600,
     )
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in tmp_path.iterdir()) == [

@@ -30,9 +30,9 @@ class Listener:
 
     def __init__(self, *, answer_after_s=None):
         self.poses = []
-        self.answered_before = []
+        self.written_ns = []
+        self.answered_ns = []
         self._answer_after_s = answer_after_s
-        self._answers = 0
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self._node = rclpy.create_node("listener", context=self._context)
@@ -40,13 +40,13 @@ class Listener:
         self._node.create_subscription(PoseStamped, "indenter/pose", self._on_pose, KEEP_ALL)
         self._thread = spin_in_background(self._node)
 
-    def _on_pose(self, message):
-        self.answered_before.append(self._answers)
+    def _on_pose(self, message, info):
+        self.written_ns.append(info["source_timestamp"])
         self.poses.append(message)
         if self._answer_after_s is None:
             return
         time.sleep(self._answer_after_s)
-        self._answers += 1
+        self.answered_ns.append(time.time_ns())
         self._wrench.publish(
             msg_adapters.encode_wrench_stamped(
                 (0, 0, 0),
@@ -190,7 +190,10 @@ def test_lockstep_sends_a_pose_only_after_the_answer_to_the_one_before():
             hold_s=0.0,
             wait_for_answer="true",
         )
-    assert listener.answered_before == list(range(len(listener.poses)))
+    # When a pose was written, not when it was read: they are read one after the other in any case.
+    written_ns, answered_ns = np.array(listener.written_ns), np.array(listener.answered_ns)
+    assert len(written_ns) == len(answered_ns) > 5
+    assert (written_ns[1:] > answered_ns[:-1]).all()
 
 
 def test_lockstep_goes_on_without_an_answer():

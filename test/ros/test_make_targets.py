@@ -60,7 +60,7 @@ def test_demo_loop_leaves_a_bag_a_picture_and_a_report(tmp_path: Path) -> None:
 
     demo = made("demo-loop", tmp_path, "--path", "line", "--laps", "0.02")
     try:
-        assert demo.exit_status() == 0, demo.log
+        assert demo.exit_status(600.0) == 0, demo.log
     finally:
         demo.end()
     folder = tmp_path / "demo-loop"

@@ -50,7 +50,7 @@ def test_the_example_of_a_test_is_one() -> None:
     file = EXAMPLES.joinpath("test_my_controller.py")
     command = [sys.executable, "-m", "pytest", "-q", "-n0", "-p", "no:cacheprovider", str(file)]
     done = subprocess.run(
-        [*command, "-k", "arm"], capture_output=True, text=True, timeout=200, check=False
+        [*command, "-k", "arm"], capture_output=True, text=True, timeout=600, check=False
     )
     assert done.returncode == 0, done.stdout
     assert "1 passed, 3 deselected" in done.stdout

@@ -362,9 +362,8 @@ def test_a_full_disk_keeps_what_is_written(tmp_path, answered):
             message = msg_adapters.encode_image(
                 image, encoding="rgb8", stamp_ns=10**9 + number, frame_id="camera"
             )
-            source.send("image_raw", message)
             # So soon one after the other that no chunk is written before it is full.
-            time.sleep(0.01)
+            source.send("image_raw", message)
         assert recorder.exit_status() == 1, recorder.log
         errors = [each for each in source.statuses if each.level == msg_adapters.Level.ERROR]
     assert "Traceback" not in recorder.log

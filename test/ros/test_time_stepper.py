@@ -132,7 +132,9 @@ def test_pause_step_and_reset(steps: Session) -> None:
     counts = [count for _, count, _, _ in steps.ticks]
     (anew,) = _new_starts(steps)
     assert counts[anew + 1] == 1
-    np.testing.assert_array_equal(np.diff(steps.clock_ns), STEP_NS)
+    # The start may be told more than once, to a worker that answers late.
+    stepped_ns = [each for each in steps.clock_ns if each > 7_000_000_000]
+    np.testing.assert_array_equal(np.diff(stepped_ns), STEP_NS)
     assert stepper.interrupt() == 0
 
 
@@ -205,8 +207,8 @@ def test_another_clock_begins_in_the_middle(steps: Session, answered: Callable[.
     assert "another node publishes /clock" in line
     answered(line)
     # It is no better before the start.
-    again = steps.step(patience_s=5.0)
-    assert "another node publishes /clock" in steps.reason(again)
+    steps.step()
+    steps.wait_for_hindrance("another node publishes /clock")
     steps.node.destroy_publisher(clock)
 
 
