@@ -11,9 +11,7 @@ only compares, for CI. Both exit with 1 where a figure has no commit, comes from
 uncommitted changes, or says no command that is known, and in a clone without its whole history.
 
 A result is every JSON file below docs/results. Its provenance stands at its top, under
-`provenance` or `origin`, and in rows that were made in other runs. Figures that cannot be had
-again as they were recorded may stand in docs/results/not_reproducible.yaml, each with its reason,
-until they are measured anew; nothing new belongs there.
+`provenance` or `origin`, and in rows that were made in other runs.
 
 A result is older than the code where that code is not what it was at the result's commit. What
 counts as its code is told in measured_code.py, what counts as a change in
@@ -45,7 +43,6 @@ import yaml
 from measured_code import Checkout
 
 RESULTS = Path("docs/results")
-EXCEPTIONS = "not_reproducible.yaml"
 FIRST_SIGHT = "first_sight.yaml"
 STATUS_PAGE = "status.md"
 INDEX_PAGE = "index.md"
@@ -69,7 +66,6 @@ class State(Enum):
     FIRST_SIGHT = "record of first sight"
     OLDER = "older than the code"
     UNKNOWN = "older: unknown commit"
-    NOT_REPRODUCIBLE = "not reproducible as recorded"
     REFUSED = "error"
 
 
@@ -208,13 +204,11 @@ class Judged:
 
     Attributes:
         results: of all files.
-        not_reproducible: the reason of each file that is not.
         first_sight: by file.
         problems: what is wrong.
     """
 
     results: list[Result]
-    not_reproducible: dict[Path, str]
     first_sight: dict[Path, FirstSight]
     problems: list[str]
 
@@ -222,9 +216,7 @@ class Judged:
 def read_results(checkout: Checkout) -> Judged:
     """Judge every result."""
     folder = checkout.root / RESULTS
-    excused, problems = _exceptions(folder)
-    once, wrong_records = _records_of_first_sight(folder)
-    problems += wrong_records
+    once, problems = _records_of_first_sight(folder)
     results = []
     for path in sorted(folder.rglob("*.json")):
         file = path.relative_to(folder)
@@ -233,11 +225,10 @@ def read_results(checkout: Checkout) -> Judged:
         except ValueError as error:
             problems.append(f"{RESULTS / file} cannot be read: {error}")
             continue
-        allowed = excused.get(file, ((), ""))[0]
         judged = []
         wrong: dict[str, list[str]] = {}
         for origin in origins:
-            state, problem = _judge(origin, checkout, allowed)
+            state, problem = _judge(origin, checkout)
             if state is State.OLDER and file in once:
                 state = State.FIRST_SIGHT
             judged.append((origin, state))
@@ -246,18 +237,10 @@ def read_results(checkout: Checkout) -> Judged:
         problems += [
             f"{RESULTS / file}: {problem} ({', '.join(parts)})" for problem, parts in wrong.items()
         ]
-        recorded = {origin.commit for origin in origins if not origin.is_clean}
-        problems += [
-            f"{RESULTS / EXCEPTIONS}: {file} has no figures of {commit} (any more): remove it"
-            for commit in allowed
-            if commit not in recorded
-        ]
         page = path.with_suffix(".md")
         shown_by = page if page.is_file() else path
         results.append(Result(file, shown_by.relative_to(folder), tuple(judged)))
     present = {result.file for result in results}
-    missing = sorted(set(excused) - present)
-    problems += [f"{RESULTS / EXCEPTIONS}: there is no {file}: remove it" for file in missing]
     problems += [
         f"{RESULTS / FIRST_SIGHT}: there is no {name}, which {file} names"
         for file, record in sorted(once.items())
@@ -271,36 +254,16 @@ def read_results(checkout: Checkout) -> Judged:
                 f"{page.relative_to(checkout.root)}: no JSON file beside it says where its figures "
                 "come from"
             )
-    reasons = {file: reason for file, (_, reason) in excused.items()}
-    return Judged(results, reasons, once, problems)
-
-
-def _entries(path: Path) -> dict[str, Any]:
-    """Return what a file says of results, by their files; nothing where it is not there."""
-    return (yaml.safe_load(path.read_text(encoding="utf-8")) or {}) if path.is_file() else {}
-
-
-def _exceptions(folder: Path) -> tuple[dict[Path, tuple[tuple[str, ...], str]], list[str]]:
-    """Return commits and reason of each file that is excused, and what is wrong."""
-    excused = {}
-    problems = []
-    for file, entry in _entries(folder / EXCEPTIONS).items():
-        match entry:
-            case {"commits": [_, *_] as commits, "reason": str(reason)} if reason.strip():
-                excused[Path(file)] = (tuple(map(str, commits)), " ".join(reason.split()))
-            case _:
-                problems.append(
-                    f"{RESULTS / EXCEPTIONS}: {file} needs `commits`, a list of those recorded "
-                    f"(or {NONE}), and a `reason`"
-                )
-    return excused, problems
+    return Judged(results, once, problems)
 
 
 def _records_of_first_sight(folder: Path) -> tuple[dict[Path, FirstSight], list[str]]:
     """Return what is said of each result that is not made anew, and what is wrong."""
+    path = folder / FIRST_SIGHT
+    entries = (yaml.safe_load(path.read_text(encoding="utf-8")) or {}) if path.is_file() else {}
     records = {}
     problems = []
-    for file, entry in _entries(folder / FIRST_SIGHT).items():
+    for file, entry in entries.items():
         match entry:
             case {"again": str(again), "reason": str(reason)} if reason.strip() and again != file:
                 records[Path(file)] = FirstSight(Path(again), " ".join(reason.split()))
@@ -312,11 +275,9 @@ def _records_of_first_sight(folder: Path) -> tuple[dict[Path, FirstSight], list[
     return records, problems
 
 
-def _judge(origin: Origin, checkout: Checkout, allowed: Sequence[str]) -> tuple[State, str]:
+def _judge(origin: Origin, checkout: Checkout) -> tuple[State, str]:
     """Return the state of figures, and what is wrong with them; "" for nothing."""
     if not origin.is_clean:
-        if origin.commit in allowed:
-            return State.NOT_REPRODUCIBLE, ""
         if origin.commit == NONE:
             return State.REFUSED, "no commit is recorded; measure it anew in a checkout"
         return State.REFUSED, (
@@ -412,15 +373,6 @@ def page_of(judged: Judged, checkout: Checkout) -> str:
                     for file, record in sorted(judged.first_sight.items())
                     if file in by_file and record.again in by_file
                 ],
-            ),
-        ]
-    if judged.not_reproducible:
-        parts += [
-            "## Not reproducible as recorded",
-            "Measured on a tree with changes that no commit holds, so that the commit alone does "
-            "not give them again. They stand until they are measured anew.",
-            "\n".join(
-                f"- {file}: {reason}" for file, reason in sorted(judged.not_reproducible.items())
             ),
         ]
     return "\n\n".join(parts) + "\n"
@@ -564,8 +516,6 @@ def _print_listed(judged: Judged) -> None:
         names = [str(result.file) for result in judged.results if result.state is state]
         if names:
             print(f"\n{state.value.upper()}: {', '.join(names)}")
-    for file, reason in sorted(judged.not_reproducible.items()):
-        print(f"  {file}: {reason}")
 
 
 def _write(checkout: Checkout, judged: Judged, status_page: Path | None, with_marks: bool) -> None:

@@ -361,32 +361,6 @@ def test_rows_of_other_runs_are_judged_by_their_own_commit(made_up, capsys):
     ).read_text(encoding="utf-8")
 
 
-def test_an_exception_is_shown_and_must_be_needed(made_up, capsys):
-    made_up.record("geometry", GEOMETRY, "0123456789ab-dirty")
-    exceptions = {"docs/results/not_reproducible.yaml": (
-        "geometry.json:\n  commits: [0123456789ab-dirty]\n  reason: It is from before.\n"
-    )}  # fmt: skip
-    made_up.write(exceptions)
-    assert made_up.states() == {"geometry": "NOT_REPRODUCIBLE"}
-    assert made_up.run("--mark") == 0
-    out = capsys.readouterr().out
-    assert "NOT REPRODUCIBLE AS RECORDED: geometry.json\n  geometry.json: It is from before." in out
-    assert "(measured at commit 0123456, with uncommitted changes)" in (
-        made_up.root / "README.md"
-    ).read_text(encoding="utf-8")
-
-    made_up.record("geometry", GEOMETRY, "ba9876543210-dirty")
-    assert made_up.run("--mark") == 1
-    made_up.record("geometry", GEOMETRY)
-    assert made_up.run("--mark") == 1
-    assert "has no figures of 0123456789ab-dirty (any more): remove it" in capsys.readouterr().out
-    (made_up.root / "docs/results/geometry.json").unlink()
-    assert made_up.run("--mark") == 1
-    assert "there is no geometry.json: remove it" in capsys.readouterr().out
-    made_up.write({"docs/results/not_reproducible.yaml": "geometry.json: it is old\n"})
-    assert made_up.run("--mark") == 1
-
-
 def test_a_record_of_first_sight_stays_beside_what_is_made_anew(made_up, capsys):
     record = (
         "geometry.json:\n  again: again/geometry.json\n  reason: No one had seen the presses.\n"
