@@ -260,10 +260,11 @@ def read_results(checkout: Checkout) -> Judged:
 def _records_of_first_sight(folder: Path) -> tuple[dict[Path, FirstSight], list[str]]:
     """Return what is said of each result that is not made anew, and what is wrong."""
     path = folder / FIRST_SIGHT
-    entries = (yaml.safe_load(path.read_text(encoding="utf-8")) or {}) if path.is_file() else {}
+    if not path.is_file():
+        return {}, []
     records = {}
     problems = []
-    for file, entry in entries.items():
+    for file, entry in (yaml.safe_load(path.read_text(encoding="utf-8")) or {}).items():
         match entry:
             case {"again": str(again), "reason": str(reason)} if reason.strip() and again != file:
                 records[Path(file)] = FirstSight(Path(again), " ".join(reason.split()))

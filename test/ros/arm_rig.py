@@ -129,13 +129,17 @@ class ArmClient:
         return self.node.get_clock().now().nanoseconds
 
     def positions(
-        self, since_s: float = -np.inf, *, sent_after_ns: int = 0
+        self, since_s: float = -np.inf, *, sent_after_ns: float = 0, sent_before_ns: float = np.inf
     ) -> tuple[np.ndarray[Any, Any], ...]:
         """Return the stamps (N,) in seconds and positions (N, 3) of the poses heard since a time,
-        of those that were sent after another."""
+        of those that were sent between two others."""
         with self._changed:
             heard = [message for arrival_s, message in self.heard["ee_pose"] if arrival_s > since_s]
-        found = [each for each in heard if msg_adapters.message_stamp_ns(each) > sent_after_ns]
+        found = [
+            each
+            for each in heard
+            if sent_after_ns < msg_adapters.message_stamp_ns(each) < sent_before_ns
+        ]
         stamps = np.array([msg_adapters.message_stamp_ns(message) for message in found])
         places = np.array([msg_adapters.decode_pose_stamped(message)[0] for message in found])
         return 1e-9 * (stamps - stamps[:1]), places

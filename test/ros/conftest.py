@@ -28,6 +28,7 @@ stay_local()
 os.environ.setdefault("ROS_LOG_DIR", tempfile.mkdtemp(prefix="dotsim_ros_log_"))
 TIMED = {
     "test_closed_loop",
+    "test_drop_in",
     "test_realtime",
     "test_tactile_policy",
     "test_tactile_policy_loop",
@@ -41,7 +42,6 @@ LONG = (
     "test_effects_overlay",
     "test_time_stepper",
     "test_ros_examples",
-    "test_drop_in",
     "test_demo",
 )
 """Files that begin first, so that the end does not wait for one of them."""

@@ -356,6 +356,10 @@ class Client:
         # What the publishers know of their readers comes on its own way.
         self.wait(lambda: bool(self.diagnostics), "diagnostics")
 
+    def now_ns(self) -> int:
+        """Return the time that messages are stamped with."""
+        return self.node.get_clock().now().nanoseconds
+
     def send(
         self,
         position_m: Sequence[float],
@@ -368,7 +372,7 @@ class Client:
         message = PoseStamped()
         message.header.frame_id = frame_id
         if stamp_ns is None:
-            stamp_ns = self.node.get_clock().now().nanoseconds
+            stamp_ns = self.now_ns()
         message.header.stamp = msg_adapters.encode_stamp(stamp_ns)
         point, rotation = message.pose.position, message.pose.orientation
         point.x, point.y, point.z = map(float, position_m)
@@ -404,7 +408,7 @@ class Client:
 
     def state_from_now(self, part: str) -> msg_adapters.Status:
         """Wait for a diagnostic of a part that is written from now on, and return it."""
-        name, now_ns = f"tactile_sim: {part}", self.node.get_clock().now().nanoseconds
+        name, now_ns = f"tactile_sim: {part}", self.now_ns()
         self.wait(lambda: self._diagnosed_ns.get(name, 0) > now_ns, f"a new state of {part}")
         return self.diagnostics[name]
 

@@ -162,7 +162,7 @@ def test_a_finger_takes_poses_in_its_own_frame(folder: Path) -> None:
             above = msg_adapters.encode_pose_stamped(
                 (0.0, 0.0, 0.03),
                 (0.0, 0.0, 0.0, 1.0),
-                stamp_ns=client.node.get_clock().now().nanoseconds,
+                stamp_ns=client.now_ns(),
                 frame_id="left_densetact_base",
             )
             poses.publish(above)

@@ -198,7 +198,7 @@ def test_ten_thousand_poses_a_second_leave_the_frames_running(session: Session) 
     count = frames_so_far(client) - before
     # The flood takes more than a core; half of the frames come on two that are busy. A node that
     # stood still would have made those of the moment after it.
-    assert count > max(3.0, 0.1 * usual_hz * lasted_s)
+    assert count > max(3.0, 0.2 * usual_hz * lasted_s)
     held = client.next_frame(lambda frame: frame.indenter_m() == [0.0, 0.0, APEX_M - 0.0005])
     assert is_pressed(held)
     assert press(client, 0.001).is_same(first)
@@ -285,7 +285,7 @@ def test_of_a_call_that_is_refused_nothing_is_in_force(session: Session) -> None
     # Of two reasons to refuse it, one comes from the clock of the node.
     result = client.set_parameters(encoding="bgr8", use_sim_time=True)
     assert (result.successful, "use_sim_time is fixed" in result.reason) == (False, True)
-    answered_ns = client.node.get_clock().now().nanoseconds
+    answered_ns = client.now_ns()
     # Others may still be on their way.
     after = client.next_frame(lambda frame: frame.stamp_ns > answered_ns)
     assert after.messages["image_raw"].encoding == "rgb8"

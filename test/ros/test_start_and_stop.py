@@ -77,7 +77,7 @@ def test_a_velocity_is_integrated_and_a_pose_beside_it_refused() -> None:
                 msg_adapters.encode_twist_stamped(
                     (0.0, 0.0, -0.001),
                     (0.0, 0.0, 0.0),
-                    stamp_ns=client.node.get_clock().now().nanoseconds,
+                    stamp_ns=client.now_ns(),
                     frame_id="indenter",
                 )
             )

@@ -133,8 +133,8 @@ def test_pause_step_and_reset(steps: Session) -> None:
     (anew,) = _new_starts(steps)
     assert counts[anew + 1] == 1
     # The start may be told more than once, to a worker that answers late.
-    stepped_ns = [each for each in steps.clock_ns if each > 7_000_000_000]
-    np.testing.assert_array_equal(np.diff(stepped_ns), STEP_NS)
+    again = max(0, steps.clock_ns.count(7_000_000_000) - 1)
+    np.testing.assert_array_equal(np.diff(steps.clock_ns[again:]), STEP_NS)
     assert stepper.interrupt() == 0
 
 

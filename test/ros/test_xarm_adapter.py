@@ -264,7 +264,7 @@ def test_it_ends_at_the_first_sigint_whenever_that_comes(xarm_package: Path) -> 
 
 def test_velocities_arrive_in_millimetres_with_a_watchdog(rig: Rig) -> None:
     _, calls = lead(rig, 1.0)
-    assert len(calls) > 3
+    assert len(calls) > 5
     for call in calls:
         assert call.duration == pytest.approx(0.1)
         assert not call.is_tool_coord
@@ -341,7 +341,7 @@ def test_a_driver_that_does_not_answer_is_given_up_and_taken_up_again(rig: Rig) 
     rig.driver.robot.takes_s = 0.0
     time.sleep(1.2)
     _, calls = lead(rig, 1.0)
-    assert len(calls) > 3
+    assert len(calls) > 5
 
 
 @pytest.mark.parametrize(

@@ -133,6 +133,10 @@ def test_what_a_changed_tree_records_is_refused(made_up):
     made_up.change("dotsim_ros/gel.py", "1.0", "1.5")
     made_up.record("geometry", GEOMETRY)
     assert made_up.states() == {"geometry": "REFUSED"}
+    assert made_up.run("--mark") == 1
+    assert f"(measured at commit {commit_of(made_up.root)[:7]}, with uncommitted changes)" in (
+        made_up.root / "README.md"
+    ).read_text(encoding="utf-8")
 
 
 def test_only_what_figures_may_depend_on_makes_a_tree_dirty(made_up):
