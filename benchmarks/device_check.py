@@ -3,13 +3,14 @@
 
 """Does a device compute what the CPU computes? Every kernel that can run there, in one command.
 
-    python benchmarks/device_check.py --device cuda:0 --json device_check.json
+    python benchmarks/device_check.py --device cuda:0 --timed 20 --json device_check.json
 
-A coarse sensor whose gel relaxes presses and slides, its images are drawn, the loss of a press is
-differentiated, and a few frames of the explicit method are run, on the CPU and on the device. The
-largest difference of each result is printed as a share of its own range. A result of a single
-precision sum may differ in another order of its terms; more than TOLERANCE is a fault. Kernels of
-the package that the device did not run are listed: some work on a CPU by design.
+The shipped sensor and a coarse one whose gel relaxes press and slide, their images are drawn, the
+loss of a press is differentiated, and a few frames of the explicit method are run, on the CPU and
+on the device. The largest difference of each result is printed as a share of its own range. A
+result of a single precision sum may differ in another order of its terms; more than TOLERANCE is a
+fault. Kernels of the package that the device did not run are listed: some work on a CPU by design.
+`--timed` also times frames of the shipped sensor and of the explicit method, on both, in one run.
 """
 
 from __future__ import annotations
@@ -32,7 +33,12 @@ from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
 from dotsim_ros.gel.body import Dome
-from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S, ExplicitGel, ExplicitSettings
+from dotsim_ros.gel.explicit.gel import (
+    PAPER_FRAME_S,
+    ExplicitGel,
+    ExplicitSettings,
+    explicit_seconds_per_frame,
+)
 from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
@@ -46,6 +52,9 @@ TOLERANCE = 2e-3
 RADIUS_M, SPACING_M, SKIN_M = 0.01575, 4.8e-3, 1.0e-3
 WAYS_M = ((0.0, 0.001), (0.0, -0.0008), (0.0, -0.0014), (0.0006, -0.0014))
 """Of the ball's tip: aside, and above the apex."""
+FRAME_S, PRESS_SPEED_M_S = 0.04, 0.005
+WARM_FRAMES = 5
+"""Before the clock starts."""
 Results = dict[str, NDArray[Any]]
 
 
@@ -66,10 +75,18 @@ def coarse(**material: Any) -> SensorSpecification:
 
 
 def sensor_results(device: str) -> Results:
-    """Return what a relaxing sensor publishes at the end of a slide."""
-    sensor = TactileSensor(
-        coarse(prony_shares=(0.2,), prony_times_s=(0.5,)), indenter=sphere(0.004), device=device
-    )
+    """Return what a coarse, relaxing sensor publishes at the end of a slide."""
+    return published(coarse(prony_shares=(0.2,), prony_times_s=(0.5,)), device)
+
+
+def shipped_results(device: str) -> Results:
+    """Return what the shipped sensor publishes at the end of a slide."""
+    return published(load_sensor("densetact2"), device)
+
+
+def published(specification: SensorSpecification, device: str) -> Results:
+    """Return what a sensor publishes at the end of a slide."""
+    sensor = TactileSensor(specification, indenter=sphere(0.004), device=device)
     for pose in poses():
         frame = sensor.step(pose, 0.04)
     return {
@@ -118,9 +135,32 @@ def explicit_results(device: str) -> Results:
 
 CASES: dict[str, Callable[[str], Results]] = {
     "sensor": sensor_results,
+    "shipped": shipped_results,
     "adjoint": gradient_results,
     "explicit": explicit_results,
 }
+
+
+def shipped_ms(device: str, frame_count: int) -> float:
+    """Return the median time of a frame of the shipped sensor, pressed at 5 mm/s."""
+    sensor = TactileSensor(load_sensor("densetact2"), indenter=sphere(0.004), device=device)
+    spent_s = []
+    for number in range(-WARM_FRAMES, frame_count):
+        depth_m = PRESS_SPEED_M_S * FRAME_S * number
+        begun_s = time.perf_counter()
+        sensor.step(Pose(np.array([0.0, 0.0, RADIUS_M - depth_m])), FRAME_S)
+        spent_s.append(time.perf_counter() - begun_s)
+    return 1e3 * float(np.median(spent_s[WARM_FRAMES:]))
+
+
+def explicit_ms(device: str, frame_count: int) -> float:
+    """Return the mean time of a frame of the explicit method, at the paper's settings."""
+    return 1e3 * explicit_seconds_per_frame(
+        spacing_m=1.2e-3, substeps_per_frame=100, frame_count=frame_count, device=device
+    )
+
+
+TIMED: dict[str, Callable[[str, int], float]] = {"shipped": shipped_ms, "explicit": explicit_ms}
 
 
 @contextmanager
@@ -153,6 +193,9 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", default="cuda:0", help="to check against the CPU (cuda:0)")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), help="which")
+    parser.add_argument(
+        "--timed", type=int, default=0, help="frames to time on the CPU and on the device (none)"
+    )
     parser.add_argument("--json", type=Path, help="file to write the figures to")
     arguments = parser.parse_args()
     known = [str(device) for device in wp.get_devices()]
@@ -186,8 +229,26 @@ def main() -> int:
     missing = sorted(on_cpu - ran)
     print(f"{len(ran)} kernels ran on {arguments.device}: {', '.join(sorted(ran))}")
     print(f"{len(missing)} ran on the CPU alone: {', '.join(missing) or 'none'}")
+    times_ms: dict[str, dict[str, float]] = {}
+    failed = {row["case"] for row in rows if "failed" in row}
+    for case in sorted(TIMED.keys() & set(arguments.cases) - failed) if arguments.timed > 0 else ():
+        times_ms[case] = {
+            name: TIMED[case](name, arguments.timed) for name in ("cpu", arguments.device)
+        }
+        cpu_ms, device_ms = times_ms[case]["cpu"], times_ms[case][arguments.device]
+        print(
+            f"{case}: a frame takes {cpu_ms:.1f} ms on the CPU and {device_ms:.1f} ms on "
+            f"{arguments.device}: {cpu_ms / device_ms:.2f} times as fast"
+        )
     if arguments.json is not None:
-        figures = {"device": arguments.device, "rows": rows, "ran": sorted(ran), "not_run": missing}
+        figures = {
+            "device": arguments.device,
+            "device_name": wp.get_device(arguments.device).name,
+            "rows": rows,
+            "ran": sorted(ran),
+            "not_run": missing,
+            "frame_ms": times_ms,
+        }
         write_json(arguments.json, figures | {"provenance": provenance()})
     is_right = all(row.get("difference", np.inf) <= TOLERANCE for row in rows)
     return 0 if is_right and rows else 1

@@ -16,12 +16,15 @@ COMMAND = [sys.executable, str(ROOT / "benchmarks" / "device_check.py")]
 
 def test_the_cpu_computes_what_the_cpu_computes(tmp_path: Path) -> None:
     file = tmp_path / "check.json"
-    command = [*COMMAND, "--device", "cpu", "--cases", "sensor", "--json", str(file)]
+    command = [*COMMAND, "--device", "cpu", "--cases", "sensor", "explicit", "--timed", "1"]
+    command += ["--json", str(file)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     figures = json.loads(file.read_text())
-    assert [row["difference"] for row in figures["rows"]] == [0.0] * 5
+    assert [row["difference"] for row in figures["rows"]] == [0.0] * 7
     assert figures["not_run"] == []
+    assert figures["frame_ms"].keys() == {"explicit"}
+    assert figures["frame_ms"]["explicit"]["cpu"] > 0.0
     assert "dotsim_ros.gel.elastic_kernels.stress_tangent" in figures["ran"]
 
 
