@@ -8,8 +8,9 @@
 The shipped sensor and a coarse one whose gel relaxes press and slide, their images are drawn, the
 loss of a press is differentiated, and a few frames of the explicit method are run, on the CPU and
 on the device. The largest difference of each result is printed as a share of its own range. A
-result of a single precision sum may differ in another order of its terms; more than TOLERANCE is a
-fault. Kernels of the package that the device did not run are listed: some work on a CPU by design.
+result of a single precision sum may differ in another order of its terms, and a colour be rounded
+the other way by a grey level; more is a fault. Kernels of the package that the device did not run
+are listed: some work on a CPU by design.
 `--timed` also times frames of the shipped sensor and of the explicit method, on both, in one run.
 """
 
@@ -188,6 +189,12 @@ def difference(found: NDArray[Any], expected: NDArray[Any]) -> float:
     return float(np.abs(found - expected).max(initial=0.0)) / size
 
 
+def allowed(result: str, expected: NDArray[Any]) -> float:
+    """Return the largest difference that is no fault, as a share of the expected range."""
+    grey_level = 1.0 / (float(np.abs(expected).max(initial=0.0)) or 1.0)
+    return max(TOLERANCE, grey_level) if result == "image" else TOLERANCE
+
+
 def main() -> int:
     """Compare, print, write; return 1 where something differs."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
@@ -222,8 +229,9 @@ def main() -> int:
         seconds = time.perf_counter() - begun_s
         for name, values in expected.items():
             share = difference(found[name], values)
-            rows.append({"case": case, "result": name, "difference": share})
-            verdict = "" if share <= TOLERANCE else "  DIFFERS"
+            is_right = share <= allowed(name, values)
+            rows.append({"case": case, "result": name, "difference": share, "is_right": is_right})
+            verdict = "" if is_right else "  DIFFERS"
             print(f"{case}: {name:<16} differs by {share:.1e} of its range{verdict}")
         print(f"{case}: {seconds:.1f} s on {arguments.device}")
     missing = sorted(on_cpu - ran)
@@ -250,8 +258,7 @@ def main() -> int:
             "frame_ms": times_ms,
         }
         write_json(arguments.json, figures | {"provenance": provenance()})
-    is_right = all(row.get("difference", np.inf) <= TOLERANCE for row in rows)
-    return 0 if is_right and rows else 1
+    return 0 if rows and all(row.get("is_right", False) for row in rows) else 1
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ def test_the_cpu_computes_what_the_cpu_computes(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     figures = json.loads(file.read_text())
     assert [row["difference"] for row in figures["rows"]] == [0.0] * 7
+    assert all(row["is_right"] for row in figures["rows"])
     assert figures["not_run"] == []
     assert figures["frame_ms"].keys() == {"explicit"}
     assert figures["frame_ms"]["explicit"]["cpu"] > 0.0
