@@ -40,7 +40,9 @@ def test_a_domain_is_taken_once_and_free_again_when_its_taker_is_killed(tmp_path
         assert {first, second} == {"1", "2"}
         with taker(tmp_path) as (said, refused):
             assert said.startswith("Traceback")
-            assert "all 2 ROS domains are in use" in refused.communicate()[0]
+            # Not `communicate`, which does not see what came with the first line.
+            assert refused.stdout is not None
+            assert "all 2 ROS domains are in use" in refused.stdout.read()
         killed.kill()
         killed.wait()
         with taker(tmp_path) as (again, _):

@@ -3,6 +3,7 @@
 
 """`run_node`, the way every node starts and stops, on nodes that make it hard."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -110,7 +111,13 @@ def started(code):
         stderr=subprocess.STDOUT,
         text=True,
     )
-    assert process.stdout.readline() == "starting\n"
+    # Byte by byte: `communicate` does not see what has come with a line that was read whole.
+    line = b""
+    while not line.endswith(b"\n"):
+        byte = os.read(process.stdout.fileno(), 1)
+        assert byte, f"ended after {line!r}"
+        line += byte
+    assert line == b"starting\n"
     return process
 
 
