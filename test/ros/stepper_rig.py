@@ -213,6 +213,7 @@ class Session:
         self.clock_ns.clear()
         self.ticks.clear()
         self.pause(False)
+        self.wait(lambda: self.clock_ns, "the time that runs")
         return stepper
 
     def reason(self, stepper: Executable) -> str:
