@@ -8,8 +8,8 @@
 The shipped sensor and a coarse one whose gel relaxes press and slide, their images are drawn, the
 loss of a press is differentiated, and a few frames of the explicit method are run, on the CPU and
 on the device. The largest difference of each result is printed as a share of its own range. A
-result of a single precision sum may differ in another order of its terms, and a colour be rounded
-the other way by a grey level; more is a fault. Kernels of the package that the device did not run
+result of a single precision sum may differ in another order of its terms, and a few colours be
+rounded to the next grey level; more is a fault. Kernels of the package that the device did not run
 are listed: some work on a CPU by design.
 `--timed` also times frames of the shipped sensor and of the explicit method, on both, in one run.
 """
@@ -189,10 +189,13 @@ def difference(found: NDArray[Any], expected: NDArray[Any]) -> float:
     return float(np.abs(found - expected).max(initial=0.0)) / size
 
 
-def allowed(result: str, expected: NDArray[Any]) -> float:
-    """Return the largest difference that is no fault, as a share of the expected range."""
-    grey_level = 1.0 / (float(np.abs(expected).max(initial=0.0)) or 1.0)
-    return max(TOLERANCE, grey_level) if result == "image" else TOLERANCE
+def is_same(result: str, found: NDArray[Any], expected: NDArray[Any]) -> bool:
+    """Tell whether a result is the CPU's; a few colours of an image may be a grey level off."""
+    share = difference(found, expected)
+    if result != "image" or not np.isfinite(share):
+        return share <= TOLERANCE
+    off = np.abs(found - expected)
+    return bool(off.max() <= 1.0 and off.mean() <= TOLERANCE * expected.max())
 
 
 def main() -> int:
@@ -229,7 +232,7 @@ def main() -> int:
         seconds = time.perf_counter() - begun_s
         for name, values in expected.items():
             share = difference(found[name], values)
-            is_right = share <= allowed(name, values)
+            is_right = is_same(name, found[name], values)
             rows.append({"case": case, "result": name, "difference": share, "is_right": is_right})
             verdict = "" if is_right else "  DIFFERS"
             print(f"{case}: {name:<16} differs by {share:.1e} of its range{verdict}")

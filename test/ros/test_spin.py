@@ -3,13 +3,13 @@
 
 """`run_node`, the way every node starts and stops, on nodes that make it hard."""
 
-import os
 import signal
 import subprocess
 import sys
 import time
 
 import pytest
+from harness import Executable
 
 SLOW_TO_START = """
 import sys, time
@@ -105,20 +105,10 @@ sys.exit(run_node(Wrong))
 
 
 def started(code):
-    process = subprocess.Popen(
-        [sys.executable, "-u", "-c", code],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-    )
-    # Byte by byte: `communicate` does not see what has come with a line that was read whole.
-    line = b""
-    while not line.endswith(b"\n"):
-        byte = os.read(process.stdout.fileno(), 1)
-        assert byte, f"ended after {line!r}"
-        line += byte
-    assert line == b"starting\n"
-    return process
+    executable = Executable("", code=code)
+    executable.wait_for_line("starting")
+    assert executable.log.startswith("starting\n")
+    return executable
 
 
 @pytest.mark.parametrize("gap_s", [0.0, 0.05])
@@ -128,22 +118,22 @@ def started(code):
     ids=["starting", "beginning", "stopping"],
 )
 def test_doubled_interrupt_ends_cleanly(code, gap_s):
-    process = started(code)
+    executable = started(code)
     for _ in range(2):
-        process.send_signal(signal.SIGINT)
+        executable.process.send_signal(signal.SIGINT)
         time.sleep(gap_s)
-    log, _ = process.communicate(timeout=30)
-    assert process.returncode == 0, log
+    status, log = executable.exit_status(30.0), executable.log
+    assert status == 0, log
     assert "Traceback" not in log
     assert ("begun" in log) == (code is SLOW_TO_BEGIN)
     assert ("finished" in log) == (code is not SLOW_TO_START)
 
 
 def test_terminate_ends_cleanly():
-    process = started(SLOW_TO_STOP)
-    process.terminate()
-    log, _ = process.communicate(timeout=30)
-    assert process.returncode == 0, log
+    executable = started(SLOW_TO_STOP)
+    executable.process.terminate()
+    status, log = executable.exit_status(30.0), executable.log
+    assert status == 0, log
     assert "finished" in log
 
 

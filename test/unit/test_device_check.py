@@ -6,12 +6,16 @@
 from __future__ import annotations
 
 import json
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 ROOT = Path(__file__).parents[2]
-COMMAND = [sys.executable, str(ROOT / "benchmarks" / "device_check.py")]
+SCRIPT = str(ROOT / "benchmarks" / "device_check.py")
+COMMAND = [sys.executable, SCRIPT]
 
 
 def test_the_cpu_computes_what_the_cpu_computes(tmp_path: Path) -> None:
@@ -34,3 +38,16 @@ def test_a_device_that_is_not_there_is_named() -> None:
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 2
     assert "there is no device cuda:9 here; choose from cpu" in done.stderr
+
+
+def test_a_grey_level_is_no_fault_in_a_few_pixels_of_an_image_alone() -> None:
+    is_same = runpy.run_path(SCRIPT)["is_same"]
+    expected = np.full((20, 20, 3), 240.0)
+    few, two = expected.copy(), expected.copy()
+    few[:5, 0] += 1.0
+    two[0, 0] += 2.0
+    assert is_same("image", few, expected)
+    assert not is_same("image", two, expected)
+    assert not is_same("image", expected - 1.0, expected)
+    assert not is_same("image", expected[1:], expected)
+    assert not is_same("depth, m", few, expected)
