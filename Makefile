@@ -32,7 +32,7 @@ WAITING := -n 3 $(IN_ORDER)
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
-.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs results-status clean
+.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs results clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
@@ -45,7 +45,7 @@ help:
 	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
-	@echo "make results-status   which figures are older than the code; marks them in README and docs"
+	@echo "make results   the tables of docs/results, for a release: NAMES=\"gap rl\" for some, LIST=1 to list"
 
 setup: $(INSTALLED)
 
@@ -96,8 +96,9 @@ lint: setup
 	$(RUN) mypy
 	$(RUN) lint-imports
 
-results-status: setup
-	$(RUN) python .ci/results_status.py --markdown docs/results/status.md --mark
+# For a release; resumed where it was interrupted.
+results: setup
+	$(RUN) python tools/results.py $(if $(LIST),--list) $(NAMES)
 
 # A notice of the theme's makers about its successor is no warning about these pages.
 docs: setup

@@ -53,10 +53,12 @@ FRAME_S = 0.04
 TOLD_S = 1.0
 """Steps that take longer are told of."""
 DECIDED_BY = (
-    "dotsim_ros.gel.elasticity",
-    "dotsim_ros.gel.implicit.contact",
-    "dotsim_ros.gel.implicit.contact_points",
-    "dotsim_ros.geometry.skin_mesh",
+    "gel/elastic_kernels.py",
+    "gel/elasticity.py",
+    "gel/implicit/contact.py",
+    "gel/implicit/contact_points.py",
+    "gel/material.py",
+    "geometry",
 )
 """What decides a reference that is solved to the end: the physics, not the way to it."""
 

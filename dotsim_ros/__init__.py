@@ -67,7 +67,7 @@ _HOMES = {
     "dotsim_ros.gap.find": ("find_gap",),
     "dotsim_ros.gap.findings": ("Findings", "Verdict"),
 }
-"""Which module each public name lives in; `code_version` follows this table, too."""
+"""Which module each public name lives in."""
 
 if TYPE_CHECKING:
     from dotsim_ros.calibration.calibrate import calibrate

@@ -3,8 +3,8 @@
 
 """Answers that take long to compute, kept on disk under the content of all that decides them.
 
-A key is a hash of the inputs and of the code that turns them into the answer, so that an answer of
-older code, or of a file that has changed under the same name, is never taken.
+A key is a hash of the inputs and of the source files that turn them into the answer, so that an
+answer of older code, or of a file that has changed under the same name, is never taken.
 """
 
 from __future__ import annotations
@@ -19,28 +19,32 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.code_version import version_of
 from dotsim_ros.documents import ArrayForm, Arrays, read_arrays
 from dotsim_ros.files import whole_file
 from dotsim_ros.printable import one_line
+from dotsim_ros.provenance import source_hash
 
 _log = logging.getLogger(__name__)
 
 KEY_LENGTH = 24
+GEL = ("geometry", "gel", "specification.py")
+"""Source that decides what a gel answers."""
+PHYSICS = (*GEL, "effects", "sensor.py", "twin")
+"""Source that decides where the skin goes and with what force."""
 
 
-def content_key(decided_by: tuple[str, ...], *content: Any) -> str:
-    """Return a key of the code and the inputs that decide an answer.
+def content_key(source: tuple[str, ...], *content: Any) -> str:
+    """Return a key of the source and the inputs that decide an answer.
 
     Args:
-        decided_by: full names of the modules whose code computes the answer.
+        source: what computes the answer, as for `source_hash`.
         content: the inputs: numbers, texts, bytes, None, enumerations, arrays, data classes (by
             their fields), and sequences and mappings of these.
 
     Raises:
         TypeError: an input of another kind, whose content cannot be hashed.
     """
-    digest = hashlib.sha256(version_of(*decided_by).encode())
+    digest = hashlib.sha256(source_hash(*source).encode())
     _add(digest, content)
     return digest.hexdigest()[:KEY_LENGTH]
 

@@ -1,19 +1,22 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Where a figure comes from: the commit, the machine, the date and the command."""
+"""Where an answer comes from: commit, machine, date and command, or a hash of the source."""
 
 from __future__ import annotations
 
 import datetime
+import hashlib
 import os
 import platform
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
 import dotsim_ros
 
+_PACKAGE = Path(__file__).parent
 _DECIDING = ("dotsim_ros", "msg_adapters", "benchmarks", "params")
 
 
@@ -60,6 +63,28 @@ def commit_of(checkout: Path) -> str:
     except (OSError, subprocess.CalledProcessError):
         return "unknown: not run from a checkout"
     return commit + ("-dirty" if changed or added else "")
+
+
+@cache
+def source_hash(*source: str) -> str:
+    """Return a hash of the bytes of Python files of this package, and of their names.
+
+    Args:
+        source: files, and folders with all below them, relative to the package.
+
+    Raises:
+        FileNotFoundError: there is no such file, or no Python file in the folder.
+    """
+    digest = hashlib.sha256()
+    for part in source:
+        path = _PACKAGE / part
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
+        if not files:
+            raise FileNotFoundError(f"{path} has no Python files; install the package with them")
+        for file in files:
+            content = hashlib.sha256(file.read_bytes()).hexdigest()
+            digest.update(f"{file.relative_to(_PACKAGE)} {content};".encode())
+    return digest.hexdigest()
 
 
 def _processor() -> str:

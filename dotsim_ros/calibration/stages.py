@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key, tell_broken
+from dotsim_ros.cache import PHYSICS, content_key, tell_broken
 from dotsim_ros.calibration.fitting import (
     FitProblem,
     PressFit,
@@ -37,9 +37,6 @@ from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 from dotsim_ros.worker_pool.pool import Crew, open_pool
-
-DECIDED_BY = ("dotsim_ros.calibration.stages",)
-"""The code, with all that it imports, that decides a result."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +166,7 @@ def task_key(
 ) -> str:
     """Return a key of all that a result depends on."""
     return content_key(
-        DECIDED_BY,
+        (*PHYSICS, "calibration"),
         specification,
         [parameter.name for parameter in problem.parameters],
         problem.start,

@@ -32,7 +32,6 @@ docs/evaluation.md says what the figures mean.
 examples:
   dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
   dotsim_ros evaluate geometry --data DIR --models ours tacto --splits held_out --out out
-  dotsim_ros evaluate geometry --data DIR --models explicit --splits held_out --keep --out out
   dotsim_ros evaluate geometry_later --data LATER --fit-data DIR --sensor FILE --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
@@ -56,7 +55,6 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -198,12 +196,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the drawn one only, or with each indenter left out as well (all)",
     )
     geometry.add_argument("--count", type=int, default=9, help="presses held out (9)")
-    for subject in (geometry, later, optics):
-        subject.add_argument(
-            "--keep",
-            action="store_true",
-            help="keep the other rows of the table that lies in --out, and add these",
-        )
     _add_trajectory_arguments(
         subjects.add_parser("trajectory", help="paths that a policy follows by touch")
     )
@@ -289,7 +281,7 @@ def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
         "--clock",
         choices=CLOCKS,
         default=CLOCKS[0],
-        help="how time passes (simulated): realtime keeps what --out has of simulated time",
+        help="how time passes (simulated); in real time the table is trajectory_realtime",
     )
     add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the image")
@@ -416,35 +408,13 @@ def _judge_geometry(
     fitted_on: str | None = None,
 ) -> int:
     from dotsim_ros.evaluation.geometry.registry import factories_of
-    from dotsim_ros.evaluation.geometry.report import (
-        definitions,
-        evaluate_geometry,
-        geometry_page,
-    )
-    from dotsim_ros.evaluation.kept_rows import (
-        check_judged_alike,
-        read_geometry,
-        with_kept_rows,
-        with_origin,
-    )
-    from dotsim_ros.provenance import provenance
+    from dotsim_ros.evaluation.geometry.report import evaluate_geometry, geometry_page
 
-    table = arguments.out / f"{arguments.subject}.json"
-    before = read_geometry(table) if arguments.keep else None
     factories = factories_of(arguments.models, sensor=arguments.sensor, stated=arguments.stated)
     from_depth_m = 1e-3 * arguments.from_depth_mm
     origin = {"sensor": str(arguments.sensor), "seed": str(arguments.seed)}
     if fitted_on is not None:
         origin["fitted_on"] = fitted_on
-    source = provenance() | {"data": arguments.data.name} | origin
-    if before is not None:
-        # Before models are fitted for an hour.
-        known = {
-            "definitions": definitions(from_depth_m),
-            "splits": {split.name: asdict(split) for split in splits},
-            "provenance": source,
-        }
-        check_judged_alike(known, before)
     figures = evaluate_geometry(
         measured,
         splits,
@@ -453,38 +423,23 @@ def _judge_geometry(
         from_depth_m=from_depth_m,
         progress=_say,
     )
-    figures = with_origin(figures, arguments.models, source) | {"provenance": source}
-    if arguments.keep:
-        # Read anew: another run may have added rows meanwhile.
-        figures = with_kept_rows(figures, read_geometry(table), MODELS)
     models = [name for name in MODELS if name in figures]
     return _write(arguments, figures, origin, lambda f: geometry_page(f, models))
 
 
 def _optics(arguments: argparse.Namespace) -> int:
     from dotsim_ros.evaluation.geometry.registry import sensor_file
-    from dotsim_ros.evaluation.kept_rows import (
-        check_judged_alike,
-        read_optics,
-        with_kept_image_rows,
-    )
     from dotsim_ros.evaluation.optics.judge import ceilings, splits_of
     from dotsim_ros.evaluation.optics.models import FitSettings
-    from dotsim_ros.evaluation.optics.report import (
-        definitions,
-        evaluate_optics,
-        joined,
-        optics_page,
-    )
+    from dotsim_ros.evaluation.optics.report import evaluate_optics, joined, optics_page
     from dotsim_ros.evaluation.optics.rows import RowMaker
-    from dotsim_ros.evaluation.optics.sheet import known_sheets, write_sheets
+    from dotsim_ros.evaluation.optics.sheet import write_sheets
     from dotsim_ros.evaluation.optics.source import clipped_presses, refined_data
     from dotsim_ros.evaluation.optics.split import WAYS
     from dotsim_ros.files import cache_directory
     from dotsim_ros.measured.data_set import read_data_set
     from dotsim_ros.optics.idle import lights_of
     from dotsim_ros.optics.idle_check import read_idle_images
-    from dotsim_ros.provenance import provenance
     from dotsim_ros.specification import load_sensor
     from dotsim_ros.twin.footage import camera_for, read_filmed_data, render_filmed
 
@@ -514,10 +469,6 @@ def _optics(arguments: argparse.Namespace) -> int:
         "network_epochs": str(arguments.network_epochs),
         "network_width": str(arguments.network_width),
     }
-    source = provenance() | {"data": arguments.data.name} | origin
-    before = read_optics(arguments.out / "optics.json") if arguments.keep else None
-    if before is not None:
-        check_judged_alike({"definitions": definitions(), "provenance": source}, before)
     files = {level: sensor_file(level, arguments.sensor) for level in arguments.splits}
     figures: dict[str, Any] = {}
     sheets: dict[str, str] = {}
@@ -531,10 +482,6 @@ def _optics(arguments: argparse.Namespace) -> int:
         sheets |= write_sheets(arguments.images, maker, rows, seen_from=arguments.out)
     # The measured images decide these, so that any level's data will do.
     figures["ceiling"] = ceilings(maker.data, read_idle_images(data_set.idle_images()))
-    figures["provenance"] = source
-    if before is not None:
-        figures = with_kept_image_rows(figures, before, IMAGE_MODELS)
-        sheets = known_sheets(arguments.images, LEVELS, seen_from=arguments.out) | sheets
     return _write(arguments, figures, origin, lambda f: optics_page(f, sheets))
 
 
@@ -631,7 +578,6 @@ def _gap(arguments: argparse.Namespace) -> int:
 
 
 def _gap_sets(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.documents import read_json
     from dotsim_ros.evaluation.gap.solved_page import solved_page
     from dotsim_ros.evaluation.gap.solved_score import ScoreRequest, score_sets
     from dotsim_ros.files import cache_directory, write_json, write_text
@@ -647,22 +593,12 @@ def _gap_sets(arguments: argparse.Namespace) -> int:
         arguments.discrepancy,
     )
     figures = score_sets(request, _say) | {"provenance": provenance()}
-    file = arguments.out / "gap_physics.json"
-    before = read_json(file) if file.is_file() else {}
-    # Figures of the other half stay where they are of the same series.
-    halves = {
-        half: kept
-        for half, kept in before.get("halves", {}).items()
-        if kept["series"] == figures["series"]
-    } | {arguments.half: figures}
-    whole = {
-        "halves": {half: halves[half] for half in HALVES if half in halves},
-        "provenance": figures["provenance"],
-    }
+    whole = {"halves": {arguments.half: figures}, "provenance": figures["provenance"]}
     page = solved_page(whole)
-    for path in filter(None, (file, arguments.json)):
+    table = "gap_physics" if arguments.half == HALVES[1] else f"gap_physics_{arguments.half}"
+    for path in filter(None, (arguments.out / f"{table}.json", arguments.json)):
         write_json(path, whole)
-    write_text(arguments.out / "gap_physics.md", page)
+    write_text(arguments.out / f"{table}.md", page)
     print(page)
     return 0
 
@@ -742,7 +678,6 @@ def _runtime(arguments: argparse.Namespace) -> int:
 
 
 def _trajectory(arguments: argparse.Namespace) -> int:
-    from dotsim_ros.documents import read_json
     from dotsim_ros.evaluation.trajectory.page import trajectory_page, write_grid
     from dotsim_ros.evaluation.trajectory.trials import (
         TrialPlan,
@@ -779,19 +714,14 @@ def _trajectory(arguments: argparse.Namespace) -> int:
     figures = trajectory_figures(plan, trials) | {
         "plan": {"trials": plan.trial_count, "seconds": plan.seconds, "paths": list(plan.paths)},
         "limits": limits_shown(loop.limits),
+        "clock": arguments.clock,
         "provenance": provenance() | {"policy": card.name, "seed": str(arguments.seed)},
     }
-    # Each clock's figures stand beside the other's.
-    file = arguments.out / "trajectory.json"
-    kept = read_json(file) if file.is_file() else {}
-    if arguments.clock == CLOCKS[0]:
-        figures |= {key: kept[key] for key in ("realtime",) if key in kept}
-    else:
-        figures = {**kept, "realtime": figures}
     page = trajectory_page(figures, os.path.relpath(image, arguments.out))
-    for path in filter(None, (file, arguments.json)):
+    table = "trajectory" if arguments.clock == CLOCKS[0] else "trajectory_realtime"
+    for path in filter(None, (arguments.out / f"{table}.json", arguments.json)):
         write_json(path, figures)
-    write_text(arguments.out / "trajectory.md", page)
+    write_text(arguments.out / f"{table}.md", page)
     print(page)
     return 0
 

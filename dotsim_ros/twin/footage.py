@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory, short_name
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
@@ -45,9 +45,6 @@ LEAST_FRAMES = 10
 
 CLEARANCE_M = 0.05e-3
 """An indenter farther than this from the skin at rest touches nothing; poses are noisy."""
-
-DECIDED_BY = ("dotsim_ros.gel.make", "dotsim_ros.twin.follow")
-"""The code, with all that it imports, that decides where the skin goes."""
 
 
 @dataclass(frozen=True)
@@ -377,7 +374,7 @@ class _Follower:
     def _key(self, press: Press, indenter: Indenter) -> str:
         s = self._sensor
         return content_key(
-            DECIDED_BY,
+            PHYSICS,
             (s.gel, s.material, s.contact, s.solver),
             replace(indenter, name=""),
             press.poses,

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays, tell_broken
+from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays, tell_broken
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import Indenter
@@ -30,8 +30,6 @@ TOLERANCE_M = 5.0e-6
 """Tolerance of the solves: effects move the skin by tens of micrometres where tried, and a solve
 to a fifth of this takes more than twice as long."""
 
-DECIDED_BY = ("dotsim_ros.twin.solver",)
-"""The code, with all that it imports, that decides a solve."""
 
 TOGETHER = 8
 """So many presses of one gel are one worker's task: making the gel takes as long as some of
@@ -220,7 +218,7 @@ class PressSolver:
     def _key(self, request: SolveRequest) -> str:
         values = replace(request.values, youngs_modulus_pa=REFERENCE_MODULUS_PA)
         return content_key(
-            DECIDED_BY,
+            PHYSICS,
             self._sensor,
             values,
             request.relaxation,

@@ -24,8 +24,8 @@ from queue import Empty, SimpleQueue
 from typing import Any
 
 import dotsim_ros
-from dotsim_ros.code_version import PACKAGES, version_of
 from dotsim_ros.printable import cut, one_line
+from dotsim_ros.provenance import source_hash
 from dotsim_ros.worker_pool import ray_worker
 from dotsim_ros.worker_pool.ray_worker import Expected, RayWorker
 from dotsim_ros.worker_pool.sharing import ArrayShelf, Packed
@@ -142,7 +142,7 @@ class RayPool(Executor):
         # Machines of the cluster need not have this module for it to travel there.
         ray.cloudpickle.register_pickle_by_value(ray_worker)
         self._worker_class = ray.remote(num_cpus=1, max_restarts=0)(RayWorker)
-        self._expected = ray.put(_expected(initialize, needed))
+        self._expected = ray.put(_expected(needed))
         self._shelf = ArrayShelf(ray.put)
         beginning = self._shelf.pack((initialize, given))
         self._beginning = ray.put(beginning.data), *beginning.arrays
@@ -343,18 +343,8 @@ class RayPool(Executor):
             self._ray.kill(member.actor)
 
 
-def _expected(initialize: Callable[..., None], needed: tuple[str, ...]) -> Expected:
-    module = initialize.__module__
-    is_ours = module.partition(".")[0] in PACKAGES
-    modules = (module,) if is_ours else ("dotsim_ros.worker_pool.ray_pool",)
-    return Expected(
-        "dotsim_ros",
-        dotsim_ros.__version__,
-        modules,
-        version_of(*modules),
-        os.getcwd(),
-        needed,
-    )
+def _expected(needed: tuple[str, ...]) -> Expected:
+    return Expected("dotsim_ros", dotsim_ros.__version__, source_hash("."), os.getcwd(), needed)
 
 
 def _deadly(what: str, error: BaseException) -> str:

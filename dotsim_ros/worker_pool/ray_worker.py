@@ -24,15 +24,13 @@ class Expected:
     Attributes:
         package: name of this package.
         release: its version.
-        modules: names of its modules that the work is in.
-        code: digest of these modules with all that they import.
+        code: hash of its source.
         folder: that the command was given in, for paths from there.
         needed: folders, and files that were left in the folders which the machines must share.
     """
 
     package: str
     release: str
-    modules: tuple[str, ...]
     code: str
     folder: str
     needed: tuple[str, ...]
@@ -80,10 +78,10 @@ def _wrong_package(expected: Expected) -> str:
     )
     try:
         from dotsim_ros import __version__
-        from dotsim_ros.code_version import version_of
+        from dotsim_ros.provenance import source_hash
 
-        code = version_of(*expected.modules)
-    except (ImportError, FileNotFoundError, ValueError) as error:
+        code = source_hash(".")
+    except (ImportError, FileNotFoundError) as error:
         return f"cannot load {expected.package} ({error}); {wanted}"
     if (__version__, code) != (expected.release, expected.code):
         other = "other code" if __version__ == expected.release else "another version"

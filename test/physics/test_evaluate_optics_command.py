@@ -138,18 +138,4 @@ def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
     page = (tmp_path / "out" / "optics.md").read_text()
     assert "unet: **1 of its 100 epochs** in " in page
     assert "images of 64x48" in page
-    # One row anew, with another camera; the others stay.
-    other = [*command, "--splits", "hard", "--models", "carried", "--keep"]
-    other[other.index(str(calibrated))] = str(calibrated / "easy.yaml")
-    assert main(other) == 0
-    added = json.loads((tmp_path / "out" / "optics.json").read_text())
-    assert added["easy"] == figures["easy"]
-    assert added["splits"] == figures["splits"]
-    assert added["hard"]["by_frame"]["unet"] == figures["hard"]["by_frame"]["unet"]
-    anew = added["hard"]["by_frame"]["carried"]
-    assert anew["psnr_db"] != figures["hard"]["by_frame"]["carried"]["psnr_db"]
-    assert anew["sensor"].endswith("easy.yaml")
-    page = (tmp_path / "out" / "optics.md").read_text()
     assert page.index("## Easy") < page.index("optics_easy.jpg") < page.index("## Hard")
-    assert main([*other, "--seed", "1"]) == 1
-    assert "the rows to keep were judged otherwise (seed 0, now 1)" in capsys.readouterr().err

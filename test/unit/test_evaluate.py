@@ -449,44 +449,6 @@ def test_command_writes_table_and_figures(
     assert "| floor |" in page
 
 
-def test_a_model_is_added_to_a_table(
-    data_set: DataSet,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    monkeypatch.setattr(taxim, "GENERATIONS", 1)
-    monkeypatch.setattr(taxim, "POPULATION_FACTOR", 2)
-    monkeypatch.setattr(geometry, "SAMPLE_COUNT", 128)
-    arguments = ["evaluate", "geometry", "--data", str(data_set.directory), "--out", str(tmp_path)]
-    arguments += ["--count", "2", "--from-depth-mm", "2.8"]
-    added = [*arguments, "--models", "taxim", "--splits", "held_out", "--keep"]
-    assert main(added) == 1
-    assert "is not there, so no rows can be kept" in capsys.readouterr().err
-    assert main([*arguments, "--models", "tacto"]) == 0
-    first = json.loads((tmp_path / "geometry.json").read_text())
-    assert main([*added, "--from-depth-mm", "2.5"]) == 1
-    assert "judged otherwise (definitions" in capsys.readouterr().err
-    assert json.loads((tmp_path / "geometry.json").read_text()) == first
-    assert main(added) == 0
-    figures = json.loads((tmp_path / "geometry.json").read_text())
-    assert figures["tacto"] == first["tacto"]
-    assert figures["floor"] == first["floor"]
-    assert figures["splits"] == first["splits"]
-    assert set(figures["taxim"]) == {"held_out", "held_out_by_indenter", "failures", "origin"}
-    drawn, left_out = (tmp_path / "geometry.md").read_text().split("## Each indenter left out")
-    assert drawn.index("| tacto |") < drawn.index("| taxim |") < drawn.index("| floor |")
-    assert "| taxim |" not in left_out
-    assert "Not judged here: taxim." in left_out
-
-    assert main([*arguments, "--models", "tacto", "--splits", "held_out", "--keep"]) == 0
-    figures = json.loads((tmp_path / "geometry.json").read_text())
-    assert figures["tacto"]["indenter_left_out"] == first["tacto"]["indenter_left_out"]
-    assert figures["tacto"]["origin_indenter_left_out"] == first["tacto"]["origin"]
-    assert figures["tacto"]["origin"]["date"] >= first["tacto"]["origin"]["date"]
-    assert "- tacto, indenters left out: commit" in (tmp_path / "geometry.md").read_text()
-
-
 def write_later(directory: Path, names: tuple[str, ...] = ("later_0", "later_1")) -> DataSet:
     """Write presses of the ball that come without its mesh."""
     for number, name in enumerate(names):
@@ -523,10 +485,6 @@ def test_all_presses_are_fitted_on_and_all_later_ones_judged(
     assert written["provenance"]["data"] == "later"
     assert written["provenance"]["fitted_on"] == data_set.directory.name
     assert "judged on 2" in (tmp_path / "out" / "geometry_later.md").read_text()
-    assert main([*command, "--models", "tacto", "--keep"]) == 0
-    both = json.loads((tmp_path / "out" / "geometry_later.json").read_text())
-    assert both["taxim"] == written["taxim"]
-    assert both["tacto"]["held_out"]["frames"] == 4
 
 
 def test_later_presses_of_another_skin_are_refused(data_set: DataSet, tmp_path: Path) -> None:

@@ -30,8 +30,7 @@ from dotsim_ros.evaluation.optics.judge import (
     summarize,
     with_frames,
 )
-from dotsim_ros.evaluation.optics.models import FitSettings, code_digest, factory_of
-from dotsim_ros.evaluation.optics.names import NAMES
+from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
 from dotsim_ros.evaluation.optics.report import evaluate_optics, optics_page, shown_frames
 from dotsim_ros.evaluation.optics.rows import RowMaker
 from dotsim_ros.evaluation.optics.sheet import write_sheets
@@ -292,13 +291,6 @@ def test_taxim_is_fitted_on_the_frames_given(
 
 def test_the_command_offers_what_there_is() -> None:
     assert COMMAND_LEVELS == LEVELS
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_code_of_a_model_has_a_digest(name: str) -> None:
-    assert code_digest(name) == code_digest(name)
-    made_by_nothing = code_digest("idle")
-    assert (code_digest(name) == made_by_nothing) == (name == "idle")
 
 
 def test_an_unknown_model_is_refused(tmp_path: Path) -> None:

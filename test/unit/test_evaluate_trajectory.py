@@ -377,12 +377,14 @@ def test_the_page_holds_every_setting_and_path(tmp_path: Path) -> None:
     page = trajectory_page(
         figures
         | {
+            "clock": "realtime",
             "plan": {"trials": 2, "seconds": 9.0},
             "limits": limits_shown(LIMITS),
             "provenance": provenance(),
         },
         "grid.png",
     )
+    assert "## In real time" in page
     assert "| transferred | press |" in page
     assert "- simulated, line: image_stale 2" in page
     write_grid(tmp_path / "grid.png", trials.recordings)

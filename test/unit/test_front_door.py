@@ -27,7 +27,6 @@ from dotsim_ros import (
     load_sensor,
     make_gel_batch,
 )
-from dotsim_ros.code_version import import_closure
 from dotsim_ros.specification import GelSpecification, SolverSpecification
 
 FOREVER = {
@@ -101,19 +100,6 @@ def test_type_checkers_are_told_the_same_homes() -> None:
 def test_an_unknown_name_is_no_attribute() -> None:
     with pytest.raises(AttributeError, match="'dotsim_ros' has no attribute 'TactilSensor'"):
         dotsim_ros.TactilSensor  # type: ignore[attr-defined]  # noqa: B018
-
-
-def test_a_script_depends_on_the_homes_of_the_names_that_it_takes(tmp_path: Path) -> None:
-    root = Path(dotsim_ros.__file__).parents[1]
-    sources = {
-        path.relative_to(root).as_posix(): path.read_bytes()
-        for package in ("dotsim_ros", "msg_adapters")
-        for path in (root / package).rglob("*.py")
-    }
-    sources["script.py"] = b"from dotsim_ros import calibrate, Frame\n"
-    closure = import_closure(["script.py"], sources)
-    assert {"dotsim_ros/calibration/calibrate.py", "dotsim_ros/sensor.py"} <= set(closure)
-    assert "dotsim_ros/gap/find.py" not in closure
 
 
 def test_a_pose_above_the_apex_is_placed_by_the_sensor(frame: Frame) -> None:

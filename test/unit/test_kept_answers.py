@@ -162,7 +162,7 @@ def test_a_solve_is_kept_under_all_that_decides_it(
         seen["an effect's file"] = solve(tmp_path, pool, indenter=ball, effects=[own])
         assert seen["an effect's file"] == count, shift
     # Another version of the physics.
-    monkeypatch.setattr(cache, "version_of", lambda *_: "of another code")
+    monkeypatch.setattr(cache, "source_hash", lambda *_: "of other source")
     assert solve(tmp_path, pool, indenter=ball) == 1
     anew, kept = ([what for what, n in seen.items() if n == count] for count in (1, 0))
     answered(f"solved anew where {', '.join(anew)} changed; kept where {', '.join(kept)} did")

@@ -406,13 +406,14 @@ def test_answers_of_before_are_scored_without_another_search(
     line = f"evaluate gap --sets {made} --sensor sensor_a --half {record.half}"
     line += f" --run {run} --out {tmp_path / 'results'}"
     assert main(line.split()) == 0
-    figures = json.loads((tmp_path / "results" / "gap_physics.json").read_text())
+    table = "gap_physics" if record.half == "opened" else f"gap_physics_{record.half}"
+    figures = json.loads((tmp_path / "results" / f"{table}.json").read_text())
     (row,) = figures["halves"][record.half]["sets"]
     assert row["outcome"] == "right"
     assert row["searched_at"] == "0123456789ab"
     assert all(one["covers"] for one in row["estimates"])
     assert len(row["estimates"]) == (effect["against_twin"] is not None)
-    page = (tmp_path / "results" / "gap_physics.md").read_text()
+    page = (tmp_path / "results" / f"{table}.md").read_text()
     assert f"| set_00 | {effect['name']}" in page
     assert "100% [21%, 100%] of 1" in page
     capsys.readouterr()

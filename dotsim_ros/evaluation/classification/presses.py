@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.arrays import Float32Array, FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.indenter import Indenter
@@ -27,7 +27,6 @@ FRAME_S = 0.1
 FIRST_DEPTH_M = 0.3e-3
 SLIDE_M = 1.5e-3
 SLIDE_FRAMES = 2
-DECIDED_BY = ("dotsim_ros.gel.make", "dotsim_ros.twin.follow", __name__)
 
 
 @dataclass(frozen=True)
@@ -189,7 +188,12 @@ def _skins(
 ) -> Float32Array:
     """Return the skins (N, F, V, 3) of presses; not finite where the gel refused one."""
     s = sensor
-    key = content_key(DECIDED_BY, (s.gel, s.material, s.contact, s.solver), indenter, drawn)
+    key = content_key(
+        (*PHYSICS, "evaluation/classification"),
+        (s.gel, s.material, s.contact, s.solver),
+        indenter,
+        drawn,
+    )
     path = cache / f"{name}-{key}.npz"
     shape = (len(drawn), len(drawn[0]), skin.vertex_count, 3)
     known = load_arrays(path, {"skin_position_m": ArrayForm(shape)})

@@ -36,7 +36,7 @@ from dotsim_ros.evaluation.classification.classifier import (
     train_classifier,
 )
 from dotsim_ros.evaluation.optics.gelsight import SENSOR
-from dotsim_ros.evaluation.optics.models import FitSettings, code_digest, factory_of
+from dotsim_ros.evaluation.optics.models import MADE_BY, FitSettings, factory_of
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import (
     Indenter,
@@ -223,7 +223,7 @@ def _drawn(
     state: Path,
 ) -> ImageArray:
     """Return what a model, fitted on some real presses, makes of each touch (N, H, W, 3)."""
-    own = state / content_key((), model, code_digest(model), study.fit, fitted_on)
+    own = state / content_key(MADE_BY, model, study.fit, fitted_on)
     make = factory_of(model, study.fit, state=own, progress=lambda _line: None)
     fitted = make(fitted_on, scene.rest, scene.camera)
     shutil.rmtree(own, ignore_errors=True)

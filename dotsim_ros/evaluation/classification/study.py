@@ -19,7 +19,7 @@ import torch
 
 from dotsim_ros.arrays import Float32Array, IntArray
 from dotsim_ros.baselines.optics.clipped import clipped_press
-from dotsim_ros.cache import content_key
+from dotsim_ros.cache import PHYSICS, content_key
 from dotsim_ros.evaluation.classification.classifier import (
     ClassifierSettings,
     classified,
@@ -38,9 +38,9 @@ from dotsim_ros.evaluation.geometry.registry import sensor_file
 from dotsim_ros.evaluation.optics.judge import recordings_of, restricted
 from dotsim_ros.evaluation.optics.models import (
     CLIPPED,
+    MADE_BY,
     REFINED,
     FitSettings,
-    code_digest,
     factory_of,
 )
 from dotsim_ros.evaluation.optics.names import BOUND, CLASSIFIED_BY
@@ -67,12 +67,6 @@ from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 APART = 5
 """Every fifth simulated press is not learnt from."""
-DECIDED_BY = (
-    "dotsim_ros.evaluation.classification.classifier",
-    "dotsim_ros.evaluation.classification.domains",
-    "dotsim_ros.evaluation.classification.presses",
-    "dotsim_ros.twin.footage",
-)
 
 
 @dataclass(frozen=True)
@@ -168,16 +162,14 @@ def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str
     # without: it is the same in both.
     split = "in_domain" if (model, domain_name) == (BOUND, "out_of_domain") else domain_name
     domain = domain_of(split, recordings_of(measured.data))
-    digest = code_digest(model) if model != BOUND else ""
     trained = (study.fit.epochs_of(model), study.fit.width_of(model))
     key = content_key(
-        DECIDED_BY,
+        (*PHYSICS, *MADE_BY, "evaluation/classification"),
         (measured.filmed.idle, [press.measured for press in measured.filmed.presses]),
         [press.skin_position_m for press in measured.filmed.presses],
         measured.sensor.camera,
         domain,
         model,
-        digest,
         (study.seeds, study.plan, study.classifier, study.fit.seed, trained),
     )
     path = kept / "rows" / f"{domain_name}-{model}-{key}.json"
@@ -259,7 +251,7 @@ def _to_learn_from(
     presses = clipped_presses(source, measured.sensor, data) if clips else by_name(data)
     # The lit disc is the same for all, as where images are judged.
     rest = replace(data.rest, lit=measured.data.rest.lit)
-    state = kept / "fits" / content_key((), model, code_digest(model), fold, study.fit)
+    state = kept / "fits" / content_key(MADE_BY, model, fold, study.fit)
     make = factory_of(model, study.fit, state=state, progress=lambda _line: None)
     fitted = make(restricted(presses, fold.fitted), rest, data.camera)
     random = np.random.default_rng(study.fit.seed)

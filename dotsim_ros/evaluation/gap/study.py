@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.evaluation.gap.baselines import Left, lasso_name, left_on_others
 from dotsim_ros.evaluation.gap.discrepancy import calibrated_discrepancy
@@ -60,8 +60,6 @@ from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 from dotsim_ros.twin.solver import TOLERANCE_M
 
-DECIDED_BY = ("dotsim_ros.evaluation.gap.study",)
-"""The code, with all that it imports, that decides what a hidden law does."""
 STIFFNESS_DECOY = 0.05
 LIMIT_SEARCHES = 5
 PAIRS = 12
@@ -252,7 +250,7 @@ def _hidden_changes(
         for number, t in enumerate(case.trajectories):
             press = t.recording.press
             key = content_key(
-                DECIDED_BY,
+                (*PHYSICS, "evaluation/gap"),
                 (source.sensor, presses.skin.rest_position_m, name, size, seed, number),
                 (t.recording, t.predicted),
             )

@@ -321,8 +321,7 @@ def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
     """Return the tables as a Markdown page.
 
     Args:
-        figures: of `evaluate_geometry`, with its provenance, and rows that say where they come
-            from (`kept_rows.with_origin`).
+        figures: of `evaluate_geometry`, with its provenance.
         models: names of the models, in the order of the rows; some may be judged on other splits
             than the rest.
     """
@@ -361,21 +360,7 @@ def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
         parts.append("\n".join(failures) + "\n")
     parts.append("## What the figures mean\n")
     parts.append(entry_list(figures["definitions"]))
-    parts.append("## Where the rows come from\n")
-    parts.append(
-        entry_list(
-            {
-                f"{name}{part}": ", ".join(f"{key} {value}" for key, value in origin.items())
-                for name in models
-                for part, origin in (
-                    ("", figures[name]["origin"]),
-                    (", indenters left out", figures[name].get("origin_indenter_left_out")),
-                )
-                if origin is not None
-            }
-        )
-    )
-    parts.append("The page:\n")
+    parts.append("## Where the figures come from\n")
     parts.append(entry_list(figures["provenance"]))
     return "\n".join(parts)
 

@@ -12,7 +12,6 @@ from pathlib import Path
 
 from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
 from dotsim_ros.baselines.optics.pixels import idle_ground, warped_ground
-from dotsim_ros.code_version import version_of
 from dotsim_ros.evaluation.optics.judge import Factory, Idle, ImageModel, WarpedIdle
 from dotsim_ros.evaluation.optics.names import NAMES, NETWORKS, PUBLISHED, WARPED
 from dotsim_ros.geometry.camera import Camera
@@ -25,31 +24,8 @@ REFINED = ("idle_refined", "tacto_refined", "carried", *WARPED, "paper_mobile_wa
 """Models that get an idle image refined by the frames that they are fitted on, with samples between
 its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is
 what they would gain."""
-_PATTERN = "dotsim_ros.learning.pattern"
-_BASELINES = "dotsim_ros.baselines.optics"
-_NETWORK = "dotsim_ros.learning.fitting"
-_MADE_BY = {
-    "idle_refined": (_PATTERN,),
-    "tacto": (f"{_BASELINES}.tacto", f"{_BASELINES}.clipped"),
-    "tacto_refined": (f"{_BASELINES}.tacto", f"{_BASELINES}.clipped", _PATTERN),
-    "carried": (_PATTERN,),
-    "taxim": (f"{_BASELINES}.taxim",),
-    "difftactile": (f"{_BASELINES}.per_pixel",),
-    "tacto_warped": (f"{_BASELINES}.tacto", f"{_BASELINES}.clipped", _PATTERN),
-    "taxim_warped": (f"{_BASELINES}.taxim", _PATTERN),
-    "difftactile_warped": (f"{_BASELINES}.per_pixel", _PATTERN),
-    **dict.fromkeys(PUBLISHED, (_NETWORK,)),
-    "paper_mobile_warped": (_NETWORK, _PATTERN),
-    "ours": (_NETWORK, _PATTERN),
-}
-
-
-def code_digest(name: str) -> str:
-    """Return a digest of the code that fits a model and predicts with it.
-
-    Comments, docstrings and layout play no part in it.
-    """
-    return version_of(*_MADE_BY.get(name, ()))
+MADE_BY = ("baselines", "evaluation/optics", "learning", "optics")
+"""Source that fits a model and predicts with it."""
 
 
 @dataclass(frozen=True)

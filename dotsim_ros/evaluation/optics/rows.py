@@ -34,15 +34,15 @@ from dotsim_ros.evaluation.optics.judge import (
 )
 from dotsim_ros.evaluation.optics.models import (
     CLIPPED,
+    MADE_BY,
     REFINED,
     FitSettings,
-    code_digest,
     factory_of,
 )
 from dotsim_ros.evaluation.optics.names import NETWORKS
 from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit
 from dotsim_ros.files import whole_file, write_json
-from dotsim_ros.provenance import provenance
+from dotsim_ros.provenance import provenance, source_hash
 from dotsim_ros.twin.footage import OpticalData, OpticalPress
 
 _FORMAT = 1
@@ -139,7 +139,7 @@ class RowMaker:
         return digest.hexdigest()
 
     def _path(self, model: str, split: OpticalSplit, shown: Sequence[FrameKey]) -> Path:
-        fitted: list[Any] = [code_digest(model)]
+        fitted: list[Any] = [source_hash(*MADE_BY)]
         if model in NETWORKS:
             fitted += [self.settings.epochs_of(model), self.settings.width_of(model)]
         parts = [_FORMAT, self._digest, split.train, split.test, list(shown)]

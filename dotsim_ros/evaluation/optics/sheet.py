@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import matplotlib
@@ -112,14 +112,6 @@ def write_sheets(
         )
         sheets[level] = os.path.relpath(path, seen_from)
     return sheets
-
-
-def known_sheets(directory: Path, levels: Iterable[str], *, seen_from: Path) -> dict[str, str]:
-    """Return the sheets of levels that lie in a folder already, as `write_sheets` does."""
-    paths = {level: _sheet(directory, level) for level in levels}
-    return {
-        level: os.path.relpath(path, seen_from) for level, path in paths.items() if path.is_file()
-    }
 
 
 def _sheet(directory: Path, level: str) -> Path:

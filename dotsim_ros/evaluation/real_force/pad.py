@@ -20,7 +20,7 @@ import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, values_of
@@ -51,7 +51,6 @@ DEPTH_M = 1e-3 * np.array([0.3, 0.4, 0.5, 0.625, 0.75, 0.875, 1.0, 1.25, 1.5, 1.
 CLEARANCE_M = 0.1e-3
 STIFFENING_STEP = 0.03
 """C20 over C10 of the column of stiffening."""
-DECIDED_BY = (__name__,)
 FRAME_S = 0.1
 SUPPORT_ROUNDS = 30
 """Of the force on a support that gives way: each is closer by what the support takes of the depth,
@@ -167,7 +166,9 @@ class PadSolves:
         """
         values = gel_values(state)
         where = [(pose.position_m, pose.quaternion_xyzw) for pose in poses]
-        key = content_key(DECIDED_BY, replace(SENSOR, name=""), values, indenter, where)
+        key = content_key(
+            (*PHYSICS, "evaluation/real_force"), replace(SENSOR, name=""), values, indenter, where
+        )
         path = self._folder / f"{key}.npz"
         known = load_arrays(path, {"force_n": ArrayForm((len(poses), 3))})
         if known is None:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.cache import content_key
+from dotsim_ros.cache import PHYSICS, content_key
 from dotsim_ros.evaluation.rl.worlds import AS_LEARNT, WORLDS, options_of
 from dotsim_ros.files import write_json
 from dotsim_ros.tasks.environments.box_yaw import MOVES
@@ -35,11 +35,6 @@ FIRST_EPISODE = 1_000_000
 BLIND = "random moves"
 BLIND_EPISODES = 40
 """At most, of each kind of blind moves: they mostly play to the end, three times as long."""
-DECIDED_BY = (
-    "dotsim_ros.tasks.environments.box_yaw",
-    "dotsim_ros.tasks.environments.reinforcement",
-    "dotsim_ros.evaluation.rl.worlds",
-)
 
 
 @dataclass(frozen=True)
@@ -183,7 +178,13 @@ def blind_row(study: Study, folder: Path, name: str) -> dict[str, Any]:
 
 def kept_folder(study: Study, cache: Path) -> Path:
     """Return where a study keeps what it has done: another place for other code or settings."""
-    return cache / content_key(DECIDED_BY, study.settings, study.steps, study.seconds, study.enough)
+    return cache / content_key(
+        (*PHYSICS, "tasks", "evaluation/rl"),
+        study.settings,
+        study.steps,
+        study.seconds,
+        study.enough,
+    )
 
 
 def policy_folder(folder: Path, seed: int) -> Path:

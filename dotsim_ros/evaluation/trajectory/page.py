@@ -75,14 +75,20 @@ NOT_SO = (
     "stiffness; it shows in the force.",
     "The arm is simulated, and the indenter stands still in its base.",
 )
-SIMULATED_TIME = (
-    "All nodes go on in steps together, with delays of camera and policy as they were measured in "
-    "real time: the figures are the same however busy the machine, on processors of one kind."
-)
-REAL_TIME = (
-    "Everything shares the machine, and what comes late is late: the figures depend on the machine "
-    "and on what else it does."
-)
+CLOCKS = {
+    "simulated": (
+        "In simulated time",
+        "All nodes go on in steps together, with delays of camera and policy as they were measured "
+        "in real time: the figures are the same however busy the machine, on processors of one "
+        "kind.",
+    ),
+    "realtime": (
+        "In real time",
+        "Everything shares the machine, and what comes late is late: the figures depend on the "
+        "machine and on what else it does.",
+    ),
+}
+"""Title and explanation of the trials by each clock."""
 PANEL_INCHES = (3.5, 2.5)
 GRID_PANEL_INCHES = (3.1, 2.3)
 DOTS_PER_INCH = 110
@@ -167,21 +173,17 @@ def trajectory_page(figures: Mapping[str, Any], image: str) -> str:
     """Return the page of the figures.
 
     Args:
-        figures: as `trajectory_figures` gives them, with `provenance`, `plan` and `limits`: those
-            in simulated time, and below `realtime` those in real time; either may be missing.
+        figures: as `trajectory_figures` gives them, with `clock`, `provenance`, `plan`, `limits`.
         image: of the paths, seen from the page.
     """
-    clocks = [("In simulated time", figures, SIMULATED_TIME)] if "plan" in figures else []
-    if "realtime" in figures:
-        clocks.append(("In real time", figures["realtime"], REAL_TIME))
-    settings = [name for name in SETTINGS if any(name in found for _, found, _ in clocks)]
+    settings = [name for name in SETTINGS if name in figures]
     parts = [
         "# Trajectories followed by touch alone",
         "Over ROS topics: `tactile_sim`, `tactile_policy` and `xarm_sim` as processes. Every trial "
         "starts somewhere on its path and a little beside it, drawn by the seed, at the same "
         "places in every setting.",
         "\n".join(f"- **{setting}**: {SAYS[setting]}." for setting in settings),
-        *(part for clock in clocks for part in _clock_parts(*clock)),
+        *_clock_parts(figures, settings),
         "## The paths",
         f"![executed paths on the reference]({image})",
         "Grey: the path; yellow: the approach of the first "
@@ -205,9 +207,9 @@ def trajectory_page(figures: Mapping[str, Any], image: str) -> str:
     return "\n\n".join(part.strip("\n") for part in parts) + "\n"
 
 
-def _clock_parts(title: str, figures: Mapping[str, Any], says: str) -> list[str]:
-    """Return what a page says of the trials by one clock."""
-    settings = [name for name in SETTINGS if name in figures]
+def _clock_parts(figures: Mapping[str, Any], settings: Sequence[str]) -> list[str]:
+    """Return the tables of the trials by their clock."""
+    title, says = CLOCKS[figures["clock"]]
     rows = [
         ((setting, path), _shown(found))
         for setting in settings

@@ -21,7 +21,7 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key, tell_broken
+from dotsim_ros.cache import PHYSICS, content_key, tell_broken
 from dotsim_ros.documents import read_yaml
 from dotsim_ros.files import given_path, parameter_path, whole_file, write_image
 from dotsim_ros.geometry.camera import Camera
@@ -51,15 +51,6 @@ START_SPREAD_M = 0.4e-3
 BRAKING_S = 0.3
 """After the last command the motion still counts for so long."""
 TRIES = 3
-DECIDED_BY = (
-    "dotsim_ros.sensor",
-    "dotsim_ros.tasks.arm.simulated",
-    "dotsim_ros.tasks.policy.network",
-    "dotsim_ros.tasks.control.arm_control",
-    "dotsim_ros.nodes.tactile_policy.loops",
-    "dotsim_ros.nodes.simulated_time.schedule",
-)
-"""The code, with all that it imports, that decides what a trial does."""
 PARAMETERS = "closed_loop.yaml"
 """The parameters of the loop, which decide it, too."""
 
@@ -121,7 +112,10 @@ class TrialPlan:
         """Return the name of the file that keeps a trial."""
         what = (self.policy, setting.content, path, number, self.seed, self.seconds, self.clock)
         key = content_key(
-            DECIDED_BY, what, setting.noise_levels, parameter_path(PARAMETERS).read_bytes()
+            (*PHYSICS, "optics", "tasks", "nodes"),
+            what,
+            setting.noise_levels,
+            parameter_path(PARAMETERS).read_bytes(),
         )
         return f"{setting.name}-{path}-{number}-{key}.npz"
 

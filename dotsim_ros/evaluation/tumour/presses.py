@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from dotsim_ros.arrays import Float32Array, FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import GEL, content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm, Arrays
 from dotsim_ros.evaluation.tumour.skins import Press
 from dotsim_ros.gel.discretization import discretize
@@ -33,7 +33,6 @@ STEP_M = 1.0e-3
 """Between two equilibria the sensor goes no deeper than this."""
 SAME_M = 1.0e-7
 """Markers this close lie at one place."""
-DECIDED_BY = ("dotsim_ros.gel.pair.equilibrium", "dotsim_ros.gel.make", __name__)
 
 
 def coarse(sensor: SensorSpecification) -> SensorSpecification:
@@ -101,7 +100,9 @@ class Simulation:
         self, layer: LayerSpecification, press: Press, name: str
     ) -> tuple[Float32Array, FloatArray] | None:
         s = self._sensor
-        key = content_key(DECIDED_BY, (s.gel, s.material), PairSettings(), layer, press)
+        key = content_key(
+            (*GEL, "evaluation/tumour"), (s.gel, s.material), PairSettings(), layer, press
+        )
         path = self._cache / "simulated" / f"{key}.npz"
         known = load_arrays(path, press_forms((len(press.depths_m), self.skin.vertex_count, 3)))
         if known is None:

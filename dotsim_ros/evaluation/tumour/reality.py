@@ -23,7 +23,6 @@ from dotsim_ros.reference.layer_press import LayerPressSettings, solve_layer_pre
 from dotsim_ros.reference.run import CalculixError
 from dotsim_ros.specification import SensorSpecification
 
-SOLVED_BY = ("dotsim_ros.reference.layer_press", __name__)
 CALCULIX = tuple(
     LayerPressSettings(gel_spacing_m=3.0e-3, layer_spacing_m=2.4e-3, friction=friction)
     for friction in (0.0, 0.3)
@@ -60,7 +59,14 @@ def calculix_presses(
     for number, (press, turns) in enumerate(zip(presses, turns_rad, strict=True)):
         name = f"press {number + 1} of {len(presses)}"
         settings = CALCULIX[number // 2 % len(CALCULIX)]
-        key = content_key(SOLVED_BY, (sensor.gel, sensor.material), layer, press, turns, settings)
+        key = content_key(
+            ("reference", "evaluation/tumour"),
+            (sensor.gel, sensor.material),
+            layer,
+            press,
+            turns,
+            settings,
+        )
         path = cache / "calculix" / f"{key}.npz"
         shape = (len(turns), len(press.depths_m), skin.vertex_count, 3)
         known = load_arrays(path, press_forms(shape))

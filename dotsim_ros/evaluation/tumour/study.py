@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from dotsim_ros.arrays import Float32Array, FloatArray, IntArray
-from dotsim_ros.cache import content_key
+from dotsim_ros.cache import PHYSICS, content_key
 from dotsim_ros.documents import read_json
 from dotsim_ros.evaluation.classification.classifier import (
     ClassifierSettings,
@@ -40,7 +40,6 @@ LEARNT, JUDGED, SHIFTED = 0, 1, 2
 OTHER_LIGHT = "other lights"
 RIGID_TURNS, RIGID_SEEDS = 2, 1
 """Of the baseline, which knows no force and whose images no more of them make better."""
-DECIDED_BY = ("dotsim_ros.evaluation.classification.classifier", __name__)
 TRAINING = ClassifierSettings(epochs=25, learning_rate=2e-3, gain=0.05, stretch=0.0, turn_rad=0.0)
 """Chosen on simulated presses that were not learnt from. Small differences of where and how far the
 gel moved tell the classes: images that are shifted, or scaled by more, were told worse."""
@@ -129,7 +128,7 @@ def run_study(study: Study, cache: Path, tell: Progress) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     for name in study.skins:
         key = content_key(
-            DECIDED_BY,
+            (*PHYSICS, "evaluation/classification", "evaluation/tumour"),
             replace(study, skins=(name,)),
             SKINS[name],
             replace(sensor, name=""),

@@ -21,7 +21,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays, tell_broken
+from dotsim_ros.cache import GEL, content_key, load_arrays, store_arrays, tell_broken
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
@@ -37,9 +37,6 @@ REACH_M = 7.0e-3
 TAPER_M = 14.0e-3
 """Length of the Gaussian that fades dG out towards its reach; a sharp end would make it indefinite
 for contacts as wide as the reach."""
-
-DECIDED_BY = ("dotsim_ros.gel.implicit.refinement",)
-"""The code, with all that it imports, that decides a table."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +169,7 @@ def refine(
     """
     youngs, bulk = small_strain_moduli_pa(law)
     key = content_key(
-        DECIDED_BY,
+        GEL,
         body,
         coarse.spacing_m,
         round(bulk / youngs, 9),

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.cache import GEL, content_key, load_arrays, store_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
@@ -20,9 +20,6 @@ from dotsim_ros.gel.discretization import Discretization
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.tangent import inverse_at_rest
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
-
-DECIDED_BY = ("dotsim_ros.gel.implicit.rest_compliance",)
-"""The code, with all that it imports, that decides a table."""
 
 
 def kept_compliance(
@@ -39,7 +36,7 @@ def kept_compliance(
     """
     youngs, bulk = small_strain_moduli_pa(law)
     key = content_key(
-        DECIDED_BY, shape, grid.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY, skin_position_m
+        GEL, shape, grid.spacing_m, round(bulk / youngs, 9), GHOST_PENALTY, skin_position_m
     )
     path = cache_directory() / f"rest-{key}.npz"
     stored = load_arrays(path, {"compliance": ArrayForm((3 * grid.node_count,) * 2)})
