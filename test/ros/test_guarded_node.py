@@ -11,7 +11,7 @@ from collections.abc import Iterator
 import pytest
 import rclpy
 from harness import spin_in_background
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -96,6 +96,49 @@ def test_overriding_one_topic_leaves_the_others_as_they_were(fragile: Fragile) -
     ]
     found = [publisher.qos_profile.reliability for publisher in publishers]
     assert found == [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE]
+
+
+@pytest.mark.fault("messages", "a publisher that offers less than a node's input asks for")
+def test_an_input_takes_what_its_publishers_offer(fragile: Fragile, answered) -> None:
+    heard: list[str] = []
+    asked = QoSProfile(
+        depth=10,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+    fragile.create_subscription(String, "latched", lambda m: heard.append(m.data), asked)
+    offered = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    weak = fragile.create_publisher(String, "latched", offered)
+    # Each lack is seen by itself: the subscription is opened again twice.
+    wait(weak.get_subscription_count)
+    strong = fragile.create_publisher(
+        String, "latched", QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+    )
+    wait(strong.get_subscription_count)
+
+    def all_heard() -> bool:
+        # One of best effort may be lost.
+        weak.publish(String(data="weak"))
+        return "weak" in heard
+
+    wait(all_heard)
+    strong.publish(String(data="strong"))
+    wait(lambda: "strong" in heard)
+    assert fragile.count_subscribers("latched") == 1
+    assert fragile.failure_status() == []
+
+    # What cannot be asked for less is reported, with what cures it.
+    lossless = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL, deadline=rclpy.duration.Duration(seconds=1)
+    )
+    fragile.create_subscription(String, "hurried", lambda m: heard.append(m.data), lossless)
+    slow = fragile.create_publisher(String, "hurried", 10)
+    wait(fragile.failure_status)
+    (status,) = fragile.failure_status()
+    assert "nothing comes on hurried: a publisher offers another deadline" in status.message
+    assert "qos_overrides./hurried.subscription.deadline" in status.message
+    assert not slow.get_subscription_count()
+    answered(status.message)
 
 
 def test_a_time_that_no_stamp_holds_is_none(fragile: Fragile) -> None:

@@ -22,7 +22,7 @@ from harness import (
     spin_in_background,
     with_parameters,
 )
-from rclpy.qos import HistoryPolicy, QoSProfile
+from rclpy.qos import HistoryPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import msg_adapters
@@ -63,6 +63,10 @@ class Source:
             10,
         )
         self._thread = spin_in_background(self._node)
+
+    def add(self, topic, quality):
+        """Return another publisher of a topic."""
+        return self._node.create_publisher(TOPICS[topic], topic, quality)
 
     def meet(self, *topics):
         end_s = time.monotonic() + PATIENCE_S
@@ -167,6 +171,28 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path, interrupts):
     assert [camera.k[0] for camera in cameras] == [30.0 + index for index in range(COUNT)]
     for messages, depth in zip(frames, depths, strict=True):
         assert msg_adapters.decode_image(depth).tobytes() == messages["depth/image"].data.tobytes()
+
+
+@pytest.mark.fault("recording", "a camera's driver publishes as sensor data, of best effort")
+def test_what_is_published_without_delivery_is_recorded(tmp_path, answered):
+    with (
+        sending() as source,
+        recording(output=tmp_path / "bag", topics="['image_raw','wrench']") as recorder,
+    ):
+        source.meet("image_raw", "wrench")
+        camera = source.add("image_raw", qos_profile_sensor_data)
+        recorder.wait_for_line("image_raw: a publisher offers best_effort")
+        end_s = time.monotonic() + PATIENCE_S
+        while "receiving /image_raw" not in recorder.log:
+            assert time.monotonic() < end_s
+            camera.publish(frame(0)["image_raw"])
+            time.sleep(0.02)
+        assert recorder.interrupt() == 0, recorder.log
+    with BagReader(tmp_path / "bag") as bag:
+        images = [item.message() for item in bag.messages("/image_raw")]
+    assert images
+    assert images[0].data.tobytes() == frame(0)["image_raw"].data.tobytes()
+    answered(next(line for line in recorder.log.splitlines() if "best_effort" in line))
 
 
 def test_chosen_topics_only(tmp_path):

@@ -18,10 +18,17 @@ import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from dotsim_ros.nodes.common.health import FAULT_MEMORY_S
@@ -176,7 +183,12 @@ class GuardedNode(Node):
         qos_profile: QoSProfile | int,
         **options: Any,
     ) -> Any:
-        """See `rclpy.node.Node.create_subscription`; errors as `create_publisher`."""
+        """See `rclpy.node.Node.create_subscription`; errors as `create_publisher`.
+
+        Where a publisher offers less than is asked for, the subscription asks for that, as ROS's
+        own recorder does, unless the topic belongs to the steps of simulated time, which lose
+        nothing.
+        """
 
         def take(*what: Any) -> None:
             try:
@@ -185,6 +197,8 @@ class GuardedNode(Node):
                 self.note_failure(f"a message on {topic} is left out", error)
 
         quality = copy(qos_profile)
+        if isinstance(quality, int):
+            quality = QoSProfile(depth=quality)
         participant = self.participant if _is_stepped(topic, quality) else None
         # ROS sees by the number of its arguments whether a callback wants to know more.
         wants_more = len(signature(callback).parameters) != 1
@@ -195,6 +209,35 @@ class GuardedNode(Node):
             hear = lambda message, information: take(message, information)  # noqa: E731
         else:
             hear = lambda message: take(message)  # noqa: E731
+        given = options.get("event_callbacks") or SubscriptionEventCallbacks()
+        events = copy(given)
+
+        def adapt(event: Any) -> None:
+            nonlocal subscription
+            policy = QoSPolicyKind(int(event.last_policy_kind))
+            if participant is None and _ask_less(quality, policy):
+                self.get_logger().warning(
+                    f"{topic}: a publisher offers {_policies(quality)}, which is taken: messages "
+                    "may be lost on the way, or before this node started"
+                )
+                local = subscription if isinstance(subscription, LocalSubscription) else None
+                self.destroy_subscription(subscription if local is None else local.dds)
+                again = {**options, "qos_overriding_options": None, "event_callbacks": events}
+                opened = Node.create_subscription(self, msg_type, topic, hear, quality, **again)
+                if local is None:
+                    subscription = opened
+                else:
+                    local.dds = opened
+                return
+            name = policy.name.lower()
+            reason = (
+                f"a publisher offers another {name} than {_policies(quality)}: change that, or set "
+                f"qos_overrides.{self.resolve_topic_name(topic)}.subscription.{name}"
+            )
+            self.note_failure(f"nothing comes on {topic}", ValueError(reason))
+
+        events.incompatible_qos = adapt
+        options["event_callbacks"] = events
         subscription: Any
         try:
             subscription = super().create_subscription(
@@ -203,8 +246,6 @@ class GuardedNode(Node):
         except Exception as error:
             raise self._refusal(topic, error) from error
         if self._local is not None and _is_stepped(topic, quality):
-            if isinstance(quality, int):
-                quality = QoSProfile(depth=quality)
             takes_all = participant is not None or wants_more
             subscription = LocalSubscription(
                 self,
@@ -324,6 +365,22 @@ def _is_stepped(topic: str, quality: QoSProfile | int) -> bool:
         isinstance(quality, QoSProfile) and quality.durability is DurabilityPolicy.TRANSIENT_LOCAL
     )
     return not is_latched and topic not in UNSTEPPED
+
+
+def _ask_less(quality: QoSProfile, policy: QoSPolicyKind) -> bool:
+    """Lower what a subscription asks for to what every publisher offers; return whether it could
+    be lowered."""
+    if policy is QoSPolicyKind.RELIABILITY and quality.reliability is ReliabilityPolicy.RELIABLE:
+        quality.reliability = ReliabilityPolicy.BEST_EFFORT
+        return True
+    if policy is QoSPolicyKind.DURABILITY and quality.durability is not DurabilityPolicy.VOLATILE:
+        quality.durability = DurabilityPolicy.VOLATILE
+        return True
+    return False
+
+
+def _policies(quality: QoSProfile) -> str:
+    return f"{quality.reliability.name.lower()}, {quality.durability.name.lower()}"
 
 
 def _keeps_all(quality: QoSProfile | int) -> QoSProfile:

@@ -46,8 +46,7 @@ from dotsim_ros.nodes.tactile_sim.parameters import (
 from dotsim_ros.nodes.tactile_sim.transform_input import TransformInput
 from dotsim_ros.printable import cut
 
-# Only the newest counts, but a single one must not get lost. For a publisher of best effort the
-# user overrides the reliability by parameter; ROS warns that the two do not match.
+# Only the newest counts, but a single one must not get lost.
 REALTIME_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
 # The middleware keeps the newest meanwhile, so a flood of poses cannot starve the frames.
 REALTIME_PAUSE_S = 0.002
