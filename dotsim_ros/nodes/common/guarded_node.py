@@ -209,8 +209,8 @@ class GuardedNode(Node):
             hear = lambda message, information: take(message, information)  # noqa: E731
         else:
             hear = lambda message: take(message)  # noqa: E731
-        given = options.get("event_callbacks") or SubscriptionEventCallbacks()
-        events = copy(given)
+        events = copy(options.get("event_callbacks") or SubscriptionEventCallbacks())
+        subscription: Any = None
 
         def adapt(event: Any) -> None:
             nonlocal subscription
@@ -238,7 +238,6 @@ class GuardedNode(Node):
 
         events.incompatible_qos = adapt
         options["event_callbacks"] = events
-        subscription: Any
         try:
             subscription = super().create_subscription(
                 msg_type, topic, hear, quality, **_with_check(options)
