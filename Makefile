@@ -103,7 +103,7 @@ results: setup
 # A notice of the theme's makers about its successor is no warning about these pages.
 docs: setup
 	$(RUN) python .ci/effects_table.py --check
-	$(RUN) python .ci/profiles_table.py --check
+	$(RUN) python tools/results_page.py --check
 	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet --site-dir $(abspath $(OUT))/site
 	$(RUN) python .ci/check_links.py $(OUT)/site $(wildcard *.md)
 	@echo "open $(OUT)/site/index.html"
