@@ -99,6 +99,7 @@ lint: setup
 # For a release; resumed where it was interrupted.
 results: setup
 	$(RUN) python tools/results.py $(if $(LIST),--list) $(NAMES)
+	$(RUN) python tools/results_page.py
 
 # A notice of the theme's makers about its successor is no warning about these pages.
 docs: setup
