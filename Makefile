@@ -22,11 +22,8 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-# Several at a time, a file each, in the order in which they are named: long files must not come
-# last. Tests of nodes mostly wait.
-IN_ORDER := --dist loadfile --no-loadscope-reorder
-SOLVING := -n 2 $(IN_ORDER)
-WAITING := -n 3 $(IN_ORDER)
+# More than there are cores, since tests of nodes mostly wait; a file each, the longest first.
+TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
 
 # What the tests saw of bad input and faults, for docs/faults.md.
 FAULTS ?= $(OUT)/faults.json
@@ -69,8 +66,7 @@ demo-loop: setup
 test: setup
 	@rm -f $(FAULTS)
 	export $(RUN); tests="python -m pytest -rs --faults=$(FAULTS) $(PYTEST_OPTIONS)"; failed=0; \
-	$$tests $(SOLVING) test/physics test/unit || failed=1; \
-	$$tests $(WAITING) -m "not timed" test/ros || failed=1; \
+	$$tests $(TOGETHER) -m "not timed" test || failed=1; \
 	$$tests -m timed test/ros || failed=1; \
 	exit $$failed
 

@@ -132,6 +132,10 @@ _BoundedLoader.add_implicit_resolver(
 )
 
 
+# What launch_ros makes of a list of parameters.
+_BoundedLoader.add_constructor("tag:yaml.org,2002:python/tuple", _BoundedLoader.construct_sequence)
+
+
 def read_yaml(path: str | Path) -> Any:
     """Return what a YAML file holds: mappings by text, lists, texts, numbers, truth values, None.
 

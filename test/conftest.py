@@ -38,6 +38,9 @@ AREAS = (
 )
 """The chapters of the table, in their order."""
 
+SECONDS = Path(__file__).parent / "seconds.json"
+"""What files of tests took on two cores, from `--durations=0`; those under 5 s are left out."""
+
 _found: list[dict[str, str]] = []
 
 
@@ -57,6 +60,14 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers", "timed: its nodes must keep times: no other test runs beside it"
     )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let the files that take longest begin first, so that the end does not wait for one of them,
+    and those of nodes, which mostly wait, run beside those that compute."""
+    seconds = json.loads(SECONDS.read_text(encoding="utf-8"))
+    root = SECONDS.parents[1]
+    items.sort(key=lambda item: -seconds.get(item.path.relative_to(root).as_posix(), 0))
 
 
 def pytest_collection_finish() -> None:

@@ -5,19 +5,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import rclpy
 from harness import refused_starts, with_parameters
 from hostile import BOMB
 
 from dotsim_ros.nodes.common.arguments import check_start
+from dotsim_ros.nodes.common.declare import declare_fields, read
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameter_file import parameters_of
 from dotsim_ros.nodes.tactile_policy.node import TactilePolicy
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.nodes.xarm_sim.node import XarmSim
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 from msg_adapters import message_class
 
 PARAMETER_FILES = {
@@ -173,3 +182,46 @@ def test_topics_that_cannot_be_recorded_are_refused(what: str, answered: Any) ->
     with pytest.raises(ValueError, match=r"topics|message type") as caught:
         classes_of(TOPICS[what])
     answered(caught.value, what=f"`tactile_record` is asked for {what}")
+
+
+@pytest.mark.parametrize("name", ["launch_ros_any_node.yaml", "launch_ros_named_node.yaml"])
+def test_parameters_are_read_as_launch_ros_writes_them(name: str) -> None:
+    """The files are those that launch_ros 0.26 (ROS 2 Jazzy) wrote for two nodes of a launch file
+    in Python, whose lists become tuples."""
+    path = str(Path(__file__).parent / "data" / name)
+    arguments = ["--ros-args", "--params-file", path]
+    check_start(arguments)
+    assert parameters_of(path, "/left/tactile_sim")["crop_px"] == [0, 0, 320, 240]
+    context = rclpy.Context()
+    rclpy.init(context=context, args=arguments)
+    node = GuardedNode("tactile_sim", namespace="left", context=context)
+    declare_fields(node, TactileSimParameters)
+    settings = read(node, TactileSimParameters)
+    node.destroy_node()
+    rclpy.try_shutdown(context=context)
+    assert settings.crop_px == (0, 0, 320, 240)
+    assert settings.entity_sensor_centre_m == (0.01, 0.0, -0.02)
+    assert (settings.sensor, settings.seed, settings.image_noise_levels) == ("flat_pad", 3, 1.5)
+    # A text that looks like a number stays one.
+    assert settings.image_topic == "1"
+
+
+@pytest.mark.fault("node parameters", "a file of parameters with an object of Python")
+def test_objects_of_python_are_refused(tmp_path: Path, answered: Callable[..., None]) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text("/**:\n  ros__parameters:\n    seed: !!python/object/apply:os.getpid []\n")
+    with pytest.raises(ValueError, match="could not determine a constructor") as refused:
+        check_start(["--ros-args", "--params-file", str(path)])
+    answered(refused.value)
+
+
+def test_every_executable_answers_help_with_all_its_parameters() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from dotsim_ros.nodes import executables as e; e.xarm_sim()", "-h"],
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "usage: xarm_sim [--ros-args" in done.stdout
+    for field in dataclasses.fields(XarmSimParameters):
+        assert f"  {field.name} ({field.default!r}): {option_of(field).description}" in done.stdout

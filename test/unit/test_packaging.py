@@ -12,6 +12,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import re
+import runpy
 import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import setuptools
 import yaml
 
 import dotsim_ros
@@ -143,6 +145,17 @@ def executables() -> dict[str, str]:
     """Return module:function of each installed command."""
     entries = setup_keyword("entry_points")["console_scripts"]
     return dict(entry.split(" = ") for entry in entries)
+
+
+def installed_files() -> dict[str, set[str]]:
+    """Return the files that the package installs below share/, by top folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(setuptools, "setup", lambda **_: None)
+        entries = runpy.run_path(str(ROOT / "setup.py"))["shared_files"]()
+    found: dict[str, set[str]] = {}
+    for folder, files in entries:
+        found.setdefault("/".join(folder.split("/")[:3]), set()).update(files)
+    return found
 
 
 def requirements() -> set[str]:
@@ -294,7 +307,7 @@ def test_every_executable_has_its_function() -> None:
 
 def test_every_node_with_a_main_is_an_executable() -> None:
     found = {
-        f"dotsim_ros.nodes.{path.parent.name}.node:main"
+        f"dotsim_ros.nodes.executables:{path.parent.name}"
         for path in (ROOT / "dotsim_ros" / "nodes").glob("*/node.py")
         if any(isinstance(f, ast.FunctionDef) and f.name == "main" for f in tree_of(path).body)
     }
@@ -488,7 +501,8 @@ def test_launched_parameter_files_are_shipped(path: Path) -> None:
         and isinstance(found.right, ast.Constant)
     }
     assert names
-    assert all((ROOT / "params" / str(name)).is_file() for name in names)
+    share = installed_files()["share/dotsim_ros/params"]
+    assert {f"params/{name}" for name in names} <= share, "name its folder in setup.py"
 
 
 def test_in_simulated_time_every_node_of_the_loop_but_the_stepper_is_stepped() -> None:
