@@ -201,7 +201,11 @@ def test_parameters_are_read_as_launch_ros_writes_them(name: str) -> None:
     rclpy.try_shutdown(context=context)
     assert settings.crop_px == (0, 0, 320, 240)
     assert settings.entity_sensor_centre_m == (0.01, 0.0, -0.02)
-    assert (settings.sensor, settings.seed, settings.image_noise_levels) == ("flat_pad", 3, 1.5)
+    assert (settings.sensor, settings.latency_seed, settings.image_noise_levels) == (
+        "flat_pad",
+        3,
+        1.5,
+    )
     # A text that looks like a number stays one.
     assert settings.image_topic == "1"
 
