@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.gel.implicit.gel import PressTooDeepError
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SolverSpecification, load_sensor
@@ -138,6 +139,21 @@ def test_the_stiffness_is_the_derivative_of_the_wrench(sensor: TactileSensor) ->
     lower = Pose(pose.position_m - [0.0, 0.0, 20e-6], pose.quaternion_xyzw)
     change_n = sensor.press(lower).wrench.force_n[2] - at_n
     assert change_n / 20e-6 == pytest.approx(stiffness[2, 2], rel=0.1)
+
+
+def test_the_stiffness_is_the_derivative_where_markers_slip(sensor: TactileSensor) -> None:
+    sensor.set_indenter(load_indenter("sphere_4mm"))
+    stiffness, force_n = {}, {}
+    # As in a slide that is half way to the limit, and next to it; then all of them slip.
+    for slid_um in (0, 50, 100, 150, 200, 250, 300, 350, 355, 400, 450, 500, 505, 550, 600):
+        pose = Pose(np.array([1e-6 * slid_um, 0.0, APEX_M - 0.5e-3]))
+        force_n[slid_um] = sensor.press(pose).wrench.force_n[0]
+        stiffness[slid_um] = sensor.wrench_stiffness()[0, 0]
+    for slid_um in (350, 500):
+        change_n = force_n[slid_um] - force_n[slid_um + 5]
+        assert change_n / 5e-6 == pytest.approx(stiffness[slid_um], rel=0.05)
+    assert stiffness[350] < 0.9 * stiffness[0]
+    assert abs(stiffness[600]) < 0.1 * stiffness[0]
 
 
 def test_a_body_that_is_pushed_through_the_gel_is_refused(sensor: TactileSensor) -> None:
