@@ -5,8 +5,8 @@
 
 You learn how several sensors share one world: each step of a `MujocoGripper` moves the world once,
 with the forces of all gels on the object and on the fingers. MuJoCo itself sees no contact between
-fingers and object, so the friction of the gels is all that holds it. Writes grip.png, what both sensors
-see at the end.
+fingers and object, so the friction of the gels is all that holds it. Writes grip.png, what both
+sensors see at the end.
 
 python examples/two_fingers.py FOLDER [ball|box] [SECONDS]
 """

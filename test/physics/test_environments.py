@@ -200,6 +200,7 @@ def test_the_expert_follows_its_path(sensor: str) -> None:
         np.array([0, np.inf, 0]),
         np.float32([1.5, 0, -3]),
         [0.0, -1.0 - 1e-5, 0.0],
+        {"velocity": 1.0},
     ],
 )
 def test_a_ball_that_is_sent_nowhere_stays(action: Any) -> None:

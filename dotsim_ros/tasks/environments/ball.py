@@ -101,7 +101,10 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
             ValueError: not three numbers from -1 to 1; nothing has moved.
             gymnasium.error.ResetNeeded: `reset` was not called.
         """
-        given = np.asarray(action, dtype=np.float64)
+        try:
+            given = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            given = np.full(3, np.nan)
         # Written so that a number that is not one is refused.
         if given.shape != (3,) or not np.all(np.abs(given) <= 1.0 + ROUNDING):
             raise ValueError(
