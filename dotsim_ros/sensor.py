@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -167,6 +168,7 @@ class TactileSensor:
         self._solvers = SolverChanges(self._gel, specification.solver)
         self._own_idle = idle_frame_of(specification, self.camera)
         self._make_images()
+        self._warn_of_misfit()
         self.markers: PrintedMarkers | None = None
         if specification.markers.columns:
             self.markers = PrintedMarkers(specification.markers, self.skin)
@@ -312,6 +314,21 @@ class TactileSensor:
         if self.specification.camera.colour == "grey":
             self._own_idle = self._own_idle.as_grey()
         self._make_images()
+        self._warn_of_misfit()
+
+    def _warn_of_misfit(self) -> None:
+        """Warn where the idle image was not taken through this sensor's camera."""
+        sees_gel = self._renderer.render(self.skin.rest_position_m).mask
+        camera = self.specification.camera
+        reason = self._idle.misfit(sees_gel, camera.half_height_angle_deg)
+        if reason:
+            warnings.warn(
+                f"the idle image of sensor {self.specification.name!r} does not fit its camera: "
+                f"{reason}. Frames show that image where nothing moves: correct the section "
+                "camera, or name in camera.idle_image one that was taken through this camera; "
+                'with "" one is drawn',
+                stacklevel=3,
+            )
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""

@@ -34,6 +34,7 @@ AREAS = (
     "node parameters",
     "messages",
     "simulated time",
+    "environments",
     "scale-out",
 )
 """The chapters of the table, in their order."""

@@ -23,7 +23,7 @@ from dotsim_ros import load_effects, load_sensor, read_data_set
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 TESTS = (Path(__file__), Path(__file__).parents[1] / "ros" / "test_ros_examples.py")
-MOST_LINES = 39
+MOST_LINES = 99
 
 
 def run(name: str, *arguments: object) -> str:
@@ -96,6 +96,29 @@ def test_an_arm_in_mujoco_holds_what_the_gel_pushes_back(tmp_path: Path) -> None
     assert held[-1, :2] == pytest.approx(force[-1, [0, 2]], abs=0.005)
     assert held[-1, 2] == pytest.approx(torque[-1, 1], abs=5e-5)
     assert cv2.imread(str(tmp_path / "peg.png")).shape == (480, 640, 3)
+
+
+@pytest.mark.parametrize("shape", ["ball", "box"])
+def test_two_fingers_lift_turn_and_hold_by_friction_alone(tmp_path: Path, shape: str) -> None:
+    printed = run("two_fingers.py", tmp_path, shape, 0.5)
+    assert re.findall(r"(\w+) after .*, 0 contacts in MuJoCo", printed) == [
+        "lifted",
+        "turned",
+        "held",
+    ]
+    rows = [
+        [float(number) for number in re.findall(r"-?\d+\.\d*(?:e[+-]\d+)?", line)]
+        for line in printed.splitlines()
+        if line.startswith("  ")
+    ]
+    *force_n, weight_n = rows[-2]
+    assert force_n == pytest.approx([0.0, 0.0, weight_n], abs=0.01 * weight_n)
+    *squeeze_n, x_mm, y_mm, angle_deg = rows[-1]
+    assert squeeze_n[0] == pytest.approx(squeeze_n[1], rel=0.01)
+    assert angle_deg == pytest.approx(90.0, abs=0.5)
+    # It has not slipped since it was turned.
+    assert [x_mm, y_mm] == pytest.approx(rows[-3][2:4], abs=5e-3)
+    assert cv2.imread(str(tmp_path / "grip.png")).shape == (480, 1280, 3)
 
 
 def test_a_task_of_ones_own_is_solved_by_touch() -> None:
