@@ -419,6 +419,13 @@ class CameraSpecification:
         help="Angle from the axis that is seen at half the image's height, without distortion; at "
         f"most {WIDEST_PINHOLE_DEG:g} for a pinhole.",
     )
+    pixel_aspect: float = quantity(
+        1.0,
+        low=0.5,
+        high=2.0,
+        help="Focal length along x over that along y, fx / fy of a calibrated camera; "
+        "half_height_angle_deg sets that along y.",
+    )
     principal_point_px: tuple[float, float] = quantity(
         (319.5, 239.5),
         unit="px",

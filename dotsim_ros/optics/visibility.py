@@ -63,7 +63,7 @@ class VisibilityFinder(Protocol):
 def lens_of(camera: Camera) -> Any:
     """Return the camera's model as the kernels' struct."""
     lens = kernels.Lens()
-    lens.focal_px = camera.focal_px
+    lens.focal_x, lens.focal_y = camera.focal_xy_px
     lens.principal_x, lens.principal_y = camera.principal_point_px
     lens.distortion = wp.vec4(*camera.distortion)
     lens.widest_angle = camera.widest_angle_rad
