@@ -5,8 +5,8 @@
 
 You learn how several sensors share one world: each step of a `MujocoGripper` moves the world once,
 with the forces of all gels on the object and on the fingers. MuJoCo itself sees no contact between
-fingers and object, so the friction of the gels is all that holds it. Writes grip.png, what both
-sensors see at the end.
+fingers and object, so the friction of the gels is all that holds it. Writes grip.png, the change
+of both sensors' images by the grip, six times as strong.
 
 python examples/two_fingers.py FOLDER [ball|box] [SECONDS]
 """
@@ -75,12 +75,13 @@ def main(folder: Path, name: str = "ball", seconds: float = 10.0) -> None:
         for share, word in REPORTS.items():
             if step == round(share * count):
                 report(word, gripper)
-    images = [
-        finger.sensor.see(gel, finger.indenter_pose()).image
-        for finger, gel in zip(gripper.fingers, gels, strict=True)
-    ]
+    changes = []
+    for finger, gel in zip(gripper.fingers, gels, strict=True):
+        image = finger.sensor.see(gel, finger.indenter_pose()).image
+        change = image.astype(float) - finger.sensor.idle_image
+        changes.append(np.clip(128.0 + 6.0 * change, 0.0, 255.0).astype(np.uint8))
     folder.mkdir(parents=True, exist_ok=True)
-    plt.imsave(folder / "grip.png", np.hstack(images))
+    plt.imsave(folder / "grip.png", np.hstack(changes))
 
 
 def report(word: str, gripper: MujocoGripper) -> None:

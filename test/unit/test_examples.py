@@ -23,7 +23,7 @@ from dotsim_ros import load_effects, load_sensor, read_data_set
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 TESTS = (Path(__file__), Path(__file__).parents[1] / "ros" / "test_ros_examples.py")
-MOST_LINES = 99
+MOST_LINES = 110
 
 
 def run(name: str, *arguments: object) -> str:
