@@ -29,7 +29,7 @@ TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
-.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs results clean
+.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs canary results clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
@@ -42,6 +42,7 @@ help:
 	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
+	@echo "make canary  eight short motions, compared with kept values; KEEP=1 keeps new ones"
 	@echo "make results   the tables of docs/results, for a release: NAMES=\"gap rl\" for some, LIST=1 to list"
 
 setup: $(INSTALLED)
@@ -91,6 +92,10 @@ lint: setup
 	$(RUN) codespell
 	$(RUN) mypy
 	$(RUN) lint-imports
+
+# KEEP=1 writes new values; the commit that does so says why they changed.
+canary: setup
+	$(RUN) python tools/canary.py $(if $(KEEP),--keep)
 
 # For a release; resumed where it was interrupted.
 results: setup
