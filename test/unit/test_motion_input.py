@@ -10,9 +10,10 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.motion import (
+    HELD_MOTIONS,
     MotionGate,
     MotionOrder,
-    NewestMotion,
+    MotionQueue,
     Velocity,
     velocity_axes,
 )
@@ -60,15 +61,28 @@ def test_what_is_forgotten_leads_nowhere(gate):
     assert gate.hear(pose_at(1.0), SECOND, frame_id="base").new_start is None
 
 
-def test_a_new_start_that_was_not_simulated_stays_one():
-    slot = NewestMotion()
-    slot.put(MotionOrder(pose_at(1.0), 1, Fault.JUMP))
-    slot.put(MotionOrder(pose_at(1.001), 2, None))
-    newest = slot.take()
-    assert (newest.stamp_ns, newest.new_start) == (2, Fault.JUMP)
-    assert slot.take() is None
-    slot.put(MotionOrder(pose_at(1.002), 3, None))
-    assert slot.take().new_start is None
+def test_the_motions_of_a_frame_come_in_order_from_the_last_new_start_on():
+    queue = MotionQueue()
+    queue.put(MotionOrder(pose_at(0.0), 1, None))
+    queue.put(MotionOrder(pose_at(1.0), 2, Fault.JUMP))
+    queue.put(MotionOrder(pose_at(1.001), 3, None))
+    motions = queue.take()
+    assert [(motion.stamp_ns, motion.new_start) for motion in motions] == [
+        (2, Fault.JUMP),
+        (3, None),
+    ]
+    assert queue.take() == []
+
+
+def test_a_flood_of_motions_is_thinned_and_keeps_the_new_start_and_the_newest():
+    queue = MotionQueue()
+    queue.put(MotionOrder(pose_at(0.0), 0, Fault.JUMP))
+    for stamp_ns in range(1, 10 * HELD_MOTIONS):
+        queue.put(MotionOrder(pose_at(1e-9 * stamp_ns), stamp_ns, None))
+    stamps_ns = [motion.stamp_ns for motion in queue.take()]
+    assert len(stamps_ns) <= HELD_MOTIONS
+    assert (stamps_ns[0], stamps_ns[-1]) == (0, 10 * HELD_MOTIONS - 1)
+    assert stamps_ns == sorted(stamps_ns)
 
 
 def test_one_input_at_a_time_and_a_silent_one_gives_way():
