@@ -51,6 +51,7 @@ SENSOR_TOPICS = {
     "points": "sensor_msgs/msg/PointCloud2",
     "wrench": "geometry_msgs/msg/WrenchStamped",
     "indenter/pose": "geometry_msgs/msg/PoseStamped",
+    "indenter/state": "geometry_msgs/msg/PoseStamped",
 }
 """Message types of the topics that need no type to be given."""
 
@@ -78,7 +79,15 @@ class RecordParameters:
         read_only=True,
     )
     topics: tuple[str, ...] = option(
-        ("image_raw", "camera_info", "depth/image", "points", "wrench", "indenter/pose"),
+        (
+            "image_raw",
+            "camera_info",
+            "depth/image",
+            "points",
+            "wrench",
+            "indenter/pose",
+            "indenter/state",
+        ),
         "topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message",
         read_only=True,
     )
