@@ -8,7 +8,14 @@ import pytest
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
-from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
+from dotsim_ros.nodes.common.ingest import (
+    EARLY_S,
+    Fault,
+    FaultLog,
+    InputArbiter,
+    RefusedInputError,
+    TimeRestart,
+)
 from dotsim_ros.nodes.tactile_sim.motion import (
     HELD_MOTIONS,
     MotionGate,
@@ -117,3 +124,24 @@ def test_a_velocity_is_along_the_axes_that_its_frame_says():
     with pytest.raises(RefusedInputError, match="expected 'base' or 'indenter'"):
         velocity_axes("map", base_frame="base", indenter_frame="indenter")
     assert TwistFrame.OWN is velocity_axes("indenter", base_frame="b", indenter_frame="indenter")
+
+
+def test_after_a_clock_went_back_a_message_of_the_time_before_is_refused_until_midway():
+    restart = TimeRestart()
+    restart.check(9 * SECOND, 9 * SECOND)
+    assert restart.begin(before_ns=10 * SECOND, now_ns=0, now_s=0.0) == []
+    for stamp_s, now_s in ((0.0, 0.0), (0.5, 0.1), (4.0, 4.0), (9.9, 6.0), (1.8e9, 0.1)):
+        restart.check(int(stamp_s * SECOND), int(now_s * SECOND))
+    for stamp_s, now_s in ((9.9, 0.0), (10.01, 0.1), (9.0, 4.0)):
+        with pytest.raises(RefusedInputError, match="gone back") as caught:
+            restart.check(int(stamp_s * SECOND), int(now_s * SECOND))
+        assert caught.value.fault is Fault.ORDER
+
+
+def test_what_was_refused_just_before_a_clock_went_back_is_done_again_once():
+    restart = TimeRestart()
+    restart.hold(lambda: "old", 0.0)
+    restart.hold(lambda: "early", 1.0)
+    acts = restart.begin(before_ns=SECOND, now_ns=0, now_s=0.9 + EARLY_S)
+    assert [act() for act in acts] == ["early"]
+    assert restart.begin(before_ns=SECOND, now_ns=0, now_s=1.0) == []

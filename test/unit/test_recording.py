@@ -108,6 +108,15 @@ def recorded(path, messages, **options):
     return recording.close()
 
 
+def test_stamps_that_go_back_are_counted_since_times_then_lie_mixed_in_the_bag(tmp_path):
+    # A little out of order is no new time.
+    messages = [with_stamp(0, 5), with_stamp(1, 4, 950_000_000), with_stamp(2, 5, 500_000_000)]
+    assert recorded(tmp_path / "one", messages).went_back == {}
+    messages += [with_stamp(3, 0, 80_000_000), with_stamp(4, 0, 160_000_000)]
+    summary = recorded(tmp_path / "two", messages)
+    assert (summary.went_back, summary.written) == ({TOPIC: 1}, {TOPIC: 5})
+
+
 @pytest.mark.parametrize("stamp", [(-5, 0), (-(2**31), 0), (3, 10**9), (0, 2**32 - 1)])
 def test_stamp_that_is_no_time_takes_the_place_where_it_came(tmp_path, stamp):
     messages = [*map(serialized, range(100)), with_stamp(100, *stamp), serialized(101)]

@@ -28,6 +28,7 @@ from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
 from dotsim_ros.geometry.indenter import indenter_from_text
+from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.ingest import FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.rivals import rivals_of
@@ -145,6 +146,7 @@ class ConfiguredSensor:
         self._external_wrenches = ExternalWrenches(
             node, self.settings, world_rotation=self._input.world_rotation
         )
+        self._node.on_clock_jump(self._on_clock_jump)
         self._node.report_health(
             self.settings.diagnostics_period_s,
             self._health,
@@ -331,6 +333,7 @@ class ConfiguredSensor:
                 lag_m=lag_m,
                 maximum_lag_m=maximum_lag_m,
                 profile=self._profile.values(),
+                clock_silence=self._node.clock_silence(),
                 rivals=rivals_of(self._node, self._outputs.topics),
             ),
             counter=self._counter,
@@ -345,6 +348,14 @@ class ConfiguredSensor:
         self._motions.take()
         self._frame_ns = None
         self._input.forget()
+
+    def _on_clock_jump(self, jump: ClockJump) -> None:
+        with self._lock:
+            self._frame_ns = None
+            if jump.is_restart:
+                self._motions.take()
+                self._session.begin_anew()
+                self._input.restart(before_ns=jump.before_ns)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         with self._lock:

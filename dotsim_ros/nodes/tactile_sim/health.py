@@ -101,6 +101,7 @@ class Condition:
             report.
         maximum_lag_m: how far is normal.
         profile: what is told of it.
+        clock_silence: that the time of the frames does not move on, in words; empty where it does.
         rivals: who else publishes what this sensor does, in words; empty for nobody.
     """
 
@@ -115,6 +116,7 @@ class Condition:
     lag_m: float
     maximum_lag_m: float
     profile: Mapping[str, str]
+    clock_silence: str = ""
     rivals: str = ""
 
 
@@ -155,6 +157,8 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
         return Level.WARN, "inactive: activate the node to continue", values
     if not condition.is_enabled:
         return Level.WARN, "disabled: call set_enabled to continue", values
+    if condition.clock_silence:
+        return Level.WARN, condition.clock_silence, values
     if condition.rivals:
         return Level.WARN, condition.rivals, values
     if condition.is_realtime and counter.count and condition.dropped > 0.01 * counter.count:
