@@ -17,7 +17,8 @@ import numpy as np
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
-from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
+from dotsim_ros.gel.make import GelFrame, body_of, make_gel, skin_of
+from dotsim_ros.gel.rest_depth import RestDepth
 from dotsim_ros.gel.solver_changes import SolverChanges
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
@@ -166,6 +167,7 @@ class TactileSensor:
         self._progress = progress
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._solvers = SolverChanges(self._gel, specification.solver)
+        self._rest_depth = RestDepth(body_of(specification.gel), indenter)
         self._own_idle = idle_frame_of(specification, self.camera)
         self._make_images()
         self._warn_of_misfit()
@@ -334,6 +336,7 @@ class TactileSensor:
         """Replace the indenter and return to rest."""
         self._solvers.set_indenter(indenter)
         self.indenter = indenter
+        self._rest_depth = RestDepth(body_of(self.specification.gel), indenter)
         # The explicit gel only takes its next pose for the first: it would stay pressed.
         self.reset()
 
@@ -400,6 +403,26 @@ class TactileSensor:
         placed = self._placed(pose)
         assert placed is not None
         self._gel.check_depth(placed)
+
+    def rest_depth_m(self, pose: Pose | ApexPose) -> float:
+        """Return how deep the indenter's deepest point at a pose lies in the gel at rest, in
+        metres; negative outside, where it is at least so far from the gel."""
+        placed = self._placed(pose)
+        assert placed is not None
+        return self._rest_depth(placed)
+
+    def place(self, pose: Pose | ApexPose) -> None:
+        """Put the indenter to a pose at which it does not touch the gel, without a way there.
+
+        The gel lets go of what pressed it: one that remembers goes on from where it is, any other
+        is at rest. The next `press` leads on from this pose, and no time passes.
+
+        Args:
+            pose: of the indenter's frame, as for `press`.
+        """
+        placed = self._placed(pose)
+        assert placed is not None
+        self._gel.place(placed)
 
     def wrench_stiffness(self) -> FloatArray:
         """Return minus the derivative (6, 6) of the wrench on the indenter by its twist at the last

@@ -134,7 +134,11 @@ class LiveDesk:
         with self._lock:
             self._show_live("skin", payload)
             if moment.force_n is not None:
-                self._history.append((1e-9 * moment.stamp_ns, *moment.force_n.tolist()))
+                stamp_s = 1e-9 * moment.stamp_ns
+                if self._history and stamp_s < self._history[-1][0]:
+                    # Time has begun again.
+                    self._history.clear()
+                self._history.append((stamp_s, *moment.force_n.tolist()))
             recorder = self._recorder
         if recorder is not None:
             self._record(recorder, partial(recorder.add_skin, moment))

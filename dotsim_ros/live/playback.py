@@ -40,7 +40,8 @@ from dotsim_ros.view.timeline import (
 
 LARGEST_MOMENT_COUNT = 1500
 """A minute at 25 Hz, some 200 MB; of a longer bag as many are shown, evenly spread."""
-POSE_ENDINGS = ("indenter/pose", "indenter/state")
+POSE_ENDINGS = ("indenter/state", "indenter/pose")
+"""The pose that a frame shows first: the commanded one may be ahead of it."""
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
+from dotsim_ros.measured.trajectory import RECORDED_TOPICS, Topics, read_trajectory
 from dotsim_ros.replacement import remove_made
 
 
@@ -34,6 +34,14 @@ def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):
         "presses.png",
     ]
     trajectory = read_trajectory(tmp_path / "presses", topics=RECORDED_TOPICS)
+    # In steps of simulated time no frame is dropped and none lags, whatever the machine does.
+    assert np.all(np.diff(trajectory.image.stamp_ns) == 40_000_000)
+    shown = read_trajectory(
+        tmp_path / "presses", topics=Topics(pose="/indenter/state"), channels=["pose"]
+    ).pose
+    # A pose is read in the step after the one that it was sent in.
+    read = np.searchsorted(trajectory.pose.stamp_ns, shown.stamp_ns - 10_000_000, side="right") - 1
+    assert np.array_equal(shown.position_m[1:], trajectory.pose.position_m[read][1:])
     force = np.linalg.norm(trajectory.wrench.force_n, axis=1)
     assert force.max() > 0.3
     assert force[-1] < 0.1 * force.max()

@@ -40,6 +40,7 @@ TOPICS = {
     "points": PointCloud2,
     "wrench": WrenchStamped,
     "indenter/pose": PoseStamped,
+    "indenter/state": PoseStamped,
 }
 COUNT = 12
 
@@ -129,9 +130,12 @@ def frame(index):
         ),
         "points": msg_adapters.encode_cloud(random.random((100, 3)), **header),
         "wrench": msg_adapters.encode_wrench_stamped(random.random(3), random.random(3), **header),
-        "indenter/pose": msg_adapters.encode_pose_stamped(
-            random.random(3), (0.0, 0.0, 0.0, 1.0), **header
-        ),
+        **{
+            topic: msg_adapters.encode_pose_stamped(
+                random.random(3), (0.0, 0.0, 0.0, 1.0), **header
+            )
+            for topic in ("indenter/pose", "indenter/state")
+        },
     }
 
 
@@ -228,7 +232,7 @@ def test_topics_without_a_message_are_named_at_the_end(tmp_path):
         recorder.wait_for_line(" 2 messages so far")
         assert recorder.interrupt() == 0, recorder.log
     (line,) = [line for line in recorder.log.splitlines() if "no message came on" in line]
-    assert "/image_raw, /camera_info, /depth/image, /points: name the topics" in line
+    assert "/image_raw, /camera_info, /depth/image, /points, /indenter/state: name" in line
 
 
 def test_what_the_disk_does_not_take_is_dropped_and_told(tmp_path):

@@ -290,6 +290,14 @@ class ExplicitGel:
         self._state.skin.assign(np.broadcast_to(skin, (self.environment_count, *skin.shape)))
         self._last_pose = None
 
+    def place(self, pose: Pose | Sequence[Pose]) -> None:
+        """Put the indenter where it touches nothing: the next step moves it from there.
+
+        Raises:
+            ValueError: as many poses as environments, or one for all, are needed.
+        """
+        self._last_pose = self._poses(pose)
+
     def step(self, pose: Pose | Sequence[Pose] | None, dt_s: float) -> ExplicitState:
         """Simulate one frame, in which the indenter moves evenly from its last pose to this one.
 

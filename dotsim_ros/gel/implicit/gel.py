@@ -348,6 +348,16 @@ class ImplicitGel:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
         return [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
 
+    def place(self, environment: int, pose: Pose) -> None:
+        """Put the indenter of an environment to a pose at which it touches nothing, without a way
+        there; no time passes, and the next step leads on from this pose."""
+        world = self.worlds[environment]
+        if self.remembers:
+            self._let_go(world)
+        else:
+            self._come_to_rest(world)
+        world.pose = pose
+
     @single_threaded()
     def follow(self, paths: Sequence[Sequence[Pose | None]], dt_s: float) -> list[GelState]:
         """Move along paths that `plan` has found for the same duration."""

@@ -192,6 +192,7 @@ class GuardedNode(Node):
 
         def take(*what: Any) -> None:
             try:
+                self.before_message()
                 callback(*what)
             except Exception as error:
                 self.note_failure(f"a message on {topic} is left out", error)
@@ -314,6 +315,9 @@ class GuardedNode(Node):
 
     def before_request(self) -> None:
         """Called before a service is answered."""
+
+    def before_message(self) -> None:
+        """Called before a message is taken."""
 
     def _check_parameters(self, changes: Sequence[Parameter]) -> SetParametersResult:
         for check in self._parameter_checks:

@@ -119,6 +119,13 @@ class TactileSimParameters(OutputParameters):
         minimum=1e-4,
         maximum=10.0,
     )
+    maximum_lag_m: float = option(
+        0.001,
+        "An indenter that a frame shows further than this from its newest pose is warned of: it "
+        "lags behind since it moves faster than frames can follow in contact.",
+        minimum=1e-5,
+        maximum=10.0,
+    )
     maximum_step_s: float = option(
         1.0,
         "Stamps that step back by more than this are a new start (a bag played again); by less, "
