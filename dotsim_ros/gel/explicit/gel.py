@@ -44,7 +44,7 @@ from dotsim_ros.gel.explicit.kernels import (
 )
 from dotsim_ros.gel.explicit.state import GridState, IndenterMotion, ParticleState
 from dotsim_ros.gel.material import NeoHookean, bulk_modulus_pa, shear_modulus_pa
-from dotsim_ros.geometry.indenter import Indenter, sphere
+from dotsim_ros.geometry.indenter import Indenter, sphere, warn_of_misfit
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 
@@ -261,6 +261,7 @@ class ExplicitGel:
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter; its next pose is taken as its first."""
+        warn_of_misfit(indenter, self.skin.rest_position_m)
         self.indenter = indenter
         self._field = indenter_field(indenter, scalar=self._scalar, device=self._device)
         self._last_pose: tuple[Pose, ...] | None = None

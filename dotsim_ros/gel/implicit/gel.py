@@ -57,7 +57,7 @@ from dotsim_ros.gel.implicit.tangent import (
 )
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
 from dotsim_ros.gel.material import Material, PronySeries
-from dotsim_ros.geometry.indenter import Indenter, way_m
+from dotsim_ros.geometry.indenter import Indenter, warn_of_misfit, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
@@ -288,6 +288,7 @@ class ImplicitGel:
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and forget the state."""
+        warn_of_misfit(indenter, self.skin.rest_position_m)
         inner_point_m = _inner_point_m(indenter)
         self.contact = Contact(
             indenter,
