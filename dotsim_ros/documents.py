@@ -133,7 +133,9 @@ _BoundedLoader.add_implicit_resolver(
 
 
 # What launch_ros makes of a list of parameters.
-_BoundedLoader.add_constructor("tag:yaml.org,2002:python/tuple", _BoundedLoader.construct_sequence)
+_BoundedLoader.add_constructor(
+    "tag:yaml.org,2002:python/tuple", lambda loader, node: loader.construct_sequence(node)
+)
 
 
 def read_yaml(path: str | Path) -> Any:
