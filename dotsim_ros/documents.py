@@ -132,10 +132,12 @@ _BoundedLoader.add_implicit_resolver(
 )
 
 
+def _tuple(loader: _BoundedLoader, node: yaml.SequenceNode) -> list[Any]:
+    return loader.construct_sequence(node)
+
+
 # What launch_ros makes of a list of parameters.
-_BoundedLoader.add_constructor(
-    "tag:yaml.org,2002:python/tuple", lambda loader, node: loader.construct_sequence(node)
-)
+_BoundedLoader.add_constructor("tag:yaml.org,2002:python/tuple", _tuple)
 
 
 def read_yaml(path: str | Path) -> Any:
