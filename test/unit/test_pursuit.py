@@ -15,7 +15,7 @@ from dotsim_ros.gel.rest_depth import RestDepth
 from dotsim_ros.geometry.indenter import box, cone, sphere, way_m
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.motion import pose_along
-from dotsim_ros.nodes.tactile_sim.pursuit import TOUCH_M, CommandedPath
+from dotsim_ros.nodes.tactile_sim.pursuit import SPACING_M, TOUCH_M, CommandedPath
 
 RADIUS_M, BALL_M, LIMIT_M = 0.01575, 0.004, 0.6e-3
 BALL = sphere(BALL_M)
@@ -98,7 +98,7 @@ def test_no_frame_is_deeper_than_any_pose_since_the_last_one(drawn):
         if move.start is not None:
             assert depth_of(move.start) < -0.9 * TOUCH_M
         elif before is not None:
-            assert way_m(before, move.pose, BALL) <= LIMIT_M + TOUCH_M + 1e-9
+            assert way_m(before, move.pose, BALL) <= LIMIT_M + SPACING_M + 1e-9
         assert frame < 400
     assert np.array_equal(path.here.position_m, poses[-1].position_m)
 
