@@ -23,6 +23,7 @@ from launched import Started, launched, started
 import msg_adapters
 from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.parameter_file import named_parameters, parameters_of
+from dotsim_ros.nodes.common.reasons import nearest
 from dotsim_ros.nodes.indenter_player.launched import BASE_FRAME
 from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
@@ -310,6 +311,8 @@ def test_nodes_can_take_what_they_are_launched_with(what: str) -> None:
         for field, value in values.items():
             # ROS refuses an int for a float, which the class itself would take.
             assert type(value) is type(fields[field]), field
+        # What is for another node of the file must not be taken for a slip.
+        assert not [name for name in set(found) - set(fields) if nearest(name, fields)]
 
 
 @pytest.mark.parametrize("what", LAUNCHES)
