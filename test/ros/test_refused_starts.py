@@ -276,3 +276,27 @@ def test_parameters_that_no_node_has_are_named_with_the_nearest_name(
         f"[finger]: {other}latencys, topics",
     ]
     answered(named[0])
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("dotsim_ros.cli.executables", "find_gap"),
+        ("dotsim_ros.nodes.executables", "closed_loop"),
+    ],
+)
+def test_an_executable_by_its_old_name_does_the_same_and_names_the_new_one(
+    module: str, name: str
+) -> None:
+    new, old = (
+        subprocess.run(
+            [sys.executable, "-c", f"import {module} as e; raise SystemExit(e.{called}())", "-h"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        for called in (name, f"{name}_by_old_name")
+    )
+    assert (new.returncode, new.stderr) == (0, "")
+    assert (old.returncode, old.stdout) == (0, new.stdout)
+    assert old.stderr == f"{name} is called dotsim_{name} now; this name will go\n"
