@@ -178,18 +178,23 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "calibrate = dotsim_ros.cli.executables:calibrate",
-            "closed_loop = dotsim_ros.nodes.executables:closed_loop",
+            "dotsim_calibrate = dotsim_ros.cli.executables:calibrate",
+            "dotsim_closed_loop = dotsim_ros.nodes.executables:closed_loop",
+            "dotsim_find_gap = dotsim_ros.cli.executables:find_gap",
+            "dotsim_plan_gap = dotsim_ros.cli.executables:plan_gap",
             "dotsim_ros = dotsim_ros.cli.main:main",
-            "find_gap = dotsim_ros.cli.executables:find_gap",
             "indenter_player = dotsim_ros.nodes.executables:indenter_player",
-            "plan_gap = dotsim_ros.cli.executables:plan_gap",
             "tactile_policy = dotsim_ros.nodes.executables:tactile_policy",
             "tactile_record = dotsim_ros.nodes.executables:tactile_record",
             "tactile_sim = dotsim_ros.nodes.executables:tactile_sim",
             "time_stepper = dotsim_ros.nodes.executables:time_stepper",
             "xarm_adapter = dotsim_ros.nodes.executables:xarm_adapter",
             "xarm_sim = dotsim_ros.nodes.executables:xarm_sim",
+            # Names of 0.1, which did not say whose they are; to be removed after 0.2.
+            "calibrate = dotsim_ros.cli.executables:calibrate_by_old_name",
+            "closed_loop = dotsim_ros.nodes.executables:closed_loop_by_old_name",
+            "find_gap = dotsim_ros.cli.executables:find_gap_by_old_name",
+            "plan_gap = dotsim_ros.cli.executables:plan_gap_by_old_name",
         ]
     },
 )

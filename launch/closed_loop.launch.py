@@ -161,7 +161,7 @@ def nodes(context: LaunchContext) -> list[Node]:
         ),
         Node(
             package="dotsim_ros",
-            executable="closed_loop",
+            executable="dotsim_closed_loop",
             namespace=namespace,
             parameters=parameters,
             remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")],

@@ -23,7 +23,13 @@ HELP = ("-h", "--help")
 
 def closed_loop() -> int:
     """Run `xarm_sim`, `tactile_sim` and `tactile_policy` in one process."""
-    return _run("closed_loop")
+    return _run("closed_loop", executable="dotsim_closed_loop")
+
+
+def closed_loop_by_old_name() -> int:
+    """Run the same by the name that it had in 0.1."""
+    print("closed_loop is called dotsim_closed_loop now; this name will go", file=sys.stderr)
+    return closed_loop()
 
 
 def indenter_player() -> int:
@@ -61,11 +67,11 @@ def xarm_sim() -> int:
     return _run("xarm_sim")
 
 
-def _run(name: str) -> int:
+def _run(name: str, executable: str = "") -> int:
     signal.signal(signal.SIGINT, _end)
     module = importlib.import_module(f"dotsim_ros.nodes.{name}.node")
     if any(argument in HELP for argument in sys.argv[1:]):
-        print(_usage(name, module))
+        print(_usage(executable or name, module))
         return 0
     status: int = module.main()
     return status
@@ -77,17 +83,15 @@ def _end(_number: int, _frame: object) -> None:
 
 
 def _usage(name: str, module: ModuleType) -> str:
+    options = [
+        f"  {entry.name} ({entry.default!r}): {described}" for entry, described in _options(module)
+    ]
     lines = [
         f"usage: {name} [--ros-args [-p NAME:=VALUE] [--params-file FILE] [-r FROM:=TO] ...]",
         "",
         (module.__doc__ or "").strip(),
         "",
-        "parameters (default):",
-        *(
-            f"  {entry.name} ({entry.default!r}): {described}"
-            for entry, described in _options(module)
-        ),
-        "",
+        *(["parameters (default):", *options, ""] if options else []),
         "The parameters of a running node: ros2 param list, describe, get, set. Documentation:",
         "docs/run.md.",
     ]

@@ -11,6 +11,8 @@ from collections.abc import Iterator
 import pytest
 import rclpy
 from harness import spin_in_background
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
@@ -72,6 +74,22 @@ def test_a_message_that_breaks_a_callback_is_counted_and_the_next_one_heard(
     assert (status.name, status.level) == ("fragile: callbacks", Level.WARN)
     assert status.values["failures"] == "2"
     answered(status.message)
+
+
+def test_a_parameter_that_the_node_does_not_have_is_refused_with_the_nearest_name(
+    fragile: Fragile,
+) -> None:
+    fragile.declare_parameter("rate_hz", 1.0)
+    client = fragile.create_client(SetParameters, "fragile/set_parameters")
+    asked = [Parameter(name, value=2.0).to_parameter_msg() for name in ("ratehz", "rate_hz", "foo")]
+    future = client.call_async(SetParameters.Request(parameters=asked))
+    wait(future.done)
+    assert [result.reason for result in future.result().results] == [
+        "the node has no parameter 'ratehz': is it rate_hz?",
+        "",
+        "the node has no parameter 'foo'",
+    ]
+    assert fragile.get_parameter("rate_hz").value == 2.0
 
 
 def test_a_call_that_breaks_a_callback_is_answered_with_the_reason(fragile: Fragile) -> None:

@@ -23,6 +23,7 @@ from launched import Started, launched, started
 import msg_adapters
 from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.parameter_file import named_parameters, parameters_of
+from dotsim_ros.nodes.common.reasons import nearest
 from dotsim_ros.nodes.indenter_player.launched import BASE_FRAME
 from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
@@ -89,7 +90,7 @@ POLICIES = {
 @pytest.mark.parametrize("one_process", ["false", "true"])
 def test_the_loop_takes_the_policy_of_a_file(write: WriteFile, how: str, one_process: str) -> None:
     nodes = started(LOOP, params_file=write(POLICIES[how]), one_process=one_process)
-    executable = "closed_loop" if one_process == "true" else "tactile_policy"
+    executable = "dotsim_closed_loop" if one_process == "true" else "tactile_policy"
     found = of_node(nodes, executable, "tactile_policy")
     assert (found["policy"], found["path"]) == ("mine", "my_path")
 
@@ -102,7 +103,7 @@ def test_a_policy_that_is_given_to_the_loop_goes_before_its_file(
     # A name that YAML would read as a number is a name.
     path = write(POLICIES[how])
     nodes = started(LOOP, params_file=path, path="1e5", one_process=one_process)
-    executable = "closed_loop" if one_process == "true" else "tactile_policy"
+    executable = "dotsim_closed_loop" if one_process == "true" else "tactile_policy"
     found = of_node(nodes, executable, "tactile_policy")
     assert (found["policy"], found["path"]) == ("mine", "1e5")
 
@@ -268,7 +269,7 @@ CLASSES = {
     "time_stepper": TimeStepperParameters,
     "xarm_sim": XarmSimParameters,
 }
-NAMES = {"closed_loop": ("xarm_sim", "tactile_policy", "tactile_sim")}
+NAMES = {"dotsim_closed_loop": ("xarm_sim", "tactile_policy", "tactile_sim")}
 """Of the nodes of an executable, where they are not its own."""
 GAZEBO, MUJOCO, GRIPPER = "gazebo.launch.py", "mujoco_ros2_control.launch.py", "gripper.launch.py"
 LAUNCHES: dict[str, tuple[str, dict[str, str]]] = {
@@ -310,6 +311,8 @@ def test_nodes_can_take_what_they_are_launched_with(what: str) -> None:
         for field, value in values.items():
             # ROS refuses an int for a float, which the class itself would take.
             assert type(value) is type(fields[field]), field
+        # What is for another node of the file must not be taken for a slip.
+        assert not [name for name in set(found) - set(fields) if nearest(name, fields)]
 
 
 @pytest.mark.parametrize("what", LAUNCHES)

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 import rclpy
-from harness import refused_starts, with_parameters
+from harness import refused_starts, running, with_parameters
 from hostile import BOMB
 
 from dotsim_ros.nodes.common.arguments import check_start
@@ -229,3 +229,74 @@ def test_every_executable_answers_help_with_all_its_parameters() -> None:
     assert "usage: xarm_sim [--ros-args" in done.stdout
     for field in dataclasses.fields(XarmSimParameters):
         assert f"  {field.name} ({field.default!r}): {option_of(field).description}" in done.stdout
+
+
+TWO_NODES = """
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.spin import run_nodes
+
+def node(name, *parameters):
+    made = GuardedNode(name)
+    for parameter in parameters:
+        made.declare_parameter(parameter, 0.0)
+    made.get_logger().info("ready:")
+    return made
+
+arm, finger = lambda: node("arm", "rate_hz", "latency_s"), lambda: node("finger", "crop_px")
+raise SystemExit(run_nodes([arm, finger]))
+"""
+GIVEN_TO_TWO_NODES = """
+/**:
+  ros__parameters: {topics: [wrench], latencys: 0.1}
+/**/arm:
+  ros__parameters: {crop_px: 1.0, qos_overrides: {/nowhere: {publisher: {depth: 3}}}}
+"""
+
+
+@pytest.mark.fault("node parameters", "a parameter that no node has")
+def test_parameters_that_no_node_has_are_named_with_the_nearest_name(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(GIVEN_TO_TWO_NODES)
+    given = ["--params-file", str(path), "-p", "ratehz:=5.0", "-p", "rate_hz:=5.0"]
+    with running(ready="[finger]: given", arguments=["--ros-args", *given], code=TWO_NODES) as node:
+        node.wait_for_line("ready:")
+        assert node.interrupt() == 0
+    lines = [line.partition("] ")[2].partition("] ")[2] for line in node.log.splitlines()]
+    wrong = "without effect, since the node has no parameter of the name: "
+    other = "given for any node, and not a parameter of this one: "
+    quality = "qos_overrides./nowhere.publisher.depth"
+    named = [line for line in lines if wrong in line or other in line]
+    assert named == [
+        # Another node of the process has crop_px, but this one is meant.
+        f"[arm]: {wrong}crop_px, latencys (is it latency_s?), {quality}, ratehz (is it rate_hz?)",
+        f"[arm]: {other}topics",
+        f"[finger]: {wrong}ratehz",
+        f"[finger]: {other}latencys, topics",
+    ]
+    answered(named[0])
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("dotsim_ros.cli.executables", "find_gap"),
+        ("dotsim_ros.nodes.executables", "closed_loop"),
+    ],
+)
+def test_an_executable_by_its_old_name_does_the_same_and_names_the_new_one(
+    module: str, name: str
+) -> None:
+    new, old = (
+        subprocess.run(
+            [sys.executable, "-c", f"import {module} as e; raise SystemExit(e.{called}())", "-h"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        for called in (name, f"{name}_by_old_name")
+    )
+    assert (new.returncode, new.stderr) == (0, "")
+    assert (old.returncode, old.stdout) == (0, new.stdout)
+    assert old.stderr == f"{name} is called dotsim_{name} now; this name will go\n"

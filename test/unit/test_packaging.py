@@ -208,6 +208,22 @@ def test_every_executable_has_its_function() -> None:
         assert function in defined, name
 
 
+def test_executables_say_whose_they_are_or_are_the_ones_that_others_rely_on() -> None:
+    targets = executables()
+    named = {name for name in targets if not name.startswith("dotsim_")}
+    old = {name for name in named if targets[name].endswith("_by_old_name")}
+    assert named - old == {
+        "indenter_player",
+        "tactile_policy",
+        "tactile_record",
+        "tactile_sim",
+        "time_stepper",
+        "xarm_adapter",
+        "xarm_sim",
+    }
+    assert all(f"{targets[f'dotsim_{name}']}_by_old_name" == targets[name] for name in old)
+
+
 def test_every_node_with_a_main_is_an_executable() -> None:
     found = {
         f"dotsim_ros.nodes.executables:{path.parent.name}"

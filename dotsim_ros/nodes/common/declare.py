@@ -92,7 +92,8 @@ def follow(
         known = {field.name: option_of(field) for field in fields}
         changed = {each.name: _plain(each.value) for each in changes if each.name in known}
         for name in changed:
-            if known[name].fixed_while_configured:
+            is_same = changed[name] == _plain(node.get_parameter(name).value)
+            if known[name].fixed_while_configured and not is_same:
                 raise ValueError(
                     f"{name} is read-only while the node is configured: clean it up first"
                 )

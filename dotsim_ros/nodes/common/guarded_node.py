@@ -31,13 +31,14 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from dotsim_ros.documents import value_text
 from dotsim_ros.nodes.common.health import FAULT_MEMORY_S
 from dotsim_ros.nodes.common.local_topics import (
     LocalPublisher,
     LocalSubscription,
     composed_topics,
 )
-from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.common.reasons import nearest, reason_of
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant, stamp_of
 from msg_adapters import Level, Status
 from msg_adapters.stamps import MAXIMUM_SECONDS, NANOSECONDS_PER_SECOND
@@ -304,6 +305,17 @@ class GuardedNode(Node):
         one has put in force, another may refuse.
         """
         self._parameter_checks.append(check)
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """See `rclpy.node.Node.set_parameters_atomically`; a parameter that the node does not have
+        is refused with the nearest name, where ROS raises an error without any."""
+        for name in (each.name for each in parameter_list):
+            if name and not self.has_parameter(name):
+                meant = nearest(name, self.get_parameters_by_prefix(""))
+                hint = f": is it {meant}?" if meant else ""
+                reason = f"the node has no parameter {value_text(name)}{hint}"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     def leave_topics(self) -> None:
         """Have no part any more in what passes on topics within the process or in steps, before all

@@ -29,9 +29,9 @@ _SOURCE_PLACE = re.compile(r",? at /\S+:\d+")
 _UNREADABLE = re.compile(r"Couldn't parse ([a-z ]+): '(.*?)'\. Error: (.*)", re.DOTALL)
 
 
-NEAR = 0.75
-"""Share of equal letters from which one name may be meant by another; `ratehz` and `rate_hz` have
-0.92."""
+NEAR = 0.85
+"""Share of equal letters from which one name may be meant by another: 0.92 of `ratehz` and
+`rate_hz`, 0.8 of the different `image_topic` and `bag_topic`."""
 
 
 def nearest(name: str, names: Iterable[str]) -> str:

@@ -30,11 +30,16 @@ from rclpy.time import Time
 
 import msg_adapters
 from dotsim_ros.cores import keep_single_threaded
-from dotsim_ros.nodes.common.arguments import check_start, with_found_files
+from dotsim_ros.nodes.common.arguments import (
+    check_start,
+    names_for,
+    typed_names,
+    with_found_files,
+)
 from dotsim_ros.nodes.common.clock_watch import ClockJump, ClockWatch
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.common.reasons import nearest, reason_of
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant
 from dotsim_ros.nodes.simulated_time.schedule import (
@@ -53,6 +58,8 @@ PAUSED_CLOCK_WARNING_S = 60.0
 ROUNDING_NS = 1000
 """A time that is so little before the last one is the same, computed another way."""
 WAKE_PERIOD_S = 0.25
+QUALITY = "qos_overrides."
+"""Parameters of a topic, which are there once it is opened."""
 REFUSED = 2
 """Exit status of a node that could not start from what its user gave it."""
 STEPPED = ParameterDescriptor(
@@ -486,6 +493,7 @@ def run_nodes(
             for factory in factories:
                 with interruption.allowed():
                     nodes.append(factory())
+            _name_unused(nodes, given)
             for node in nodes:
                 executor.add_node(node)
                 if isinstance(node, WorkingNode):
@@ -510,6 +518,39 @@ def run_nodes(
         # From here on Python takes its handlers down, and the default one would kill the process.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return max((int(getattr(node, "exit_status", 0)) for node in nodes), default=0)
+
+
+def _name_unused(nodes: Sequence[Node], arguments: Sequence[str]) -> None:
+    """Log the parameters that nodes were given and do not have.
+
+    What is given for nodes of any name may be meant for another one: that is a warning only where
+    it is nearly a name of the node's.
+    """
+    typed = typed_names(arguments)
+    for node in nodes:
+        by_name = names_for(arguments, node.get_fully_qualified_name())
+        known = list(node.get_parameters_by_prefix(""))
+        is_configured = not node.has_parameter("autostart") or node.get_parameter("autostart").value
+        wrong, others = [], []
+        for name in sorted(node._parameter_overrides):
+            is_quality = name.startswith(QUALITY)
+            if node.has_parameter(name) or (is_quality and not is_configured):
+                continue
+            if name not in by_name and any(other.has_parameter(name) for other in nodes):
+                continue
+            meant = nearest(name, known)
+            if name in by_name | typed or (meant and not is_quality):
+                wrong.append(f"{name} (is it {meant}?)" if meant else name)
+            else:
+                others.append(name)
+        if wrong:
+            node.get_logger().warning(
+                f"without effect, since the node has no parameter of the name: {', '.join(wrong)}"
+            )
+        if others:
+            node.get_logger().info(
+                f"given for any node, and not a parameter of this one: {', '.join(others)}"
+            )
 
 
 def _refused(error: Exception) -> int:
