@@ -291,8 +291,9 @@ def read_idle_frame(
     disc, lighting, vignetting = None, lighting or Lighting(), vignetting or Vignetting()
     lens_deg = None
     if description.exists():
-        disc, lighting, vignetting = read_description(description)
-        lens_deg = _read_sections(description).half_height_angle_deg
+        read = _read_sections(description)
+        disc, lens_deg = read.disc, read.half_height_angle_deg
+        lighting, vignetting = read.lights()
     try:
         fitted = fit_idle_image(image, camera, disc=disc)
         fine = None
@@ -330,6 +331,12 @@ class _Description:
     lighting: LightingSpecification
     vignetting: VignettingSpecification
 
+    def lights(self) -> tuple[Lighting, Vignetting]:
+        return (
+            Lighting.from_specification(self.lighting),
+            Vignetting.from_specification(self.vignetting),
+        )
+
 
 def _read_sections(path: Path) -> _Description:
     try:
@@ -365,11 +372,7 @@ def read_description(path: Path) -> tuple[LitDisc | None, Lighting, Vignetting]:
             names the file.
     """
     read = _read_sections(path)
-    return (
-        read.disc,
-        Lighting.from_specification(read.lighting),
-        Vignetting.from_specification(read.vignetting),
-    )
+    return (read.disc, *read.lights())
 
 
 def description_of(sensor: SensorSpecification) -> Path | None:

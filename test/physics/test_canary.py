@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import shutil
 import subprocess
@@ -16,24 +15,15 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from programs import ROOT, program
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros.specification import SensorSpecification
 
-ROOT = Path(__file__).resolve().parents[2]
-
 
 @pytest.fixture(scope="module")
 def canary() -> ModuleType:
-    path = ROOT / "tools" / "canary.py"
-    specification = importlib.util.spec_from_file_location("canary", path)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    # A data class looks its module up.
-    sys.modules["canary"] = module
-    specification.loader.exec_module(module)
-    return module
+    return program("tools/canary.py")
 
 
 def with_friction(sensor: SensorSpecification) -> SensorSpecification:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib.util
 import json
 import re
 import tomllib
@@ -19,6 +18,7 @@ import numpy as np
 import pytest
 import trimesh
 import yaml
+from programs import program
 
 from dotsim_ros.effects.effect import Active, Response, response_filters
 from dotsim_ros.effects.library import load_effects
@@ -52,17 +52,6 @@ def rows(text: str) -> list[list[str]]:
     table = next(part for part in text.split("\n\n") if part.lstrip().startswith("|"))
     lines = table.strip().splitlines()
     return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[2:]]
-
-
-def script(path: str) -> ModuleType:
-    """Return a program of the checkout as a module."""
-    file = ROOT / path
-    specification = importlib.util.spec_from_file_location(file.stem, file)
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
 
 
 def test_the_example_of_an_effect_works(tmp_path: Path) -> None:
@@ -107,7 +96,7 @@ def test_the_example_of_a_command_runs(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_the_table_of_effects_is_up_to_date() -> None:
-    assert script(".ci/effects_table.py").table() in text_of("effects.md"), (
+    assert program(".ci/effects_table.py").table() in text_of("effects.md"), (
         "run python .ci/effects_table.py"
     )
 
@@ -161,7 +150,7 @@ def test_ten_questions_are_answered_by_three_files_that_there_are() -> None:
 @pytest.fixture
 def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Return the script of the page of results, for results and entries in a folder of a test."""
-    module = script("tools/results_page.py")
+    module = program("tools/results_page.py")
     monkeypatch.setattr(module, "RESULTS", tmp_path)
     monkeypatch.setattr(module, "ENTRIES", tmp_path / "entries.yaml")
     return module
@@ -192,7 +181,7 @@ Speed:
 
 
 def test_the_page_of_results_is_what_the_files_say() -> None:
-    results_page = script("tools/results_page.py")
+    results_page = program("tools/results_page.py")
     written = results_page.PAGE.read_text(encoding="utf-8")
     assert written == results_page.page(), "run python tools/results_page.py"
 
@@ -264,7 +253,7 @@ def site_with(folder: Path, body: str) -> Path:
     ],
 )
 def test_the_check_of_links_finds(body: str, complaint: str, tmp_path: Path) -> None:
-    checker = script(".ci/check_links.py").Checker(site_with(tmp_path, body))
+    checker = program(".ci/check_links.py").Checker(site_with(tmp_path, body))
     checker.check_site()
     assert len(checker.bad) == 1
     assert complaint in checker.bad[0]
@@ -272,7 +261,7 @@ def test_the_check_of_links_finds(body: str, complaint: str, tmp_path: Path) -> 
 
 def test_the_check_of_links_passes_a_sound_page(tmp_path: Path) -> None:
     sound = '<a href="index.html#here">x</a><a href="https://elsewhere.org">x</a>'
-    checker = script(".ci/check_links.py").Checker(site_with(tmp_path, sound))
+    checker = program(".ci/check_links.py").Checker(site_with(tmp_path, sound))
     checker.check_site()
     assert checker.bad == []
     assert checker.outward == {"https://elsewhere.org"}
@@ -298,7 +287,7 @@ def test_the_check_of_links_finds_in_a_markdown_file(
     sound += "`[x](gone.md)` [w](https://elsewhere.org)\n\n[1]: OTHER.md#twice\n\n"
     (tmp_path / "README.md").write_text(sound)
     (tmp_path / "OTHER.md").write_text("## Twice\n\n```\n# no heading\n```\n\n## Twice\n")
-    checker = script(".ci/check_links.py").Checker(tmp_path / "site", tmp_path)
+    checker = program(".ci/check_links.py").Checker(tmp_path / "site", tmp_path)
     checker.check_markdown(tmp_path / "README.md")
     assert checker.bad == []
     (tmp_path / "BAD.md").write_text(body)
@@ -314,7 +303,7 @@ def test_entries_of_several_names_are_split() -> None:
         "        low, high: the range,\n            both ends.\n"
         "        unit: SI."
     )
-    assert script(".ci/split_names.py").split(text) == (
+    assert program(".ci/split_names.py").split(text) == (
         "What.\n\n    Args:\n"
         "        low: the range,\n            both ends.\n"
         "        high: the range,\n            both ends.\n"

@@ -212,23 +212,23 @@ class GuardedNode(Node):
         else:
             hear = lambda message: take(message)  # noqa: E731
         events = copy(options.get("event_callbacks") or SubscriptionEventCallbacks())
-        subscription: Any = None
+        opened: Any = None
+        local: LocalSubscription | None = None
 
         def adapt(event: Any) -> None:
-            nonlocal subscription
+            nonlocal opened
+            if local is not None and local.dds is None:
+                return  # this process alone is heard by now
             policy = QoSPolicyKind(int(event.last_policy_kind))
             if participant is None and _ask_less(quality, policy):
                 self.get_logger().warning(
                     f"{topic}: a publisher offers {_policies(quality)}, which is taken: messages "
                     "may be lost on the way, or before this node started"
                 )
-                local = subscription if isinstance(subscription, LocalSubscription) else None
-                self.destroy_subscription(subscription if local is None else local.dds)
-                again = {**options, "qos_overriding_options": None, "event_callbacks": events}
+                self.destroy_subscription(opened)
+                again = {**options, "qos_overriding_options": None}
                 opened = Node.create_subscription(self, msg_type, topic, hear, quality, **again)
-                if local is None:
-                    subscription = opened
-                else:
+                if local is not None:
                     local.dds = opened
                 return
             name = policy.name.lower()
@@ -241,21 +241,22 @@ class GuardedNode(Node):
         events.incompatible_qos = adapt
         options["event_callbacks"] = events
         try:
-            subscription = super().create_subscription(
+            opened = super().create_subscription(
                 msg_type, topic, hear, quality, **_with_check(options)
             )
         except Exception as error:
             raise self._refusal(topic, error) from error
+        subscription: Any = opened
         if self._local is not None and _is_stepped(topic, quality):
             takes_all = participant is not None or wants_more
-            subscription = LocalSubscription(
+            subscription = local = LocalSubscription(
                 self,
-                subscription.topic_name,
+                opened.topic_name,
                 hear if takes_all else lambda message, _: hear(message),
                 quality,
-                subscription,
+                opened,
             )
-            self._local.subscribe_here(subscription)
+            self._local.subscribe_here(local)
         if participant is not None:
             participant.read(subscription)
         return subscription
