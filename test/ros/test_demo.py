@@ -56,8 +56,6 @@ def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):
     ("command", "bag"), [("demo --presses 1", "presses"), ("demo-loop --one-process", "loop")]
 )
 def test_what_an_interrupted_demonstration_leaves_is_its_own(tmp_path, command, bag):
-    if bag == "loop":
-        pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
     started = subprocess.Popen(
         [sys.executable, "-m", "dotsim_ros.cli.main", *command.split(), "--out", str(tmp_path)],
         stdout=subprocess.DEVNULL,
@@ -80,7 +78,6 @@ def test_what_an_interrupted_demonstration_leaves_is_its_own(tmp_path, command, 
 
 
 def test_a_loop_on_a_pad_is_refused_before_a_file_is_written(tmp_path, capsys):
-    pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
     out = tmp_path / "loop"
     assert main(["demo-loop", "--sensor", "gelsight_mini", "--out", str(out)]) == 1
     assert "'gelsight_mini' has the shape flat_pad; paths are for a dome" in capsys.readouterr().err

@@ -17,9 +17,6 @@ from policy_rig import policy_and_rig, write_network
 
 import msg_adapters
 
-pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
-pytest.importorskip("torch", reason="needs PyTorch: pip install torch")
-
 SPEED_M_S = 0.01
 SLOWNESS = 0.2
 STANDSTILL_S = 3.0

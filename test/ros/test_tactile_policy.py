@@ -16,10 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch", reason="writes a network: pip install '.[learning]'")
-pytest.importorskip("onnxscript", reason="writes a network: pip install '.[learning]'")
-
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from harness import Executable
 from hostile import lines_of
