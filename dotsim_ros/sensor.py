@@ -32,8 +32,10 @@ from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.picture import frame_picture
 from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.progress import FirstTimeNotice
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 from dotsim_ros.twin.force_control import pose_at_force
+from dotsim_ros.warp_runtime import say_if_kernels_compile
 
 FRAME_S = 0.04
 """Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""
@@ -160,7 +162,8 @@ class TactileSensor:
         specification: what the sensor is.
         indenter: what presses it.
         device: Warp's name of the device, "cpu" or "cuda:0".
-        progress: told the finished share of tables that are computed once and cached.
+        progress: called with the finished share of tables that are computed once and cached; None
+            for one line on stderr where that, or the compilation of kernels, takes seconds.
 
     Raises:
         ValueError: the specification contradicts itself; the message says where.
@@ -181,6 +184,9 @@ class TactileSensor:
         self._view = self._whole_view = _whole_view(self.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.
         self._network = completion_network(specification, self.camera)
+        if progress is None:
+            say_if_kernels_compile()
+            progress = FirstTimeNotice("computing the tables of this gel")
         self._progress = progress
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._solvers = SolverChanges(self._gel, specification.solver)

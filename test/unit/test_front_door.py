@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import BinaryIO
 
 import cv2
@@ -26,6 +28,7 @@ from dotsim_ros import (
     load_indenter,
     load_sensor,
     make_gel_batch,
+    progress,
 )
 from dotsim_ros.optics.picture import BACKGROUND, CHANGE_GAIN, TITLE_HEIGHT_PX
 from dotsim_ros.specification import GelSpecification, SolverSpecification
@@ -75,6 +78,38 @@ print("rclpy" in sys.modules, "torch" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-3:] == ["[]", "set()", "False False"]
+
+
+def test_only_the_program_prints_and_a_first_load_says_what_it_computes(tmp_path: Path) -> None:
+    code = """
+from dataclasses import replace
+from dotsim_ros import Pose, TactileSensor, load_sensor
+from dotsim_ros.specification import SolverSpecification
+sensor = load_sensor("densetact2")
+solver = SolverSpecification(grid_spacing_m=4.8e-3, refined=False)
+sensor = replace(sensor, gel=replace(sensor.gel, skin_spacing_m=1.5e-3), solver=solver)
+TactileSensor.load(sensor).step(Pose.above_apex(0.001))
+print("done")
+"""
+    command = [sys.executable, "-c", code]
+    said = "dotsim_ros: compiling the kernels for the first time, about 20 s; the result is kept\n"
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
+    for expected in (said, ""):
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        assert (done.stdout, done.stderr) == ("done\n", expected)
+
+
+def test_long_tables_are_noticed_once_and_short_ones_never(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for part_s, said in ((4.0, "about 32 s"), (0.2, "")):
+        clock = iter(np.arange(1, 11) * part_s)
+        monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=clock.__next__))
+        notice = progress.FirstTimeNotice("computing tables")
+        for part in range(1, 11):
+            notice(part / 10)
+        lines = capsys.readouterr().err.splitlines()
+        assert [said in line for line in lines] == [True] * bool(said)
 
 
 def test_every_public_name_is_what_its_home_holds_and_is_listed() -> None:
