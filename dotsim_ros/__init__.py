@@ -8,7 +8,7 @@
     sensor = TactileSensor.load("densetact2", indenter="sphere_4mm")
     frame = sensor.step(Pose.above_apex(depth_m=0.002))
     print(frame)
-    frame.save("press.png")  # image, change and depth side by side
+    frame.save("press.png")  # image, change and range side by side
 
 `__all__` lists the public names. Each is loaded when it is first asked for, so importing this
 package loads neither Warp nor torch nor rclpy.

@@ -59,7 +59,7 @@ class Frame:
         time_s: simulated time since the last reset.
         indenter_pose: in the base frame; None where no indenter is near.
         image: (H, W, 3) uint8, red, green, blue.
-        depth_m: (H, W) distance along the ray, NaN where no skin is seen.
+        depth_m: (H, W) range, the distance along the ray; NaN where no skin is seen.
         normal: (H, W, 3) unit normal in the optical frame, towards the camera.
         material_point_m: (H, W, 3) rest position, base frame, of the skin point that is seen.
         skin_position_m: (V, 3) skin markers, base frame.
@@ -100,9 +100,9 @@ class Frame:
     def save(self, path: str | Path) -> None:
         """Write a picture (.png, .jpg, .jpeg) or all arrays (.npz), whole or not at all.
 
-        The picture shows the image, its difference to the idle image and the distance along the
-        ray, as `frame_picture` draws them. The arrays have the names of the attributes; the wrench
-        is `force_n` and `torque_nm`, the indenter's pose `indenter_position_m` and
+        The picture shows the image, its difference to the idle image and the range (the distance
+        along the ray), as `frame_picture` draws them. The arrays have the names of the attributes;
+        the wrench is `force_n` and `torque_nm`, the indenter's pose `indenter_position_m` and
         `indenter_quaternion_xyzw`, NaN where there is none. `timings_s`, `idle_image` and
         `max_skin_motion_m` are left out.
 

@@ -44,7 +44,8 @@ def frame_picture(image: ImageArray, idle_image: ImageArray, range_m: Float32Arr
     near_m, far_m = np.percentile(range_m[seen], ends) if seen.any() else (0.0, 0.0)
     share = (far_m - np.where(seen, range_m, far_m)) / max(far_m - near_m, 1e-12)
     level = (255.0 * np.clip(share, 0.0, 1.0)).astype(np.uint8)
-    coloured = cv2.cvtColor(cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS), cv2.COLOR_BGR2RGB)
+    bgr = cv2.applyColorMap(level, cv2.COLORMAP_VIRIDIS)
+    coloured = cv2.cvtColor(bgr, cv2.COLOR_BGR2RGB).astype(np.uint8)
     coloured[~seen] = BACKGROUND
     titles = (
         "image",

@@ -38,7 +38,7 @@ class View:
     """What the camera sees of one shape of the skin. Every array belongs to this view alone.
 
     Attributes:
-        depth_m: (H, W) distance along the ray; NaN where no skin is seen.
+        depth_m: (H, W) range, the distance along the ray; NaN where no skin is seen.
         normal: (H, W, 3) unit normal in the optical frame, on the camera's side; NaN where no
             skin is seen.
         material_point_m: (H, W, 3) where the skin point that is seen lies at rest, in the base
