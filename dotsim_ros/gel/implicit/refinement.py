@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
@@ -30,6 +29,7 @@ from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
+from dotsim_ros.warp_runtime import wp
 
 REACH_M = 7.0e-3
 """Pairs of nodes farther apart than this are left out of dG."""
