@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.arrays import BoolArray, Float32Array, IndexArray
@@ -31,6 +30,7 @@ from dotsim_ros.optics.visibility import (
     VisibilityFinder,
     lens_of,
 )
+from dotsim_ros.warp_runtime import wp
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,12 @@ from enum import Enum
 from typing import Any, Protocol
 
 import numpy as np
-import warp as wp
 
 from dotsim_ros.arrays import Float32Array, IndexArray
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands
+from dotsim_ros.warp_runtime import wp
 
 _MILLIMETRES = 1e3
 

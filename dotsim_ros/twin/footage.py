@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
+from dotsim_ros.cache import PHYSICS, content_key, keep_arrays, load_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory, short_name
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
@@ -368,7 +368,7 @@ class _Follower:
                 f"{press.name}: the gel could not follow its poses: {error}"
             ) from error
         position = found.skin_position_m.astype(np.float32)
-        store_arrays(path, {"skin_position_m": position})
+        keep_arrays(path, {"skin_position_m": position})
         return position
 
     def _key(self, press: Press, indenter: Indenter) -> str:

@@ -27,7 +27,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
@@ -47,6 +46,7 @@ from dotsim_ros.gel.material import NeoHookean, bulk_modulus_pa, shear_modulus_p
 from dotsim_ros.geometry.indenter import Indenter, sphere, warn_of_misfit
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.warp_runtime import wp
 
 GRID_MARGIN_CELLS = 5
 # Share of a penetration that skin in contact wants back in one substep.
