@@ -22,6 +22,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.documents import value_text
+from dotsim_ros.printable import did_you_mean
+
 _log = logging.getLogger(__name__)
 
 # colcon build --symlink-install imports a link to the package, without params beside it.
@@ -126,6 +129,34 @@ def parameter_path(relative: str) -> Path:
     raise FileNotFoundError(f"no parameter file {relative!r}; searched {searched}")
 
 
+def shipped_names(folder: str) -> list[str]:
+    """Return the names of what lies in a folder below `params/`: its YAML files and folders."""
+    there = parameter_path(folder).iterdir()
+    return sorted(path.stem for path in there if path.is_dir() or path.suffix == ".yaml")
+
+
+def shipped_path(folder: str, name: str, kind: str, otherwise: str) -> Path:
+    """Return the path of what a user has named in a folder below `params/`.
+
+    Args:
+        folder: such as "sensors".
+        name: of a YAML file there, without its suffix, or of a folder.
+        kind: what it is, for the message.
+        otherwise: what could be given in place of a name, for the message.
+
+    Raises:
+        FileNotFoundError: there is none; the message lists those that there are.
+    """
+    names = shipped_names(folder)
+    if name in names:
+        path = parameter_path(folder) / name
+        return path if path.is_dir() else path.with_name(f"{name}.yaml")
+    raise FileNotFoundError(
+        f"no {kind} is named {value_text(name)}{did_you_mean(name, names)}, expected one of "
+        f"{', '.join(names)}, or {otherwise}"
+    )
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with whole_file(path) as part:
@@ -158,7 +189,7 @@ def usable_folder(variable: str, default: Path | None) -> Path:
         OSError: nothing can be written to the folder for temporary files either.
     """
     named = os.environ.get(variable)
-    folder = Path(named).expanduser() if named else default
+    folder = expanded(named) if named else default
     reason = "this user has no home" if folder is None else _why_not_writable(folder)
     if folder is not None and reason is None:
         return folder
@@ -195,9 +226,17 @@ def _own_temporary_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="dotsim_ros-"))
 
 
+def expanded(path: str | Path) -> Path:
+    """Return a path in which a leading `~` stands for a user's home, if there is that user."""
+    try:
+        return Path(path).expanduser()
+    except (RuntimeError, ValueError):
+        return Path(path)
+
+
 def given_path(name: str) -> Path:
     """Return the path of a file or folder that a sensor names, absolute or below `params/`."""
-    path = Path(name)
+    path = expanded(name)
     return path if path.is_absolute() else parameter_path(name)
 
 

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import read_yaml, value_text
-from dotsim_ros.files import parameter_path, whole_file, write_text
+from dotsim_ros.files import expanded, shipped_path, whole_file, write_text
 from dotsim_ros.printable import printable
 from dotsim_ros.quantity import (
     check_fields,
@@ -879,14 +879,15 @@ def check_drawable(gel: GelSpecification, pattern: PatternSpecification) -> None
 
 
 def sensor_path(source: str | Path) -> Path:
-    """Return the file of a sensor, given itself or by the sensor's name."""
-    path = Path(source)
-    return path if path.suffix in (".yaml", ".yml") else parameter_path(f"sensors/{source}.yaml")
+    """Return the file of a sensor, given itself or by the sensor's name.
 
-
-def shipped_sensors() -> list[str]:
-    """Return the names of the sensors that come with the package."""
-    return sorted(path.stem for path in parameter_path("sensors").glob("*.yaml"))
+    Raises:
+        FileNotFoundError: no sensor of this name comes with the package.
+    """
+    path = expanded(source)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    return shipped_path("sensors", str(source), "sensor", "the path of a YAML file")
 
 
 def load_sensor(source: str | Path) -> SensorSpecification:

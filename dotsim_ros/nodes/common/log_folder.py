@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from dotsim_ros.files import usable_folder
+from dotsim_ros.files import expanded, usable_folder
 
 
 def prepare_log_folder() -> None:
@@ -16,7 +16,7 @@ def prepare_log_folder() -> None:
     one; call it before `rclpy.init`."""
     home = os.environ.get("ROS_HOME")
     try:
-        below = Path(home).expanduser() if home else Path.home() / ".ros"
+        below = expanded(home) if home else Path.home() / ".ros"
     except RuntimeError:  # a user without a home
         below = None
     os.environ["ROS_LOG_DIR"] = str(usable_folder("ROS_LOG_DIR", below and below / "log"))
