@@ -1055,6 +1055,11 @@ up at the inner side of the upper face, the only one that is seen. `params/senso
 one, made with the command above. A `curved_pad` differs by its upper face, which is highest in the
 middle and a part of a ball or a cylinder.
 
+**Camera.** Of a calibrated camera's CameraInfo, with K = [fx 0 cx; 0 fy cy; 0 0 1],
+`half_height_angle_deg` is `degrees(atan(height / (2 fy)))` for `plumb_bob` (projection `pinhole`)
+and `degrees(height / (2 fy))` for `equidistant`, `pixel_aspect` is fx / fy, `principal_point_px` is
+[cx, cy], and `distortion` the first four of D; a k3 of `plumb_bob` must be 0.
+
 **Noise.** `noise` adds normal noise to every image of `TactileSensor`. It is drawn by `noise.seed`
 and the frame's time since the last `reset`: the same motion after a reset gives the same images to
 the last bit, and `reset(noise_seed=7)` other ones. `tactile_sim` draws it by the frame's stamp
