@@ -1,10 +1,12 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Warp, initialised so that what it writes about itself goes to the debug log alone.
+"""Warp, initialised as all of the package needs it: modules import `wp` from here.
 
-Modules import `wp` from here. Warp writes its banner and the load of each module to stdout, where
-the output of a program that uses this package belongs.
+What Warp says of itself, its banner and the load of each module, goes to the debug log: it would
+write it to stdout, where the output of a program that uses this package belongs. What it compiles
+is kept in `$WARP_CACHE_PATH`, otherwise next to what else the package keeps: Warp would end where
+the user's own cache cannot be written.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ from pathlib import Path
 
 import warp as wp
 
+from dotsim_ros.files import cache_directory, usable_folder
 from dotsim_ros.progress import say_first_time
 
 __all__ = ["say_if_kernels_compile", "wp"]
@@ -45,6 +48,10 @@ class _DebugLog:
 
 
 def _initialise() -> None:
+    # A program that has initialised Warp itself has chosen its cache.
+    if wp.config.kernel_cache_dir is None:
+        folder = usable_folder("WARP_CACHE_PATH", cache_directory() / "warp")
+        wp.config.kernel_cache_dir = str(folder)
     # Warp's library writes to file descriptor 2 by itself that there is no CUDA driver.
     wp.set_logger(_DebugLog())
     try:

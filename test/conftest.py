@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import re
 import signal
 from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
+
+from dotsim_ros.files import cache_directory
 
 PROPERTY = "fault"
 AREAS = (
@@ -55,6 +58,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the markers, and let Ctrl-C reach what the tests start: a program that a shell starts
     in the background ignores it, and so would all that it starts."""
+    # A test that keeps its tables elsewhere need not compile all kernels again.
+    os.environ.setdefault("WARP_CACHE_PATH", str(cache_directory() / "warp"))
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")

@@ -24,10 +24,11 @@ from numpy.typing import ArrayLike
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import is_number, parse_yaml, read_yaml, value_text
-from dotsim_ros.files import parameter_path
+from dotsim_ros.files import expanded, shipped_path
 from dotsim_ros.geometry.closed_mesh import MESH_SUFFIXES, IndenterMesh, read_closed_surface
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
+from dotsim_ros.printable import did_you_mean
 
 MAXIMUM_EXTENT_M = 0.2
 MINIMUM_EXTENT_M = 2.0e-4
@@ -36,6 +37,9 @@ LIKELY_EXTENT_M = 1.0e-3
 """A shorter mesh is rather in another unit than an indenter."""
 AXIS_TOLERANCE_M = 1.0e-6
 GRID_MARGIN_M = 0.004
+OTHER_FORMS = (
+    "the path of a YAML, STL, OBJ or PLY file, or a definition such as sphere(radius_m=0.003)"
+)
 LARGEST_LEVER_M = 0.02
 """Points farther from an indenter's tip do not count where it turns."""
 
@@ -239,7 +243,7 @@ def load_mesh(
         ValueError: not a mesh, empty, not finite, not closed, too many triangles, or of a size
             that cannot press a fingertip sensor (a file in millimetres read as metres, say).
     """
-    path = Path(path).expanduser()
+    path = expanded(path)
     if scale is not None and not (np.isfinite(scale) and scale > 0.0):
         raise ValueError(f"scale must be a positive number, got {scale}")
     if away_axis not in _TURN_TO_Z:
@@ -264,25 +268,35 @@ def _lowest_point(vertices: FloatArray) -> FloatArray:
     return np.asarray((lowest.min(axis=0) + lowest.max(axis=0)) / 2.0)
 
 
-def load_indenter(source: str | Path | Mapping[str, Any]) -> Indenter:
-    """Return an indenter from a definition.
+def load_indenter(source: str | Path | Mapping[str, Any], *, folder: str | Path = "") -> Indenter:
+    """Return an indenter from a name, a file or a definition.
 
     Args:
-        source: a mapping (`kind` and the factory's arguments; for `kind: mesh` a `path`), the path
-            of a YAML file with such a mapping, the path of a mesh in metres, or the name of a file
-            in `params/indenters` without `.yaml`.
+        source: the name of a file in `params/indenters` without `.yaml`; the path of a mesh in
+            metres, or of a YAML file with a definition; or a definition: a mapping (`kind` and the
+            factory's arguments; for `kind: mesh` a `path`), or one as text, such as
+            `sphere(radius_m=0.003)` or, as YAML has it, `{kind: sphere, radius_m: 0.003}`.
+            Programs that read what they are given as YAML, such as `ros2 param set`, take braces
+            for a mapping, which no parameter of ROS can be.
+        folder: that the path of a definition's mesh is relative to.
 
     Raises:
         FileNotFoundError: no such file or name.
         ValueError: the definition is not valid; the message says what was expected.
     """
     if isinstance(source, Mapping):
-        return _from_mapping(source, "indenter definition", Path())
-    path = Path(source)
+        return _from_mapping(source, "indenter definition", Path(folder))
+    if isinstance(source, str) and is_definition(source):
+        definition = parse_yaml(_as_yaml(source.strip()), "indenter")
+        found = _from_mapping(definition, "indenter definition", Path(folder))
+        # So that two of one kind have not one name.
+        is_named = found.mesh is not None or "name" in definition
+        return found if is_named else replace(found, name=source.strip())
+    path = expanded(source)
     if path.suffix.lower() in MESH_SUFFIXES:
         return load_mesh(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
-        path = parameter_path(f"indenters/{source}.yaml")
+        path = shipped_path("indenters", str(source), "indenter", OTHER_FORMS)
     elif not path.is_file():
         raise FileNotFoundError(f"no indenter file {path}")
     definition = read_yaml(path)
@@ -291,25 +305,19 @@ def load_indenter(source: str | Path | Mapping[str, Any]) -> Indenter:
     return _from_mapping(definition, str(path), path.parent)
 
 
-def indenter_from_text(text: str) -> Indenter:
-    """Return the indenter of a name, a path, or a definition as one line.
+def is_definition(text: str) -> bool:
+    """Return whether a text defines an indenter, rather than that it names one."""
+    return text.lstrip().startswith("{") or _CALL.fullmatch(text.strip()) is not None
 
-    A definition is `sphere(radius_m=0.003)`, or in braces what a YAML file of it holds. Programs
-    that read what they are given as YAML, such as `ros2 param set`, take braces for a mapping,
-    which no parameter of ROS can be.
 
-    Raises:
-        FileNotFoundError: no such file or name.
-        ValueError: the definition is not valid; the message says what was expected.
-    """
-    called = _CALL.fullmatch(text.strip())
-    if called is not None:
-        kind, values = called.groups()
-        named = _ARGUMENT.sub(r"\1 \2: ", values)
-        text = f"{{kind: {kind}, {named}}}"
-    if not text.lstrip().startswith("{"):
-        return load_indenter(text)
-    return load_indenter(parse_yaml(text, "indenter"))
+def _as_yaml(text: str) -> str:
+    """Return the mapping that a definition as text stands for."""
+    called = _CALL.fullmatch(text)
+    if called is None:
+        return text
+    kind, values = called.groups()
+    named = _ARGUMENT.sub(r"\1 \2: ", values)
+    return f"{{kind: {kind}, {named}}}"
 
 
 def _from_mapping(definition: Mapping[str, Any], where: str, folder: Path) -> Indenter:
@@ -318,13 +326,16 @@ def _from_mapping(definition: Mapping[str, Any], where: str, folder: Path) -> In
     name = arguments.pop("name", None)
     if not isinstance(kind, str) or kind not in (*_FACTORIES, "mesh"):
         expected = ", ".join([*sorted(_FACTORIES), "mesh"])
-        raise ValueError(f"{where}: kind must be one of {expected}, got {value_text(kind)}")
+        question = did_you_mean(str(kind), [*_FACTORIES, "mesh"])
+        raise ValueError(
+            f"{where}: kind must be one of {expected}, got {value_text(kind)}{question}"
+        )
     if not isinstance(name, str | None):
         raise ValueError(f"{where}: name must be text, got {value_text(name)}")
     factory: Callable[..., Indenter] = load_mesh if kind == "mesh" else _FACTORIES[kind]
     _check_arguments(kind, factory, arguments, where)
     if kind == "mesh":
-        arguments["path"] = folder / arguments["path"]
+        arguments["path"] = folder / expanded(arguments["path"])
     try:
         indenter = factory(**arguments)
     except FileNotFoundError as error:

@@ -22,6 +22,7 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import is_number, value_text
+from dotsim_ros.files import expanded
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import (
@@ -251,7 +252,7 @@ class LiveDesk:
         if not isinstance(given, str) or not given or "\0" in given:
             raise ValueError(f"the bag is {value_text(given)}, expected a name or a path")
         # Relative to the recordings; an absolute path stays itself.
-        path = self._recordings / Path(given).expanduser()
+        path = self._recordings / expanded(given)
         # A bag takes seconds to read, and other pages go on meanwhile.
         threading.Thread(target=self._read, args=(path,), name="bag", daemon=True).start()
 

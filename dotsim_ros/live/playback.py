@@ -137,13 +137,13 @@ class _Poses:
 
 
 def _indenter(path: Path, there: dict[str, str]) -> Indenter | None:
-    """Return what pressed, where the bag names a shipped shape."""
+    """Return what pressed, where the bag names a shipped shape or defines one."""
     if there.get(NAME_TOPIC) != NAME_TYPE:
         return None
     with BagReader(path, Tolerance.UNFINISHED) as reader:
         name = next((str(each.message().data) for each in reader.messages(NAME_TOPIC)), "")
     # Never a path: a bag may come from anywhere.
-    if not re.fullmatch(r"\w{1,100}", name):
+    if not re.fullmatch(r"(?!mesh)\w{1,100}(\([\w=., \[\]+-]{1,200}\))?", name):
         return None
     try:
         return load_indenter(name)

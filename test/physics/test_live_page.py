@@ -230,7 +230,7 @@ def test_wrong_commands_are_refused_in_one_line(
 
     port = str(live.server.port)
     assert f"port {port} cannot be used: another program listens there" in said("--port", port)
-    assert "no sensor is named 'densetact9', expected one of densetact2," in said(
+    assert "no sensor is named 'densetact9' (did you mean 'densetact2'?), expected one of" in said(
         "--sensor", "densetact9"
     )
     assert "no indenter is named 'spoon', expected one of box_edge," in said("--indenter", "spoon")

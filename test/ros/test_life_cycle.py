@@ -116,7 +116,7 @@ def test_a_configuration_that_fails_is_told_and_can_be_mended(answered: Any) -> 
         assert not change(client, "configure")
         executable.wait_for_line("the transition 'configure' is refused")
         (line,) = [each for each in executable.log.splitlines() if "is refused" in each]
-        assert "no parameter file 'sensors/no_such_sensor.yaml'" in line
+        assert "no sensor is named 'no_such_sensor', expected one of densetact2, " in line
         answered(line.partition("]: ")[2].partition(";")[0])
         assert state(client) == "unconfigured"
         # Two that contradict each other, and then another fault, late: the topics are made.

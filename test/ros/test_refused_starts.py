@@ -21,7 +21,7 @@ from dotsim_ros.nodes.common.arguments import check_start
 from dotsim_ros.nodes.common.declare import declare_fields, read
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.options import option_of
-from dotsim_ros.nodes.common.parameter_file import parameters_of
+from dotsim_ros.nodes.common.parameter_file import found_parameter_file, parameters_of
 from dotsim_ros.nodes.tactile_policy.node import TactilePolicy
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
@@ -182,6 +182,28 @@ def test_topics_that_cannot_be_recorded_are_refused(what: str, answered: Any) ->
     with pytest.raises(ValueError, match=r"topics|message type") as caught:
         classes_of(TOPICS[what])
     answered(caught.value, what=f"`tactile_record` is asked for {what}")
+
+
+def test_paths_of_parameters_may_begin_with_the_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    given = {"idle_image": "~/idle.png", "effects": "~/o.yaml", "effects_folder": "~/my"}
+    # A topic of the node's own begins with the same character.
+    private = {"image_topic": "~/image_raw"}
+    arguments = [f"{name}:={value}" for name, value in (given | private).items()]
+    context = rclpy.Context()
+    rclpy.init(context=context, args=["--ros-args", *(x for a in arguments for x in ("-p", a))])
+    node = GuardedNode("tactile_sim", context=context)
+    declare_fields(node, TactileSimParameters)
+    settings = read(node, TactileSimParameters)
+    node.destroy_node()
+    context.shutdown()
+    for name, value in given.items():
+        assert getattr(settings, name) == value.replace("~", str(tmp_path))
+    assert found_parameter_file("~/idle.png") == "~/idle.png"
+    (tmp_path / "node.yaml").write_text("{}")
+    assert found_parameter_file("~/node.yaml") == str(tmp_path / "node.yaml")
 
 
 @pytest.mark.parametrize("name", ["launch_ros_any_node.yaml", "launch_ros_named_node.yaml"])

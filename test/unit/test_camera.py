@@ -81,6 +81,22 @@ def test_a_pinhole_agrees_with_opencv(aspect):
     assert ahead == pytest.approx(points / np.linalg.norm(points, axis=1)[:, None], abs=1e-9)
 
 
+@pytest.mark.parametrize("projection", ["equidistant", "pinhole"])
+def test_the_focal_lengths_of_a_calibrated_camera_come_back(projection):
+    """By the formulas of docs/sensor_fields.md."""
+    focal_x, focal_y, height = 412.0, 388.0, 480
+    half = 0.5 * height / focal_y
+    angle_rad = half if projection == "equidistant" else np.arctan(half)
+    section = replace(
+        load_sensor("densetact2").camera,
+        projection=projection,
+        half_height_angle_deg=float(np.degrees(angle_rad)),
+        pixel_aspect=focal_x / focal_y,
+    )
+    camera = Camera.from_specification(section)
+    assert camera.focal_xy_px == pytest.approx([focal_x, focal_y])
+
+
 @pytest.mark.parametrize("name", ["densetact2", "gelsight_mini"])
 def test_each_pixel_shows_the_skin_on_its_ray_where_focal_lengths_differ(name):
     sensor = load_sensor(name)

@@ -22,7 +22,7 @@ from programs import program
 
 from dotsim_ros.effects.effect import Active, Response, response_filters
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.geometry.indenter import indenter_from_text, load_indenter
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
@@ -83,7 +83,7 @@ def test_the_example_of_an_indenter_is_one(tmp_path: Path) -> None:
     inline = re.search(r"indenter '(.*\))'", part)
     assert inline is not None
     # As ros2 param set reads a value.
-    assert indenter_from_text(yaml.safe_load(inline[1])).parameters == (0.003,)
+    assert load_indenter(yaml.safe_load(inline[1])).parameters == (0.003,)
 
 
 def test_the_example_of_a_command_runs(capsys: pytest.CaptureFixture[str]) -> None:

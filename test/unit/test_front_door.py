@@ -190,11 +190,13 @@ def test_a_sensor_is_loaded_from_names_files_or_objects(
     sensor = TactileSensor.load(path, indenter={"kind": "sphere", "radius_m": 0.003})
     assert sensor.specification.name == "mine"
     assert sensor.indenter.parameters == (0.003,)
+    defined = TactileSensor.load(coarse, indenter="sphere(radius_m=0.003)")
+    assert defined.indenter.parameters == (0.003,)
     ball = load_indenter("sphere_4mm")
     assert TactileSensor.load(coarse, indenter=ball).indenter is ball
-    with pytest.raises(FileNotFoundError, match="sensors/densetact9"):
+    with pytest.raises(FileNotFoundError, match="did you mean 'densetact2'"):
         TactileSensor.load("densetact9")
-    with pytest.raises(FileNotFoundError, match="indenters/sphere_5mm"):
+    with pytest.raises(FileNotFoundError, match="did you mean 'sphere_4mm'"):
         TactileSensor.load(coarse, indenter="sphere_5mm")
 
 

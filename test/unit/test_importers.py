@@ -101,6 +101,15 @@ def test_a_bad_table_is_refused_with_the_reason(
     assert not (tmp_path / "set").exists()
 
 
+def test_paths_of_a_command_may_begin_with_the_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    table(tmp_path, PRESS)
+    assert main(["import-data", "gelsight_mini_force", "--from=~", "--out=~/set"]) == 0
+    assert read_data_set(tmp_path / "set").entries
+
+
 def test_tests_of_cylinders_become_trajectories(tmp_path: Path) -> None:
     source = saved(tmp_path, EF30_25T_A1=loading(), EF30_25T_B2=loading(force_per_n=1.1))
     made = import_ecoflex_compression(source, tmp_path / "set")

@@ -26,7 +26,6 @@ from dotsim_ros.geometry.indenter import (
     capsule,
     cone,
     flat_punch,
-    indenter_from_text,
     load_indenter,
     load_mesh,
     lying_cylinder,
@@ -594,9 +593,27 @@ def test_bad_definitions_are_refused(tmp_path: Path, definition: str, message: s
         load_indenter(tmp_path / "bad.yaml")
 
 
-def test_unknown_name_is_refused() -> None:
-    with pytest.raises(FileNotFoundError, match="no_such_indenter"):
-        load_indenter("no_such_indenter")
+@pytest.mark.fault("sensor and YAML files", "an indenter that is not there")
+def test_unknown_name_is_refused_with_those_that_there_are(answered: Callable[..., None]) -> None:
+    expected = (
+        r"no indenter is named 'Sphere_5mm' \(did you mean 'sphere_4mm'\?\), expected one of "
+        r"box_edge, .*torus, or the path of a .* or a definition such as sphere\(radius_m=0\.003\)"
+    )
+    with pytest.raises(FileNotFoundError, match=expected) as refused:
+        load_indenter("Sphere_5mm")
+    answered(refused.value)
+    with pytest.raises(ValueError, match=r"kind must be one of .* \(did you mean 'sphere'\?\)"):
+        load_indenter("spere(radius_m=0.003)")
+
+
+def test_a_home_is_meant_by_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    write_ball(tmp_path / "ball.stl")
+    (tmp_path / "ball.yaml").write_text("kind: mesh\npath: ~/ball.stl\n")
+    for source in ("~/ball.stl", Path("~/ball.yaml"), "mesh(path=~/ball.stl)"):
+        assert load_indenter(source).mesh == load_mesh(tmp_path / "ball.stl").mesh
+    with pytest.raises(FileNotFoundError, match=r"no mesh file ~nobody_of_this_name/ball\.stl"):
+        load_indenter("~nobody_of_this_name/ball.stl")
 
 
 @pytest.mark.parametrize(
@@ -609,8 +626,10 @@ def test_unknown_name_is_refused() -> None:
     ],
 )
 def test_a_definition_in_one_line_is_what_a_parameter_can_hold(text, expected):
-    found = indenter_from_text(text)
+    found = load_indenter(text)
     assert (found.kind, found.parameters) == (expected.kind, expected.parameters)
+    # Two of one kind differ by their names, under which a data set keeps them.
+    assert found.name == text.strip()
     # What reads values as YAML, as ros2 param set does, must take it for text.
     assert isinstance(yaml.safe_load(text), str) is not text.startswith("{")
 
@@ -620,4 +639,4 @@ def test_a_definition_in_one_line_is_what_a_parameter_can_hold(text, expected):
 )
 def test_a_wrong_definition_in_one_line_is_refused_with_the_reason(text):
     with pytest.raises(ValueError, match=r"indenter (definition|is no valid)"):
-        indenter_from_text(text)
+        load_indenter(text)

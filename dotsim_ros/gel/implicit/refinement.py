@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
-from dotsim_ros.cache import GEL, content_key, load_arrays, store_arrays, tell_broken
+from dotsim_ros.cache import GEL, content_key, keep_arrays, load_arrays, tell_broken
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
@@ -285,7 +285,7 @@ def _load(path: Path) -> Refinement | None:
 
 
 def _store(path: Path, table: Refinement) -> None:
-    store_arrays(
+    keep_arrays(
         path,
         {
             "indptr": table.indptr,

@@ -38,6 +38,7 @@ from dotsim_ros.nodes.common.arguments import (
 )
 from dotsim_ros.nodes.common.clock_watch import ClockJump, ClockWatch
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.log_folder import prepare_log_folder
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.reasons import nearest, reason_of
 from dotsim_ros.nodes.simulated_time.latency import Latency
@@ -483,6 +484,7 @@ def run_nodes(
     given = with_found_files(sys.argv[1:] if arguments is None else arguments)
     try:
         check_start(given)
+        prepare_log_folder()
         rclpy.init(args=given)
     except (ValueError, OSError, RCLError, UnknownROSArgsError) as error:
         return _refused(error)

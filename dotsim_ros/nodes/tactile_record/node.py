@@ -76,6 +76,7 @@ class RecordParameters:
         "",
         "folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording "
         "ends it has .partial behind its name",
+        is_path=True,
         read_only=True,
     )
     topics: tuple[str, ...] = option(

@@ -27,7 +27,7 @@ from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
-from dotsim_ros.geometry.indenter import indenter_from_text
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.ingest import FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
@@ -221,7 +221,7 @@ class ConfiguredSensor:
         specification = replace(specification, noise=NoiseSpecification())
         sensor = TactileSensor(
             specification,
-            indenter=indenter_from_text(self.settings.indenter),
+            indenter=load_indenter(self.settings.indenter),
             device=self.settings.device,
             progress=self._tell_progress,
         )
@@ -403,7 +403,7 @@ class ConfiguredSensor:
         """
         indenter = None
         if changed.indenter != self.settings.indenter:
-            indenter = indenter_from_text(changed.indenter)
+            indenter = load_indenter(changed.indenter)
         # All that may be refused comes before anything is changed, and what takes long (ten seconds
         # for the largest mesh) before the frames have to wait for it.
         self._outputs.framing_of(changed)
