@@ -29,7 +29,7 @@ TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
-.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs canary results clean
+.PHONY: help setup live demo demo-loop test faults fuzz lint docs canary results clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
@@ -39,7 +39,6 @@ help:
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make fuzz    hostile input for every reader, for SECONDS (60)"
 	@echo "make faults  docs/faults.md, the answers to bad input and faults, from the tests"
-	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
 	@echo "make canary  eight short motions, compared with kept values; KEEP=1 keeps new ones"
@@ -80,12 +79,6 @@ faults: setup
 fuzz: setup
 	$(RUN) python -m fuzz --seconds $(SECONDS) --seed $(or $(SEED),0)
 
-bench: setup
-	$(RUN) python benchmarks/realtime.py --seconds 60 --json $(OUT)/realtime.json
-
-soak: setup
-	$(RUN) python benchmarks/soak.py --minutes 30 --json $(OUT)/soak.json
-
 lint: setup
 	$(RUN) ruff check
 	$(RUN) ruff format --check
@@ -99,13 +92,13 @@ canary: setup
 
 # For a release; resumed where it was interrupted.
 results: setup
-	$(RUN) python tools/results.py $(if $(LIST),--list) $(NAMES)
-	$(RUN) python tools/results_page.py
+	$(RUN) python -m studies $(if $(LIST),,$(or $(NAMES),all) --json docs/results)
+	$(RUN) python -m studies.results_page
 
 # A notice of the theme's makers about its successor is no warning about these pages.
 docs: setup
 	$(RUN) python .ci/effects_table.py --check
-	$(RUN) python tools/results_page.py --check
+	$(RUN) python -m studies.results_page --check
 	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet --site-dir $(abspath $(OUT))/site
 	$(RUN) python .ci/check_links.py $(OUT)/site $(wildcard *.md)
 	@echo "open $(OUT)/site/index.html"

@@ -33,6 +33,8 @@ ROS = [
     "ros-jazzy-rmw-fastrtps-cpp==8.4.3",
 ]
 TEST = [
+    # the options of studies, from the functions that they call
+    "cyclopts>=5",
     "cyclonedds>=0.10.5",
     "hypothesis",
     "imageio>=2.22",

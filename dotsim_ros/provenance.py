@@ -17,7 +17,7 @@ from pathlib import Path
 import dotsim_ros
 
 _PACKAGE = Path(__file__).parent
-_DECIDING = ("dotsim_ros", "msg_adapters", "benchmarks", "params")
+_DECIDING = ("dotsim_ros", "msg_adapters", "params", "studies")
 
 
 def provenance() -> dict[str, str]:

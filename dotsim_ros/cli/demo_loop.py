@@ -51,9 +51,6 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     import numpy as np
 
-    from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
-    from dotsim_ros.evaluation.trajectory.page import path_image, trial_report
-    from dotsim_ros.evaluation.trajectory.trials import judge, summary_of, trial_start
     from dotsim_ros.files import beside, write_json
     from dotsim_ros.geometry.indenter import load_indenter
     from dotsim_ros.measured.bag_hash import bag_sha256
@@ -71,6 +68,9 @@ def run(arguments: argparse.Namespace) -> int:
     from dotsim_ros.provenance import provenance
     from dotsim_ros.specification import load_sensor
     from dotsim_ros.tasks.control.loop_recording import LoopRecording
+    from dotsim_ros.tasks.loop.bag import read_loop_bag
+    from dotsim_ros.tasks.loop.judge import judge, summary_of, trial_start
+    from dotsim_ros.tasks.loop.report import path_image, trial_report
     from dotsim_ros.tasks.policy.card import read_policy
     from dotsim_ros.tasks.policy.demonstration import contact_of
     from dotsim_ros.tasks.policy.paths import reference_path

@@ -87,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError("name a data set with --measured, or ask for --demo")
     if arguments.demo:
         _check_demo(arguments)
-        from dotsim_ros.evaluation.gap.demo import run_demo
+        from studies.gap.demo import run_demo
 
         return run_demo(arguments.out, seed=arguments.seed, workers=crew_of(arguments))
     from dotsim_ros.files import write_json

@@ -27,11 +27,36 @@ from typing import NoReturn
 from dotsim_ros.printable import one_line
 
 FAILED = 1
+WRONG_CALL = 2
 INTERRUPTED, TERMINATED = 130, 143
 """128 and the number of SIGINT or SIGTERM, as shells have it."""
 OUTPUT_FOLDERS = ("out", "run", "record", "cache", "images", "pictures")
 """Options of the verbs that name folders to write into; `out` may be a sensor's file, too."""
 OUTPUT_FILES = ("json", "sensor_out", "fit_optical_noise", "fit_discrepancy")
+MOVED = {
+    "hide": "python -m studies hide",
+    "reference": "python -m studies reference_presses",
+    **{
+        f"evaluate {subject}": f"python -m studies {subject}"
+        for subject in (
+            "classification",
+            "gap",
+            "gelsight",
+            "gelsight_taxim",
+            "geometry",
+            "geometry_later",
+            "optics",
+            "real_cylinders",
+            "real_force",
+            "real_pair",
+            "rl",
+            "runtime",
+            "trajectory",
+            "tumour",
+        )
+    },
+}
+"""Commands of earlier releases, and what does the same in a checkout."""
 _NOT_VERBS = ("executables", "main")
 
 
@@ -76,7 +101,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         line that says why).
         A wrong command line exits with 2, as argparse does, Ctrl-C with 130, SIGTERM with 143.
     """
-    chosen = _overview().parse_args(arguments)
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    for count in (1, 2):
+        if moved := MOVED.get(" ".join(words[:count])):
+            print(
+                f"dotsim_ros {' '.join(words[:count])}: it is `{moved}` in a checkout of the "
+                "source, and no longer installed",
+                file=sys.stderr,
+            )
+            return WRONG_CALL
+    chosen = _overview().parse_args(words)
     if "OMP_NUM_THREADS" not in os.environ:
         # For each process that a command starts, and for this one where NumPy is yet to be loaded:
         # `dotsim_ros.cores` says why.

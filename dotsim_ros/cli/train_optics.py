@@ -23,7 +23,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dotsim_ros.evaluation.optics.names import NETWORKS
+from dotsim_ros.optics.network.card import TRAINED
 
 if TYPE_CHECKING:
     from dotsim_ros.learning.training import TrainingProgress
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of state, preview and report (OUT_training)",
     )
-    add("--network", choices=NETWORKS, default="ours", help="kind of the network (ours)")
+    add("--network", choices=TRAINED, default="ours", help="kind of the network (ours)")
     judged = parser.add_mutually_exclusive_group()
     judged.add_argument(
         "--hold-out",

@@ -18,8 +18,6 @@ from dotsim_ros import TactileSensor, load_sensor
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.cli.evaluate import DOMAINS as COMMAND_DOMAINS
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.classification.domains import DOMAINS
-from dotsim_ros.evaluation.classification.presses import PressPlan
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit import contact
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
@@ -27,6 +25,8 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.data_set_writer import trajectory_of_frames, write_data_set
 from dotsim_ros.specification import SensorSpecification, write_sensor
 from dotsim_ros.worker_pool import pool
+from studies.classification.domains import DOMAINS
+from studies.classification.presses import PressPlan
 
 SIZE = (96, 72)
 INDENTERS = {

@@ -15,7 +15,6 @@ import trimesh
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.baselines.optics import tacto
 from dotsim_ros.cli.main import main
 from dotsim_ros.measured.motion import pose_along
 from dotsim_ros.measured.trajectory import (
@@ -24,6 +23,7 @@ from dotsim_ros.measured.trajectory import (
     Trajectory,
     write_trajectory,
 )
+from studies.rivals.optics import tacto
 
 RADIUS_M = 0.01575
 TIP_DEPTHS_M = (-0.5e-3, 0.5e-3, 1.2e-3, 1.9e-3, 2.5e-3)

@@ -14,12 +14,12 @@ from work_here import open_pool_here
 
 from dotsim_ros.cli import evaluate as command
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.rl import study, worlds
-from dotsim_ros.evaluation.rl.study import FIRST_EPISODE, Study
-from dotsim_ros.evaluation.rl.sweep import VALIDATION, settings_to_try
-from dotsim_ros.evaluation.rl.worlds import AS_LEARNT, WORLDS
 from dotsim_ros.tasks.environments import box_yaw, reinforcement
 from dotsim_ros.worker_pool import pool
+from studies.rl import study, worlds
+from studies.rl.study import FIRST_EPISODE, Study
+from studies.rl.sweep import VALIDATION, settings_to_try
+from studies.rl.worlds import AS_LEARNT, WORLDS
 
 
 def evaluate(folder: Path) -> dict[str, Any]:

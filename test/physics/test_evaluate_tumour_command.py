@@ -17,15 +17,15 @@ from dotsim_ros import load_sensor
 from dotsim_ros.arrays import Float32Array
 from dotsim_ros.cli.evaluate import SOFT_SKINS
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.tumour import pictures, presses, reality, study
-from dotsim_ros.evaluation.tumour.images import OTHER, Eye, Light
-from dotsim_ros.evaluation.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
-from dotsim_ros.evaluation.tumour.rigid import rigid_presses
-from dotsim_ros.evaluation.tumour.skins import CLASSES, FACTORS, SKINS, PressPlan, changed
-from dotsim_ros.evaluation.tumour.study import Study
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.reference.layer_press import LayerPressSettings
+from studies.reference.layer_press import LayerPressSettings
+from studies.tumour import pictures, presses, reality, study
+from studies.tumour.images import OTHER, Eye, Light
+from studies.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
+from studies.tumour.rigid import rigid_presses
+from studies.tumour.skins import CLASSES, FACTORS, SKINS, PressPlan, changed
+from studies.tumour.study import Study
 
 needs_calculix = pytest.mark.skipif(
     shutil.which("ccx") is None, reason="CalculiX is not installed: apt-get install calculix-ccx"

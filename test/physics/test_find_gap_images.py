@@ -24,9 +24,6 @@ import yaml
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
-from dotsim_ros.evaluation.gap.hidden.images import LAWS, Takes
-from dotsim_ros.evaluation.gap.hidden.reality import Truth
-from dotsim_ros.evaluation.gap.hidden.unit import measure_unit
 from dotsim_ros.gap.find import find_gap_with_images
 from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.images import find as optical_find
@@ -38,6 +35,9 @@ from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.trajectory import ImageChannel, read_trajectory, write_trajectory
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.hidden.images import LAWS, Takes
+from studies.hidden.reality import Truth
+from studies.hidden.unit import measure_unit
 
 PROTOCOLS = ("hold_0", "slide_0")
 SKIN_SPACING_M = 2.0e-3

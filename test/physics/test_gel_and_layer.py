@@ -24,8 +24,8 @@ from dotsim_ros.gel.pair.touch import touch
 from dotsim_ros.geometry.indenter import box
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.reference.layer_press import LayerPressSettings, solve_layer_press
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
+from studies.reference.layer_press import LayerPressSettings, solve_layer_press
 
 RADIUS_M = 15.75e-3
 CORE_M = 6.0e-3

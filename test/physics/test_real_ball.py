@@ -12,16 +12,16 @@ import pytest
 from scipy.spatial import Delaunay
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.evaluation.classification.classifier import ClassifierSettings
-from dotsim_ros.evaluation.classification.real_ball import (
+from dotsim_ros.specification import GelSpecification, SolverSpecification
+from studies.classification.classifier import ClassifierSettings
+from studies.classification.real_ball import (
     BALL,
     SHAPES,
     BallStudy,
     evaluate_real_ball,
     laid,
 )
-from dotsim_ros.evaluation.optics.gelsight import SENSOR
-from dotsim_ros.specification import GelSpecification, SolverSpecification
+from studies.optics.gelsight import SENSOR
 
 COARSE = replace(
     SENSOR,

@@ -31,7 +31,7 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
 
-INTERRUPTS = Path(__file__).parents[2] / "benchmarks" / "interrupts.py"
+INTERRUPTS = Path(__file__).with_name("interrupts.py")
 START_PATIENCE_S = 120.0
 PATIENCE_S = 120.0
 APEX_M = 0.01575

@@ -3,7 +3,7 @@
 
 """Programs that were written for public drivers of DenseTact sensors read the simulated one.
 
-benchmarks/drop_in.py holds the programs, and says what they find wrong.
+studies/speed/drop_in.py holds the programs, and says what they find wrong.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sensor_msgs.srv import SetCameraInfo
 import msg_adapters
 from dotsim_ros.nodes.tactile_sim.calibration_file import read_calibration
 
-DROP_IN = Path(__file__).parents[2] / "benchmarks" / "drop_in.py"
+DROP_IN = Path(__file__).parents[2] / "studies" / "speed" / "drop_in.py"
 SIDES = {"dual_compressed": (20, 22), "dual_difference": (20, 22), "dual_raw": (8, 10)}
 
 

@@ -3,7 +3,7 @@
 
 """Every node ends at its first SIGINT, while it is imported or at a random moment once it is ready.
 
-`benchmarks/interrupts.py` does the same a hundred times; `test_xarm_adapter.py` does it with the
+`test/ros/interrupts.py` does the same a hundred times; `test_xarm_adapter.py` does it with the
 adapter, whose messages have to be built first.
 """
 

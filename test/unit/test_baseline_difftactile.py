@@ -11,8 +11,12 @@ import numpy as np
 import pytest
 import warp as wp
 
-from dotsim_ros.baselines import difftactile, fem_kernels
-from dotsim_ros.baselines.difftactile import (
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.measured.presses import Press
+from studies.rivals import difftactile, fem_kernels
+from studies.rivals.difftactile import (
     DiffTactile,
     DiffTactileDivergenceError,
     DynamicGel,
@@ -21,11 +25,7 @@ from dotsim_ros.baselines.difftactile import (
     Shell,
     stiffness_at_rest,
 )
-from dotsim_ros.baselines.tetrahedra import TetrahedralMesh, attach_skin, dome_shell, edge_matrices
-from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.measured.presses import Press
+from studies.rivals.tetrahedra import TetrahedralMesh, attach_skin, dome_shell, edge_matrices
 
 RADIUS_M = 0.01575
 SHELL = Shell(0.006, 5.0e-3, 2)

@@ -8,13 +8,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dotsim_ros.baselines import tacto
-from dotsim_ros.baselines.clipping import clip_depths, clipped_skin
-from dotsim_ros.baselines.penalty_force import penetration_vectors
 from dotsim_ros.geometry.indenter import Indenter, box, cone, flat_punch, sphere, torus
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.measured.presses import Press
+from studies.rivals import tacto
+from studies.rivals.clipping import clip_depths, clipped_skin
+from studies.rivals.penalty_force import penetration_vectors
 
 RADIUS_M = 0.01575
 TURNED = np.array([np.sin(0.2), 0.0, 0.0, np.cos(0.2)])

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dotsim_ros.baselines import taxim
-from dotsim_ros.baselines.clipping import clip_depths
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
 from dotsim_ros.measured.presses import Press
+from studies.rivals import taxim
+from studies.rivals.clipping import clip_depths
 
 RADIUS_M = 0.01575
 PYRAMID = taxim.Pyramid(0.002, 0.5, 0.5, 3.0e-4)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).parents[2]
-SCRIPT = str(ROOT / "benchmarks" / "device_check.py")
+SCRIPT = str(ROOT / "studies" / "speed" / "device_check.py")
 COMMAND = [sys.executable, SCRIPT]
 
 

@@ -28,6 +28,7 @@ from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
 from dotsim_ros.specification import load_sensor
+from studies import results_page
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -150,7 +151,7 @@ def test_ten_questions_are_answered_by_three_files_that_there_are() -> None:
 @pytest.fixture
 def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     """Return the script of the page of results, for results and entries in a folder of a test."""
-    module = program("tools/results_page.py")
+    module = results_page
     monkeypatch.setattr(module, "RESULTS", tmp_path)
     monkeypatch.setattr(module, "ENTRIES", tmp_path / "entries.yaml")
     return module
@@ -181,9 +182,8 @@ Speed:
 
 
 def test_the_page_of_results_is_what_the_files_say() -> None:
-    results_page = program("tools/results_page.py")
     written = results_page.PAGE.read_text(encoding="utf-8")
-    assert written == results_page.page(), "run python tools/results_page.py"
+    assert written == results_page.page(), "run python -m studies.results_page"
 
 
 def test_a_result_shows_its_figures_its_misses_and_where_it_comes_from(

@@ -16,16 +16,7 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.baselines import difftactile, taxim
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.geometry.explicit import (
-    COARSE_SETTINGS,
-    ExplicitFit,
-    ExplicitModel,
-)
-from dotsim_ros.evaluation.geometry.registry import factories_of, sensor_for
-from dotsim_ros.evaluation.geometry.report import read_measured, read_with_later
-from dotsim_ros.evaluation.geometry.runtime import Effort, model_of
 from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
@@ -61,6 +52,15 @@ from dotsim_ros.metrics.presses import (
 from dotsim_ros.metrics.surfaces import SAMPLE_COUNT
 from dotsim_ros.specification import MaterialSpecification, SensorSpecification
 from dotsim_ros.twin.follow import SolveError, steps
+from studies.geometry.explicit import (
+    COARSE_SETTINGS,
+    ExplicitFit,
+    ExplicitModel,
+)
+from studies.geometry.registry import factories_of, sensor_for
+from studies.geometry.report import read_measured, read_with_later
+from studies.geometry.runtime import Effort, model_of
+from studies.rivals import difftactile, taxim
 
 FloatArray = NDArray[np.float64]
 

@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 
 from dotsim_ros.cli.evaluate import LEVELS as COMMAND_LEVELS
 from dotsim_ros.cli.main import main
-from dotsim_ros.evaluation.optics import rows as optics_rows
-from dotsim_ros.evaluation.optics.judge import (
+from dotsim_ros.geometry.camera import Camera, FisheyeCamera
+from dotsim_ros.metrics.images import LARGEST_PSNR_DB
+from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
+from studies.optics import rows as optics_rows
+from studies.optics.judge import (
     Idle,
     WarpedIdle,
     ceilings,
@@ -30,14 +33,11 @@ from dotsim_ros.evaluation.optics.judge import (
     summarize,
     with_frames,
 )
-from dotsim_ros.evaluation.optics.models import FitSettings, factory_of
-from dotsim_ros.evaluation.optics.report import evaluate_optics, optics_page, shown_frames
-from dotsim_ros.evaluation.optics.rows import RowMaker
-from dotsim_ros.evaluation.optics.sheet import write_sheets
-from dotsim_ros.evaluation.optics.split import LEVELS, OpticalSplit
-from dotsim_ros.geometry.camera import Camera, FisheyeCamera
-from dotsim_ros.metrics.images import LARGEST_PSNR_DB
-from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
+from studies.optics.models import FitSettings, factory_of
+from studies.optics.report import evaluate_optics, optics_page, shown_frames
+from studies.optics.rows import RowMaker
+from studies.optics.sheet import write_sheets
+from studies.optics.split import LEVELS, OpticalSplit
 
 SIZE = (24, 32)
 DEPTHS_M = np.array([-0.0001, 0.001, 0.0021, 0.0032])

@@ -15,28 +15,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import msg_adapters
-from dotsim_ros.evaluation.trajectory import trials
-from dotsim_ros.evaluation.trajectory.loop_bag import read_loop_bag
-from dotsim_ros.evaluation.trajectory.page import (
-    drawn_places,
-    path_image,
-    trajectory_page,
-    trial_report,
-    write_grid,
-)
-from dotsim_ros.evaluation.trajectory.trials import (
-    SETTINGS,
-    Setting,
-    TrajectoryTrials,
-    TrialPlan,
-    judge,
-    limits_shown,
-    run_trials,
-    setting_of,
-    summarize,
-    trajectory_figures,
-    trial_start,
-)
 from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.pose import Pose, compose, inverse
 from dotsim_ros.measured.bag import BAG_TYPES, BagFile
@@ -45,7 +23,22 @@ from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
 from dotsim_ros.tasks.control.safety import SafetyLimits
+from dotsim_ros.tasks.loop.bag import read_loop_bag
+from dotsim_ros.tasks.loop.judge import judge, limits_shown, trial_start
+from dotsim_ros.tasks.loop.report import drawn_places, path_image, trial_report
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
+from studies.trajectory import trials
+from studies.trajectory.page import trajectory_page, write_grid
+from studies.trajectory.trials import (
+    SETTINGS,
+    Setting,
+    TrajectoryTrials,
+    TrialPlan,
+    run_trials,
+    setting_of,
+    summarize,
+    trajectory_figures,
+)
 
 PLACES = LoopPlaces(Pose(np.array([0.35, 0.0, 0.3]), np.array([1.0, 0.0, 0.0, 0.0])))
 START_S = 1000.0

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.evaluation.gap.baselines import Left
-from dotsim_ros.evaluation.gap.hidden.laws import FORMULAS_OF_LIBRARY, LAWS, OTHER_LAWS
-from dotsim_ros.evaluation.gap.page import gap_page
-from dotsim_ros.evaluation.gap.presses import CLOSE, further_sizes, halves
-from dotsim_ros.evaluation.gap.rates import clustered_rate, rate
-from dotsim_ros.evaluation.gap.same_law import SameLaw, same_law_figures
-from dotsim_ros.evaluation.gap.study import StudyCase, figures, run_study
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.evidence import Variant
+from studies.gap.baselines import Left
+from studies.gap.page import gap_page
+from studies.gap.presses import CLOSE, further_sizes, halves
+from studies.gap.rates import clustered_rate, rate
+from studies.gap.same_law import SameLaw, same_law_figures
+from studies.gap.study import StudyCase, figures, run_study
+from studies.hidden.laws import FORMULAS_OF_LIBRARY, LAWS, OTHER_LAWS
 
 NAMES = [f"{kind}_{k}" for kind in ("1_sphere", "2_cone") for k in range(4)]
 

@@ -14,13 +14,6 @@ import pytest
 from numpy.typing import NDArray
 
 from dotsim_ros.cli.evaluate import BALL_MODELS
-from dotsim_ros.evaluation.optics.gelsight import (
-    MODELS,
-    SENSOR,
-    BallStudy,
-    cap_presses,
-    with_gains_of,
-)
 from dotsim_ros.measured.importers.ball_photographs import BallPress, BallRecording
 from dotsim_ros.measured.importers.fots_balls import (
     BALL_RADIUS_M,
@@ -42,6 +35,13 @@ from dotsim_ros.twin.ball_presses import (
     flat_scene,
     gel_presses,
     press_profiles,
+)
+from studies.optics.gelsight import (
+    MODELS,
+    SENSOR,
+    BallStudy,
+    cap_presses,
+    with_gains_of,
 )
 
 SIZE = (80, 60)

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import dotsim_ros.evaluation.gap.hidden
+import studies.hidden
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.evaluation.gap.hidden.laws import LAWS, LawAnswer, LawMotion
-from dotsim_ros.evaluation.gap.hidden.reality import Truth, library_names
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.specification import load_sensor
+from studies.hidden.laws import LAWS, LawAnswer, LawMotion
+from studies.hidden.reality import Truth, library_names
 
-FILES = sorted(Path(dotsim_ros.evaluation.gap.hidden.__path__[0]).glob("*.py"))
+FILES = sorted(Path(studies.hidden.__path__[0]).glob("*.py"))
 
 
 @pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)

@@ -11,15 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.baselines.clipping import clip_depths, clipped_skin
-from dotsim_ros.baselines.optics import per_pixel, tacto, taxim
-from dotsim_ros.baselines.optics.clipped import clipped_press
-from dotsim_ros.baselines.optics.pixels import (
-    pixel_grid,
-    relative_normal,
-    seen_region,
-    warped_ground,
-)
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
@@ -27,6 +18,15 @@ from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.motion import pose_along
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import OpticalPress, Rest
+from studies.rivals.clipping import clip_depths, clipped_skin
+from studies.rivals.optics import per_pixel, tacto, taxim
+from studies.rivals.optics.clipped import clipped_press
+from studies.rivals.optics.pixels import (
+    pixel_grid,
+    relative_normal,
+    seen_region,
+    warped_ground,
+)
 
 FloatArray = NDArray[np.float64]
 

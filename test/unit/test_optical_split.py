@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from dotsim_ros.evaluation.optics.split import LEVELS, WAYS, OpticalSplit, optical_splits
+from studies.optics.split import LEVELS, WAYS, OpticalSplit, optical_splits
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,13 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
-from dotsim_ros.evaluation.gap.hidden.path_traced import (
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.data_set_writer import DataSetWriter
+from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.specification import load_sensor
+from studies.hidden.path_traced import (
     MAP_SIZE,
     Eye,
     Inside,
@@ -25,14 +31,8 @@ from dotsim_ros.evaluation.gap.hidden.path_traced import (
     map_places,
     open_mitsuba,
 )
-from dotsim_ros.evaluation.gap.hidden.rendered_laws import LAWS
-from dotsim_ros.evaluation.gap.hidden.rendered_unit import IDLE_COUNT, Studio, coat_pattern
-from dotsim_ros.gel.make import skin_of
-from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
-from dotsim_ros.specification import load_sensor
+from studies.hidden.rendered_laws import LAWS
+from studies.hidden.rendered_unit import IDLE_COUNT, Studio, coat_pattern
 
 SKIN = skin_of(load_sensor("sensor_a").gel)
 REST_M, TRIANGLES = SKIN.rest_position_m, SKIN.triangles
@@ -362,4 +362,4 @@ def test_both_ways_to_render_give_the_same_light(renderer_of):
 def test_hidden_units_are_no_part_of_the_finder():
     folder = Path(__file__).parents[2] / "dotsim_ros" / "gap"
     for path in folder.rglob("*.py"):
-        assert "dotsim_ros.evaluation.gap.hidden" not in path.read_text(encoding="utf-8"), path
+        assert "studies.hidden" not in path.read_text(encoding="utf-8"), path

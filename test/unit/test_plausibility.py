@@ -15,7 +15,6 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.gap.hidden.laws import LAWS, LawAnswer, LawMotion
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin, flat_pad_skin
@@ -31,6 +30,7 @@ from dotsim_ros.measured.trajectory import (
     Trajectory,
     WrenchChannel,
 )
+from studies.hidden.laws import LAWS, LawAnswer, LawMotion
 
 Array = NDArray[np.float64]
 

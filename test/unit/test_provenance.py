@@ -23,5 +23,5 @@ def test_an_installed_command_goes_by_its_name(
 
 
 def test_a_script_goes_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["benchmarks/live.py", "--seconds", "15"])
-    assert provenance()["command"] == "python benchmarks/live.py --seconds 15"
+    monkeypatch.setattr(sys, "argv", ["studies/live.py", "--seconds", "15"])
+    assert provenance()["command"] == "python studies/live.py --seconds 15"

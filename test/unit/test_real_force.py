@@ -11,19 +11,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dotsim_ros.evaluation.real_force import pad
-from dotsim_ros.evaluation.real_force.causes import all_explained
-from dotsim_ros.evaluation.real_force.cylinders import SHARE, chosen_law, fitted, slipping
-from dotsim_ros.evaluation.real_force.inference import Prior, each_left_out, weighted_draws
-from dotsim_ros.evaluation.real_force.pad import COMPRESSIBILITY, DEPTH_M, FRICTION, PadTable
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.importers.ecoflex_compression import HEIGHT_M, RADIUS_M, CompressionTest
 from dotsim_ros.measured.importers.force_depth import ForceDepth
-from dotsim_ros.reference.compression import Compression, compressed
-from dotsim_ros.reference.run import CalculixMissingError, calculix_path
 from dotsim_ros.twin.force_control import ForceNotReachedError, pose_at_force
+from studies.real import pad
+from studies.real.causes import all_explained
+from studies.real.cylinders import SHARE, chosen_law, fitted, slipping
+from studies.real.inference import Prior, each_left_out, weighted_draws
+from studies.real.pad import COMPRESSIBILITY, DEPTH_M, FRICTION, PadTable
+from studies.reference.compression import Compression, compressed
+from studies.reference.run import CalculixMissingError, calculix_path
 
 SURFACE_M = 0.004
 

@@ -13,8 +13,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.evaluation.optics import real_pair
-from dotsim_ros.evaluation.optics.real_pair import (
+from dotsim_ros.optics.idle import LitDisc
+from dotsim_ros.optics.lighting import Lighting, Vignetting
+from dotsim_ros.specification import SolverSpecification, load_sensor
+from studies.optics import real_pair
+from studies.optics.real_pair import (
     BallPose,
     PressSearch,
     RealPair,
@@ -23,9 +26,6 @@ from dotsim_ros.evaluation.optics.real_pair import (
     read_real_pair,
     real_pair_page,
 )
-from dotsim_ros.optics.idle import LitDisc
-from dotsim_ros.optics.lighting import Lighting, Vignetting
-from dotsim_ros.specification import SolverSpecification, load_sensor
 
 PX = 96
 DISC = LitDisc((47.5, 47.5), 45.0, 90.0)

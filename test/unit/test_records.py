@@ -13,9 +13,12 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from programs import ROOT, program
+from programs import ROOT
 
+from dotsim_ros.cli.main import verbs
 from dotsim_ros.provenance import commit_of
+from studies import run
+from studies.results_page import RESULTS
 
 
 class Checkout:
@@ -101,55 +104,72 @@ def test_a_copy_that_the_checkout_ignores_has_no_commit(checkout: Checkout) -> N
     assert commit_of(copy.parent).startswith("unknown")
 
 
-@pytest.fixture
-def results() -> ModuleType:
-    return program("tools/results.py")
-
-
-def test_every_record_is_sealed_or_can_be_made(results: ModuleType) -> None:
-    folder = ROOT / results.RESULTS
+def test_every_record_is_sealed_or_can_be_made() -> None:
     sealed = {"gap_physics", "gap_physics_new/gap_physics"}
     records = {
-        path.relative_to(folder).with_suffix("").as_posix() for path in folder.rglob("*.json")
+        path.relative_to(RESULTS).with_suffix("").as_posix() for path in RESULTS.rglob("*.json")
     }
-    assert records - set(results.TABLES) == sealed
-    for name, table in results.TABLES.items():
-        for command in (*table.before, table.command):
-            program, what = command.split()[:2]
-            there = ROOT / what if program == "python" else ROOT / f"dotsim_ros/cli/{what}.py"
-            assert there.with_name(there.name.replace("-", "_")).is_file(), name
+    assert records - set(run.STUDIES) == sealed
+    for name, study in run.STUDIES.items():
+        assert study.summary(), name
+        for command in (*study.before, *filter(None, [study.command])):
+            program, verb = command.split()[:2]
+            assert program == "dotsim_ros", name
+            assert verb in verbs(), name
 
 
-def test_tables_are_made_once_and_a_failed_one_again(
-    results: ModuleType,
-    checkout: Checkout,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
+@pytest.fixture
+def studies(checkout: Checkout, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Two studies, and a folder of records of a clean checkout."""
+    module = ModuleType("studies.made_up")
+
+    def fast(*, count: int = 1, names: list[str] | None = None) -> dict[str, object]:
+        """Count."""
+        print("computed")
+        return {"count": count, "names": names}
+
+    def broken() -> dict[str, object]:
+        """Fail."""
+        raise ValueError("no such unit")
+
+    module.__dict__.update(fast=fast, broken=broken)
+    monkeypatch.setitem(sys.modules, "studies.made_up", module)
+    made_up = {
+        "fast": run.Study(1, "made_up:fast", {"count": 3}),
+        "broken": run.Study(2, "made_up:broken"),
+    }
+    monkeypatch.setattr(run, "STUDIES", made_up)
+    monkeypatch.setattr(run, "ROOT", checkout.root)
+    monkeypatch.setattr(run, "RESULTS", checkout.root / "docs" / "results")
+    monkeypatch.setattr(run, "provenance", lambda: {"commit": checkout.commit})
+    return checkout.root / "docs" / "results"
+
+
+def test_records_are_made_once_and_a_failed_one_again(
+    studies: Path, checkout: Checkout, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    write = (
-        "import json, sys; "
-        f"json.dump({{'commit': '{checkout.commit}'}}, open(sys.argv[-1], 'w')); "
-        "print('computed')"
-    )
-    tables = {
-        "fast": results.Table(1, f'{sys.executable} -c "{write}"'),
-        "broken": results.Table(2, f'{sys.executable} -c "raise SystemExit(1)"'),
-    }
-    monkeypatch.setattr(results, "TABLES", tables)
-    monkeypatch.setattr(results, "ROOT", checkout.root)
-    assert results.main([]) == 1
-    printed = capfd.readouterr().out
-    assert "2 to make, about 3 minutes" in printed
+    assert run.main(["all", "--json", str(studies)]) == 1
+    printed, errors = capfd.readouterr()
     assert printed.count("computed\n") == 1
-    assert "failed: broken; the same command tries these again" in printed
-    assert results.main([]) == 1
-    printed = capfd.readouterr().out
-    assert "1 to make, about 2 minutes" in printed
-    assert "computed\n" not in printed
-    with pytest.raises(SystemExit):
-        results.main(["slow"])
-    assert "no table slow" in capfd.readouterr().err
+    assert "broken: no such unit" in errors
+    record = json.loads((studies / "fast.json").read_text())
+    assert record == {"commit": checkout.commit, "count": 3, "names": None}
+    assert run.main(["fast", "broken", "--json", str(studies)]) == 1
+    assert "computed\n" not in capfd.readouterr().out
     (checkout.root / "dotsim_ros" / "new.py").write_text("")
-    with pytest.raises(SystemExit):
-        results.main(["broken"])
+    assert run.main(["broken", "--json", str(studies)]) == 2
     assert "commit or stash" in capfd.readouterr().err
+
+
+def test_options_are_those_of_the_function(
+    studies: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run.main(["fast", "--names", "a", "b", "--json", str(tmp_path)]) == 0
+    record = json.loads((tmp_path / "fast.json").read_text())
+    assert (record["count"], record["names"]) == (3, ["a", "b"])
+    assert run.main(["slow"]) == 2
+    assert "there is no study slow; they are fast, broken" in capfd.readouterr().err
+    with pytest.raises(SystemExit):
+        run.main(["fast", "--size", "3"])
+    assert run.main(["fast", "broken", "--count", "3"]) == 2
+    assert "options are of one study" in capfd.readouterr().err

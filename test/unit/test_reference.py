@@ -18,33 +18,33 @@ from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.measured.scripted import Site
-from dotsim_ros.reference.axisymmetric import (
-    AxisymmetricDeck,
-    AxisymmetricSettings,
-    disc_section,
-    dome_section,
-)
-from dotsim_ros.reference.data_set import read_solved_presses
-from dotsim_ros.reference.deck import EARLY_M, Deck, StepControl
-from dotsim_ros.reference.mesh import (
-    MeshedPress,
-    dome_mesh,
-    interpolate_skin,
-    pressed_place,
-)
-from dotsim_ros.reference.press import (
-    ReferencePress,
-    ReferenceSettings,
-    press_poses,
-    reference_deck,
-)
-from dotsim_ros.reference.results import solved_press, stamps_ns
-from dotsim_ros.reference.run import CalculixError, CalculixMissingError, calculix_path, solve
 from dotsim_ros.specification import (
     ContactSpecification,
     GelSpecification,
     load_sensor,
 )
+from studies.reference.axisymmetric import (
+    AxisymmetricDeck,
+    AxisymmetricSettings,
+    disc_section,
+    dome_section,
+)
+from studies.reference.data_set import read_solved_presses
+from studies.reference.deck import EARLY_M, Deck, StepControl
+from studies.reference.mesh import (
+    MeshedPress,
+    dome_mesh,
+    interpolate_skin,
+    pressed_place,
+)
+from studies.reference.press import (
+    ReferencePress,
+    ReferenceSettings,
+    press_poses,
+    reference_deck,
+)
+from studies.reference.results import solved_press, stamps_ns
+from studies.reference.run import CalculixError, CalculixMissingError, calculix_path, solve
 
 OUTER_M, CORE_M = 0.01575, 0.006
 INDENTERS = ("sphere_4mm", "cone", "flat_punch", "lying_cylinder", "torus", "box_edge")

@@ -20,9 +20,27 @@ import pytest
 from dotsim_ros.cli.main import main
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
-from dotsim_ros.evaluation.gap import solved_score
-from dotsim_ros.evaluation.gap.hidden import solved_sets, solved_unit
-from dotsim_ros.evaluation.gap.hidden.solved_draw import (
+from dotsim_ros.files import write_json
+from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
+from dotsim_ros.gap.presses.covariance import load_discrepancy, save_discrepancy
+from dotsim_ros.gel.material import Yeoh
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.scripted import Site
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.gap import solved_score
+from studies.gap.solved_page import solved_page
+from studies.gap.solved_score import (
+    LEARNT_SINCE,
+    ScoreRequest,
+    kind_of,
+    outcome_of,
+    rates_of,
+    score_sets,
+)
+from studies.hidden import solved_sets, solved_unit
+from studies.hidden.solved_draw import (
     COMPOSITION,
     DECLARED,
     HALVES,
@@ -33,30 +51,12 @@ from dotsim_ros.evaluation.gap.hidden.solved_draw import (
     commissioning_unit,
     draw_series,
 )
-from dotsim_ros.evaluation.gap.hidden.solved_sets import SeriesPlan, make_sets, read_series
-from dotsim_ros.evaluation.gap.hidden.solved_unit import Protocol, protocols
-from dotsim_ros.evaluation.gap.solved_page import solved_page
-from dotsim_ros.evaluation.gap.solved_score import (
-    LEARNT_SINCE,
-    ScoreRequest,
-    kind_of,
-    outcome_of,
-    rates_of,
-    score_sets,
-)
-from dotsim_ros.files import write_json
-from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
-from dotsim_ros.gap.presses.covariance import load_discrepancy, save_discrepancy
-from dotsim_ros.gel.material import Yeoh
-from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.scripted import Site
-from dotsim_ros.reference.deck import StepControl
-from dotsim_ros.reference.press import ReferenceSettings, press_poses, reference_deck
-from dotsim_ros.reference.run import solve
-from dotsim_ros.reference.unit_deck import MaxwellBranch, OgdenStiffening, StiffPart, UnitDeck
-from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.hidden.solved_sets import SeriesPlan, make_sets, read_series
+from studies.hidden.solved_unit import Protocol, protocols
+from studies.reference.deck import StepControl
+from studies.reference.press import ReferenceSettings, press_poses, reference_deck
+from studies.reference.run import solve
+from studies.reference.unit_deck import MaxwellBranch, OgdenStiffening, StiffPart, UnitDeck
 
 SENSOR = load_sensor("sensor_a")
 PRESS = "press_sphere_4mm_0"

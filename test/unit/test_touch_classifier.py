@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.evaluation.classification.classifier import (
+from studies.classification.classifier import (
     ClassifierSettings,
     classified,
     touched_as_taken,

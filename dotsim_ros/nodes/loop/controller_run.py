@@ -14,7 +14,6 @@ from geometry_msgs.msg import PoseStamped
 
 import msg_adapters
 from dotsim_ros.arrays import BoolArray, FloatArray
-from dotsim_ros.evaluation.trajectory.trials import trial_start
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.common.transport import stay_local
@@ -32,6 +31,7 @@ from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.control.loop_recording import LoopRecording
+from dotsim_ros.tasks.loop.judge import trial_start
 from dotsim_ros.tasks.policy.demonstration import contact_of
 from dotsim_ros.tasks.policy.paths import ReferencePath, reference_path
 

@@ -34,6 +34,8 @@ BASES = {
     "neighbourhood": "warped",
 }
 """What each kind of network's output is added to."""
+TRAINED = tuple(kind for kind in BASES if kind != "neighbourhood")
+"""Kinds that training fits to many images; the last one is read from a few frames."""
 FINENESS = dict.fromkeys(BASES, 1) | {"ours": 2}
 """How often wider and higher each kind's images are than the geometry that it is given."""
 

@@ -1,0 +1,335 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Classifiers learnt from each image model's simulated touches, judged on measured ones."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import as_completed
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from dotsim_ros.arrays import Float32Array, IntArray
+from dotsim_ros.cache import PHYSICS, content_key
+from dotsim_ros.files import write_json
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.measured.data_set import find_indenter, read_data_set
+from dotsim_ros.optics.idle import lights_of
+from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.provenance import provenance
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.twin.footage import (
+    FilmedData,
+    FilmedPress,
+    OpticalData,
+    Progress,
+    camera_for,
+    read_filmed_data,
+    render_filmed,
+)
+from dotsim_ros.worker_pool.pool import Crew, open_pool
+from studies.classification.classifier import (
+    ClassifierSettings,
+    classified,
+    confusion,
+    touched,
+    touched_as_taken,
+    train_classifier,
+)
+from studies.classification.domains import DOMAINS, Domain, Fold, domain_of
+from studies.classification.presses import (
+    PressPlan,
+    pressed_skins,
+    simulated_presses,
+)
+from studies.geometry.registry import sensor_file
+from studies.optics.judge import recordings_of, restricted
+from studies.optics.models import (
+    CLIPPED,
+    MADE_BY,
+    REFINED,
+    FitSettings,
+    factory_of,
+)
+from studies.optics.names import BOUND, CLASSIFIED_BY
+from studies.optics.rows import by_name
+from studies.optics.source import clipped_presses, refined_footage
+from studies.rivals.optics.clipped import clipped_press
+
+APART = 5
+"""Every fifth simulated press is not learnt from."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """What is asked.
+
+    Attributes:
+        data: folder of the data set.
+        sensor: name or file of a sensor, or a folder with one for each domain.
+        models: rows, of `CLASSIFIED_BY`.
+        domains: of `DOMAINS`.
+        seeds: classifiers of each row and fold.
+        plan: of the simulated presses.
+        classifier: how they are trained.
+        fit: how image models are fitted.
+    """
+
+    data: Path
+    sensor: str
+    models: tuple[str, ...] = CLASSIFIED_BY
+    domains: tuple[str, ...] = DOMAINS
+    seeds: int = 5
+    plan: PressPlan = field(default_factory=PressPlan)
+    classifier: ClassifierSettings = field(default_factory=ClassifierSettings)
+    fit: FitSettings = field(default_factory=FitSettings)
+
+
+@dataclass(frozen=True)
+class _Measured:
+    """The measured frames beside what a sensor renders for them."""
+
+    sensor: SensorSpecification
+    filmed: FilmedData
+    data: OpticalData
+
+
+def run_study(study: Study, kept: Path, *, workers: Crew, tell: Progress) -> dict[str, Any]:
+    """Return the figures of a study; rows that are kept in a folder are not made again.
+
+    Args:
+        study: what is asked.
+        kept: folder of rows, skins and trainings.
+        workers: how many processes, or workers of Ray, each of which presses an indenter or makes
+            a row of a domain.
+        tell: called with a line about each row.
+
+    Raises:
+        FileNotFoundError: no data set, or no sensor of a domain.
+        ValueError: data that cannot be classified so, or a model that could not be fitted.
+    """
+    rows: dict[str, dict[str, Any]] = {name: {} for name in study.domains}
+    with open_pool(workers, _prepare, reads=(study.data,), writes=(kept,)) as pool:
+        # Bad data is told before anything is pressed.
+        classes = [pool.submit(_classes, study, name).result() for name in study.domains]
+        pressing = [
+            (study, kept, domain, indenter)
+            for domain, indenters in zip(study.domains, classes, strict=True)
+            for indenter in indenters
+        ]
+        # The first one leaves the tables on disk that the others read.
+        pool.submit(_press, *pressing[0]).result()
+        for pressed in [pool.submit(_press, *one) for one in pressing[1:]]:
+            pressed.result()
+        running = {
+            pool.submit(made_row, study, kept, domain, model): (domain, model)
+            for domain in study.domains
+            for model in study.models
+        }
+        for done in as_completed(running):
+            domain, model = running[done]
+            row = rows[domain][model] = done.result()
+            tell(f"{domain}, {model}: {100.0 * row['mean']:.1f} %")
+    return {
+        "study": {
+            **asdict(replace(study, data=Path(study.data.name))),
+            "data": study.data.name,
+        },
+        **{name: {model: rows[name][model] for model in study.models} for name in study.domains},
+    }
+
+
+def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str, Any]:
+    """Return how classifiers that learnt from a model's images do in a domain.
+
+    Returns:
+        `mean` and `std` between seeds of the share of frames told right, the same of the
+        `balanced` share (mean over the classes), `seeds` with the share of each, `confusion`
+        (true class by told class, of all seeds), `classes`, `frames`, `trajectories`, `simulated`
+        (share of simulated touches that no classifier learnt from) and where the row comes from.
+    """
+    measured = _measured(study.data, sensor_file(domain_name, study.sensor))
+    # Nothing measured of the classes may be fitted on out of the domain, which no bound can do
+    # without: it is the same in both.
+    split = "in_domain" if (model, domain_name) == (BOUND, "out_of_domain") else domain_name
+    domain = domain_of(split, recordings_of(measured.data))
+    trained = (study.fit.epochs_of(model), study.fit.width_of(model))
+    key = content_key(
+        (*PHYSICS, *MADE_BY, "evaluation/classification"),
+        (measured.filmed.idle, [press.measured for press in measured.filmed.presses]),
+        [press.skin_position_m for press in measured.filmed.presses],
+        measured.sensor.camera,
+        domain,
+        model,
+        (study.seeds, study.plan, study.classifier, study.fit.seed, trained),
+    )
+    path = kept / "rows" / f"{domain_name}-{model}-{key}.json"
+    if not path.is_file():
+        row = _made(study, kept, measured, domain, model)
+        write_json(path, row | {"origin": provenance()})
+    found: dict[str, Any] = json.loads(path.read_text("utf-8"))
+    return found
+
+
+def _made(
+    study: Study, kept: Path, measured: _Measured, domain: Domain, model: str
+) -> dict[str, Any]:
+    truth: list[int] = []
+    told: list[list[int]] = [[] for _ in range(study.seeds)]
+    simulated: list[float] = []
+    trajectories: set[str] = set()
+    rank = {indenter: number for number, indenter in enumerate(domain.classes)}
+    for fold in domain.folds:
+        seen, labels = _touches(study, measured, fold.judged, rank)
+        truth += labels.tolist()
+        trajectories |= {name for name, _ in fold.judged}
+        learnt, learnt_labels, apart, apart_labels = _to_learn_from(
+            study, kept, measured, domain, fold, model
+        )
+        for seed in range(study.seeds):
+            network = train_classifier(
+                learnt, learnt_labels, len(rank), study.classifier, study.fit.seed + seed
+            )
+            told[seed] += classified(network, seen).tolist()
+            if len(apart):
+                simulated.append(float(np.mean(classified(network, apart) == apart_labels)))
+    right = np.array(told) == np.array(truth)
+    recalls = np.array(
+        [right[:, np.array(truth) == number].mean(axis=1) for number in rank.values()]
+    )
+    balanced = recalls.mean(axis=0)
+    accuracy = right.mean(axis=1)
+    return {
+        "mean": float(accuracy.mean()),
+        "std": float(accuracy.std()),
+        "balanced": {"mean": float(balanced.mean()), "std": float(balanced.std())},
+        "seeds": accuracy.tolist(),
+        "confusion": confusion(truth * study.seeds, [t for one in told for t in one], len(rank)),
+        "classes": list(domain.classes),
+        "frames": len(truth),
+        "trajectories": len(trajectories),
+        "simulated": float(np.mean(simulated)) if simulated else None,
+    }
+
+
+def _touches(
+    study: Study, measured: _Measured, keys: Sequence[tuple[str, int]], rank: dict[str, int]
+) -> tuple[Float32Array, IntArray]:
+    """Return what measured touches add to the idle image, and their classes; contact only."""
+    seen, labels = [], []
+    for press in restricted(by_name(measured.data), keys):
+        touches = press.tip_depth_m > 0.0
+        seen.append(
+            touched_as_taken(press.measured[touches], measured.filmed.idle, study.classifier)
+        )
+        labels += [rank[press.indenter]] * int(touches.sum())
+    return np.concatenate(seen), np.array(labels)
+
+
+def _to_learn_from(
+    study: Study, kept: Path, measured: _Measured, domain: Domain, fold: Fold, model: str
+) -> tuple[Float32Array, IntArray, Float32Array, IntArray]:
+    """Return touches and classes to learn from, and others to see how well that went."""
+    rank = {indenter: number for number, indenter in enumerate(domain.classes)}
+    if model == BOUND:
+        seen, labels = _touches(study, measured, fold.fitted, rank)
+        return seen, labels, seen[:0], labels[:0]
+    source, footage, data = read_data_set(study.data), measured.filmed, measured.data
+    if model in REFINED:
+        footage = refined_footage(footage, measured.sensor, data, fold.fitted)
+        data = _rendered(footage, measured)
+    clips = model in CLIPPED
+    presses = clipped_presses(source, measured.sensor, data) if clips else by_name(data)
+    # The lit disc is the same for all, as where images are judged.
+    rest = replace(data.rest, lit=measured.data.rest.lit)
+    state = kept / "fits" / content_key(MADE_BY, model, fold, study.fit)
+    make = factory_of(model, study.fit, state=state, progress=lambda _line: None)
+    fitted = make(restricted(presses, fold.fitted), rest, data.camera)
+    random = np.random.default_rng(study.fit.seed)
+    filmed, poses_of = simulated_touches(study, kept, domain.name)
+    renderer = SkinRenderer(data.camera, footage.skin)
+    learnt: tuple[list[Float32Array], list[int]] = ([], [])
+    apart: tuple[list[Float32Array], list[int]] = ([], [])
+    for indenter in domain.classes:
+        own = [number for number, press in enumerate(filmed) if press.indenter == indenter]
+        # One indenter at a time: a rendered frame takes two megabytes.
+        rendered = _rendered(replace(footage, presses=tuple(filmed[n] for n in own)), measured)
+        shape = find_indenter(source, indenter)
+        for place, (number, press) in enumerate(zip(own, rendered.presses, strict=True)):
+            if clips:
+                press = clipped_press(press, poses_of[number], shape, renderer)
+            images = fitted.predict(press, rest)
+            seen_of, labels_of = apart if place % APART == 0 else learnt
+            seen_of.append(touched(images, measured.filmed.idle, study.classifier, random))
+            labels_of += [rank[indenter]] * len(images)
+    shutil.rmtree(state, ignore_errors=True)
+    return (
+        np.concatenate(learnt[0]),
+        np.array(learnt[1]),
+        np.concatenate(apart[0]),
+        np.array(apart[1]),
+    )
+
+
+def simulated_touches(
+    study: Study, kept: Path, domain_name: str
+) -> tuple[list[FilmedPress], list[list[Pose]]]:
+    """Return the simulated presses of a domain's indenters, and the poses of each."""
+    measured = _measured(study.data, sensor_file(domain_name, study.sensor))
+    source = read_data_set(study.data)
+    classes = domain_of(domain_name, recordings_of(measured.data)).classes
+    return simulated_presses(
+        measured.sensor,
+        {name: find_indenter(source, name) for name in classes},
+        study.plan,
+        measured.filmed.idle.shape[:2],
+        cache=kept / "skins",
+        progress=lambda _line: None,
+    )
+
+
+def _classes(study: Study, domain_name: str) -> tuple[str, ...]:
+    """Return the indenters of a domain, in the order of their names."""
+    measured = _measured(study.data, sensor_file(domain_name, study.sensor))
+    return tuple(sorted(domain_of(domain_name, recordings_of(measured.data)).classes))
+
+
+def _press(study: Study, kept: Path, domain_name: str, indenter: str) -> None:
+    """Press an indenter as often as a domain needs it, so that the skins are kept."""
+    pressed_skins(
+        _measured(study.data, sensor_file(domain_name, study.sensor)).sensor,
+        indenter,
+        find_indenter(read_data_set(study.data), indenter),
+        _classes(study, domain_name).index(indenter),
+        study.plan,
+        cache=kept / "skins",
+        progress=lambda _line: None,
+    )
+
+
+def _rendered(footage: FilmedData, measured: _Measured) -> OpticalData:
+    lighting, vignetting = lights_of(measured.sensor)
+    return render_filmed(footage, measured.data.camera, lighting=lighting, vignetting=vignetting)
+
+
+# One at a time: the frames of one take half a gigabyte.
+@lru_cache(maxsize=1)
+def _measured(data: Path, sensor_name: str | Path) -> _Measured:
+    sensor = load_sensor(sensor_name)
+    filmed = read_filmed_data(data, sensor)
+    camera = camera_for(sensor, filmed.idle, str(data))
+    lighting, vignetting = lights_of(sensor)
+    rendered = render_filmed(filmed, camera, lighting=lighting, vignetting=vignetting)
+    return _Measured(sensor, filmed, rendered)
+
+
+def _prepare() -> None:
+    torch.set_num_threads(1)

@@ -1,0 +1,375 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The geometry table of a data set: every model on every split, as figures and as a page."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.data_set import DataSet, find_indenter
+from dotsim_ros.measured.presses import Press
+from dotsim_ros.measured.reading import few_of, read_observation
+from dotsim_ros.measured.split import (
+    HELD_OUT_COUNT,
+    Split,
+    hold_out_of_protocols,
+    leave_one_indenter_out,
+)
+from dotsim_ros.metrics.presses import (
+    CONTACT_REACH_M,
+    JUDGED_DEPTH_M,
+    Factory,
+    MeasuredNoise,
+    ModelScores,
+    PressFrameScore,
+    by_indenter,
+    evaluate_model,
+    floor_scores,
+    judged_frames,
+    measurement_noise,
+    summarize,
+)
+from dotsim_ros.metrics.surfaces import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
+from studies.table import GEOMETRY_COLUMNS, entry_list, markdown_table
+
+HELD_OUT = "held_out"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a data set holds, read.
+
+    Attributes:
+        presses: by name.
+        indenters: by name.
+        skin: at rest.
+        left_out: presses that could not be read, with the reason, by name.
+    """
+
+    presses: dict[str, Press]
+    indenters: dict[str, Indenter]
+    skin: SkinMesh
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+def read_measured(data: DataSet, *, meshes: DataSet | None = None) -> Measured:
+    """Read every press of a data set; one that cannot be read is left out and named.
+
+    Args:
+        data: that holds the presses.
+        meshes: the data set that holds the indenters; None takes the same.
+
+    Raises:
+        FileNotFoundError: the data set has no skin.
+        ValueError: no press could be read.
+    """
+    skin = data.skin_mesh()
+    source = data if meshes is None else meshes
+    presses: dict[str, Press] = {}
+    indenters: dict[str, Indenter] = {}
+    left_out: dict[str, str] = {}
+    for entry in data.entries:
+        try:
+            found = read_observation(
+                data,
+                entry,
+                skin=skin,
+                has_vertices=True,
+                indenter_of=lambda name: find_indenter(source, name),
+            )
+        except (ValueError, OSError) as error:
+            left_out[entry.name] = str(error)
+            continue
+        presses[found.press.name] = found.press
+        indenters.setdefault(found.press.indenter, found.indenter)
+    if not presses:
+        reasons = few_of(list(left_out.values()))
+        raise ValueError(f"{data.directory}: no press can be read: {reasons}")
+    return Measured(presses, indenters, skin, left_out)
+
+
+def read_with_later(earlier: DataSet, later: DataSet) -> tuple[Measured, Split]:
+    """Read all presses of a data set to fit on, and all of a later one of the same sensor to judge.
+
+    The indenters are those of the earlier one.
+
+    Raises:
+        FileNotFoundError: one of them has no skin.
+        ValueError: no press of one of them could be read, their skins differ, or both have a press
+            of one name.
+    """
+    fitted, judged = read_measured(earlier), read_measured(later, meshes=earlier)
+    if not _is_same_skin(fitted.skin, judged.skin):
+        raise ValueError(
+            f"{later.directory}: its skin_mesh.npz is not that of {earlier.directory}; what is "
+            "fitted on one sensor's skin is judged on presses of the same one"
+        )
+    twice = sorted(set(fitted.presses) & set(judged.presses))
+    if twice:
+        raise ValueError(
+            f"{few_of(twice)} in both {earlier.directory} and {later.directory}; a press that was "
+            "fitted on cannot be judged on, so give the later ones other names"
+        )
+    both = Measured(
+        fitted.presses | judged.presses,
+        fitted.indenters | judged.indenters,
+        fitted.skin,
+        fitted.left_out | judged.left_out,
+    )
+    return both, Split(HELD_OUT, tuple(sorted(fitted.presses)), tuple(sorted(judged.presses)))
+
+
+def _is_same_skin(skin: SkinMesh, other: SkinMesh) -> bool:
+    return np.array_equal(skin.triangles, other.triangles) and np.array_equal(
+        skin.rest_position_m, other.rest_position_m
+    )
+
+
+def splits_of(
+    measured: Measured, *, count: int = HELD_OUT_COUNT, seed: int = 0, with_indenters: bool = True
+) -> list[Split]:
+    """Return the drawn split, and that of each indenter left out.
+
+    Raises:
+        ValueError: as `hold_out_of_protocols` and `leave_one_indenter_out`.
+    """
+    splits = [Split(HELD_OUT, *hold_out_of_protocols(measured.presses, count, seed))]
+    if with_indenters:
+        splits += leave_one_indenter_out(
+            {name: press.indenter for name, press in measured.presses.items()}
+        )
+    return splits
+
+
+def evaluate_geometry(
+    measured: Measured,
+    splits: Sequence[Split],
+    factories: Mapping[str, Factory],
+    *,
+    seed: int = 0,
+    from_depth_m: float = JUDGED_DEPTH_M,
+    progress: Callable[[str], None] = lambda _line: None,
+) -> dict[str, Any]:
+    """Return the figures of every model on every split, as the JSON file holds them.
+
+    Args:
+        measured: the data set.
+        splits: the drawn one and those of the indenters.
+        factories: makes each model, by name.
+        seed: of the samples of the surfaces.
+        from_depth_m: depth of the tip from which frames are judged.
+        progress: called with a line that says what is being done.
+
+    Raises:
+        ValueError: a model could not be made, or no frame is deep enough.
+    """
+    figures: dict[str, Any] = {}
+    for name, factory in factories.items():
+        results = {}
+        for split in splits:
+            progress(f"{name}, {split.name}: fitting on {len(split.train)} presses")
+            results[split.name] = evaluate_model(
+                factory,
+                split,
+                measured.presses,
+                measured.indenters,
+                measured.skin,
+                seed=seed,
+                from_depth_m=from_depth_m,
+                progress=lambda press, split=split, name=name: progress(  # type: ignore[misc]
+                    f"{name}, {split.name}: {press}"
+                ),
+            )
+        figures[name] = _figures_of(results)
+    progress("floor: each measured surface against itself resampled")
+    judged = {name for split in splits for name in split.test}
+    floors = {
+        name: floor_scores(
+            press,
+            measured.indenters[press.indenter],
+            measured.skin,
+            seed=seed,
+            from_depth_m=from_depth_m,
+        )
+        for name, press in sorted(measured.presses.items())
+        if name in judged
+    }
+    noise = measurement_noise(measured.presses.values(), measured.skin)
+    results = {
+        split.name: ModelScores(tuple(score for n in split.test for score in floors[n]))
+        for split in splits
+    }
+    figures["floor"] = _figures_of(results, noise)
+    figures["splits"] = {split.name: asdict(split) for split in splits}
+    figures["left_out_presses"] = measured.left_out
+    figures["definitions"] = definitions(from_depth_m)
+    figures["judged_frames"] = {
+        name: judged_frames(press, measured.skin, from_depth_m=from_depth_m).tolist()
+        for name, press in sorted(measured.presses.items())
+        if name in judged
+    }
+    return figures
+
+
+def _figures_of(
+    results: Mapping[str, ModelScores], noise: MeasuredNoise | None = None
+) -> dict[str, Any]:
+    figures: dict[str, Any] = {}
+    failures = [asdict(f) | {"split": s} for s, r in results.items() for f in r.failures]
+    drawn = results.get(HELD_OUT)
+    if drawn is not None:
+        figures[HELD_OUT] = _figures(drawn.scores, noise)
+        figures["held_out_by_indenter"] = {
+            indenter: _figures(scores, noise)
+            for indenter, scores in by_indenter(drawn.scores).items()
+        }
+    left_out = {name: result for name, result in results.items() if name != HELD_OUT}
+    if left_out:
+        figures["indenter_left_out"] = {
+            name: _figures(result.scores, noise) for name, result in left_out.items()
+        }
+        everything = [score for result in left_out.values() for score in result.scores]
+        figures["indenter_left_out_all"] = _figures(everything, noise)
+    figures["failures"] = failures
+    return figures
+
+
+def _figures(
+    scores: Sequence[PressFrameScore], noise: MeasuredNoise | None
+) -> dict[str, Any] | None:
+    if not scores:
+        return None
+    figures = asdict(summarize(scores))
+    return figures if noise is None else figures | _noise_figures(scores, noise)
+
+
+def _noise_figures(
+    scores: Sequence[PressFrameScore], noise: MeasuredNoise
+) -> dict[str, float | None]:
+    """Return what the noise of the measurement alone makes of the figures without samples."""
+    forces = [score.measured_n for score in scores if score.measured_n is not None]
+    inside = [score.inside_m for score in scores if np.isfinite(score.inside_m)]
+    embedded_m = float(np.sqrt(np.mean(np.square(inside)))) if inside else 0.0
+    floor: dict[str, float | None] = {
+        "skin_rms_mm": 1e3 * noise.skin_rms_m,
+        "contact_rms_mm": 1e3 * max(noise.skin_rms_m, embedded_m),
+        "vertex_rms_mm": 1e3 * noise.vertex_rms_m,
+    }
+    if forces:
+        square = np.mean(np.square(forces), axis=0)
+        one = noise.force_rms_n
+        floor["normal_force_error"] = one / float(np.sqrt(square[2]))
+        floor["tangential_force_error"] = one * float(np.sqrt(2.0 / (square[0] + square[1])))
+        floor["shear_force_error"] = one * float(np.sqrt(2.0 / square.sum()))
+    return floor
+
+
+def definitions(from_depth_m: float) -> dict[str, str]:
+    """Return what each figure means, in words."""
+    return {
+        "frames": (
+            f"judged are frames whose tip lies at least {1e3 * from_depth_m:g} mm below the skin "
+            "at rest; means and root mean squares give each the same weight"
+        ),
+        "samples": (
+            f"{SAMPLE_COUNT} points of each surface, uniform by area, from independent draws; all "
+            "models share the same draws"
+        ),
+        "chamfer_mm": "mean distance to the nearest sample of the other surface, both ways",
+        "significant_chamfer_mm": (
+            f"the same over the farthest {100 * SIGNIFICANT_SHARE:g} % of the samples"
+        ),
+        "emd_mm": "mean distance of the best one-to-one assignment of the samples, exact",
+        "f_score": (
+            "harmonic mean of the shares of samples within "
+            f"{1e3 * F_SCORE_THRESHOLD_M:g} mm of the other surface's"
+        ),
+        "skin_rms_mm": (
+            "root mean square over the area of the dome of the distance from the measured skin's "
+            "vertices to the predicted triangles"
+        ),
+        "contact_rms_mm": (
+            "the same where the measured skin is nearer to the indenter than "
+            f"{1e3 * CONTACT_REACH_M:g} mm, or in it"
+        ),
+        "vertex_rms_mm": "root mean square of each measured vertex's distance to the predicted one",
+        "normal_force_error": (
+            "root mean square of the error along the sensor's axis over that of the measured force "
+            "along it"
+        ),
+        "tangential_force_error": "the same in the sensor's base plane",
+        "shear_force_error": (
+            "root mean square of the error along the skin in contact over that of the whole force"
+        ),
+        "floor": (
+            "of the samples: the measured surface against itself, drawn anew; of the others: what "
+            "was measured before anything touched, against the skin at rest and no force; of the "
+            "contact region how deep the measured skin lies in the indenter, where that is more: "
+            "no surface outside of the indenter is nearer to it"
+        ),
+    }
+
+
+def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
+    """Return the tables as a Markdown page.
+
+    Args:
+        figures: of `evaluate_geometry`, with its provenance.
+        models: names of the models, in the order of the rows; some may be judged on other splits
+            than the rest.
+    """
+    named = [*models, "floor"]
+    parts = [f"# Geometry of the gel on {figures['provenance']['data']}\n"]
+    split = figures["splits"][HELD_OUT]
+    drawn_title = f"Fitted on {len(split['train'])} presses, judged on {len(split['test'])}"
+    for title, key, by_title, by_key in (
+        (drawn_title, HELD_OUT, "By indenter", "held_out_by_indenter"),
+        (
+            "Each indenter left out in turn",
+            "indenter_left_out_all",
+            "By the indenter left out",
+            "indenter_left_out",
+        ),
+    ):
+        judged = [name for name in named if key in figures[name]]
+        if not set(judged) & set(models):
+            continue
+        rows = [([name], figures[name][key] or {}) for name in judged]
+        parts.append(f"## {title}\n")
+        parts.append(markdown_table(["method"], rows, GEOMETRY_COLUMNS))
+        missing = [name for name in models if name not in judged]
+        if missing:
+            parts.append(f"Not judged here: {', '.join(missing)}.\n")
+        parts.append(f"{by_title}:\n")
+        parts.append(_by_indenter_table(figures, judged, by_key))
+    failures = [
+        f"- {name}, {failure['split']}, {failure['press']}: {failure['reason']}"
+        for name in models
+        for failure in figures[name]["failures"]
+    ]
+    failures += [f"- {name}: {reason}" for name, reason in figures["left_out_presses"].items()]
+    if failures:
+        parts.append("## Left out\n")
+        parts.append("\n".join(failures) + "\n")
+    parts.append("## What the figures mean\n")
+    parts.append(entry_list(figures["definitions"]))
+    parts.append("## Where the figures come from\n")
+    parts.append(entry_list(figures["provenance"]))
+    return "\n".join(parts)
+
+
+def _by_indenter_table(figures: Mapping[str, Any], named: Sequence[str], key: str) -> str:
+    indenters = sorted({indenter for name in named for indenter in figures[name][key]})
+    rows = [
+        ([indenter, name], figures[name][key].get(indenter) or {})
+        for indenter in indenters
+        for name in named
+    ]
+    return markdown_table(["indenter", "method"], rows, GEOMETRY_COLUMNS)

@@ -1,0 +1,382 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""A folder of data sets whose effects finite elements have solved; it grows by a trajectory at a
+time, and an interrupted run goes on where it stopped.
+
+    INDEX.json                which sets there are, of which half, and what of them is made
+    commissioning/...         the unit as declared, to calibrate the twin with
+    set_00/dataset.yaml ...   a measured data set
+    set_00/truth.json         sealed: for the scoring alone; its SHA-256 stands in the index
+
+A trajectory that could not be solved is in no data set; the index says why.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dotsim_ros.documents import read_json
+from dotsim_ros.files import write_json, write_text
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.measured.data_set_writer import DataSetWriter
+from dotsim_ros.provenance import provenance
+from dotsim_ros.specification import SensorSpecification
+from studies.hidden.solved_draw import (
+    COMMISSIONED,
+    COMMISSIONING,
+    HALVES,
+    SolvedUnit,
+    commissioning_unit,
+    draw_series,
+)
+from studies.hidden.solved_unit import (
+    Protocol,
+    UnsolvedError,
+    measured,
+    protocols,
+)
+from studies.reference.run import calculix_version
+
+INDEX, TRUTH = "index.json", "truth.json"
+VERSION = 1
+"""Of what is drawn and how it is solved; a folder of another one is not continued."""
+SKIN_SPACING_M = 1.6e-3
+INDENTER_STEP_M = 0.3e-3
+"""Edges of the indenters' meshes: 3 um off a ball of 4 mm, 11 um off the cone's tip."""
+_KEYS = {"version", "seed", "count", "sensor", "trajectories", "coarseness", "sets"}
+
+
+@dataclass(frozen=True)
+class SeriesPlan:
+    """What is to be made.
+
+    Attributes:
+        sensor: as declared.
+        count: of sets.
+        seed: of everything.
+        trajectories: names of those that each set has; empty for all.
+        coarseness: elements are so many times as large as the units'; 1 but for quick tests.
+    """
+
+    sensor: SensorSpecification
+    count: int
+    seed: int
+    trajectories: tuple[str, ...] = ()
+    coarseness: float = 1.0
+
+    def stated(self) -> dict[str, Any]:
+        """Return what two runs that share a folder must agree on."""
+        return {
+            "version": VERSION,
+            "seed": self.seed,
+            "count": self.count,
+            "sensor": self.sensor.name,
+            "trajectories": list(self.trajectories),
+            "coarseness": self.coarseness,
+        }
+
+
+@dataclass(frozen=True)
+class SetRecord:
+    """What the index says of a set.
+
+    Attributes:
+        name: of its folder.
+        half: development or opened.
+        truth_sha256: of its sealed truth.
+        made: names of its trajectories.
+        failures: why others are missing, by name.
+        is_ready: whether all of its trajectories are made or given up.
+    """
+
+    name: str
+    half: str
+    truth_sha256: str
+    made: tuple[str, ...]
+    failures: dict[str, str]
+    is_ready: bool
+
+
+def make_sets(
+    directory: Path,
+    plan: SeriesPlan,
+    tell: Callable[[str], None],
+    *,
+    failed_again: bool = False,
+) -> None:
+    """Make the sets of a plan, or those that a run before has left.
+
+    Args:
+        directory: of the sets.
+        plan: what to make.
+        tell: called with each line that is worth one.
+        failed_again: whether trajectories that failed before are tried again.
+
+    Raises:
+        CalculixMissingError: it is not installed.
+        FileExistsError: something else lies in the folder.
+        ValueError: the folder was made by another plan, or the plan has no such trajectory.
+        OSError: a disk that is full, where the same command goes on from there, or a folder that
+            another run is filling.
+    """
+    version = calculix_version()
+    units = draw_series(plan.sensor, plan.count, plan.seed)
+    records = _begin(directory, plan, units, version)
+    with _alone(directory):
+        _make_commissioning(directory, plan, tell, failed_again=failed_again)
+        if failed_again:
+            for record in records:
+                record["ready"] = record["ready"] and not record["failures"]
+                record["failures"] = {}
+        _make(directory, plan, units, records, tell)
+
+
+def _make_commissioning(
+    directory: Path, plan: SeriesPlan, tell: Callable[[str], None], *, failed_again: bool
+) -> None:
+    """Make the set of the unit as declared, or what a run before has left of it."""
+    units = [commissioning_unit(plan.sensor, plan.seed, mesh) for mesh in range(COMMISSIONED)]
+    index = read_json(directory / INDEX)
+    record: dict[str, Any] = index.get(COMMISSIONING, {"made": [], "failures": {}})
+    if failed_again:
+        record["failures"] = {}
+
+    def kept() -> None:
+        write_json(directory / INDEX, read_json(directory / INDEX) | {COMMISSIONING: record})
+
+    # The meshes differ in nothing else that the truth says.
+    write_text(directory / COMMISSIONING / TRUTH, units[0].sealed())
+    for mesh, unit in enumerate(units):
+        _make_set(directory, plan, unit, _repeated(plan, unit, mesh), record, tell, kept)
+    tell(f"{COMMISSIONING}: ready")
+
+
+def _repeated(plan: SeriesPlan, unit: SolvedUnit, repeat: int) -> list[Protocol]:
+    """Return a unit's protocols, numbered behind those of the repeats before."""
+    planned = _protocols(plan, unit)
+    result = []
+    for protocol in planned:
+        stem, number = protocol.name.rsplit("_", 1)
+        name = f"{stem}_{int(number) + repeat * len(planned)}"
+        result.append(replace(protocol, name=name))
+    return result
+
+
+def _make(
+    directory: Path,
+    plan: SeriesPlan,
+    units: Sequence[SolvedUnit],
+    records: list[dict[str, Any]],
+    tell: Callable[[str], None],
+) -> None:
+    for number, unit in enumerate(units):
+        record = records[number]
+        if record["ready"]:
+            tell(f"{unit.name}: there already")
+            continue
+        write_text(directory / unit.name / TRUTH, unit.sealed())
+        _make_set(
+            directory,
+            plan,
+            unit,
+            _protocols(plan, unit),
+            record,
+            tell,
+            lambda: _write(directory, records),
+        )
+        record["ready"] = True
+        _write(directory, records)
+        ready = sum(entry["ready"] for entry in records)
+        tell(f"{unit.name}: ready, {ready} of {len(units)}")
+
+
+@contextmanager
+def _alone(directory: Path) -> Iterator[None]:
+    """Keep other runs out of a folder.
+
+    Raises:
+        BlockingIOError: one is at work there.
+    """
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise BlockingIOError(
+                f"another run is making sets in {directory}; wait for it, or give another folder "
+                "with --out"
+            ) from error
+        yield
+    finally:
+        os.close(handle)
+
+
+def read_series(directory: Path) -> tuple[dict[str, Any], list[SetRecord]]:
+    """Return what a folder's index states, and its sets.
+
+    Raises:
+        FileNotFoundError: there is no index.
+        ValueError: it is another program's, or of another version.
+    """
+    path = directory / INDEX
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"{path} is not there; make the sets with dotsim_ros hide --out {directory}"
+        )
+    index = _checked_index(path)
+    records = [
+        SetRecord(
+            entry["name"],
+            entry["half"],
+            entry["truth_sha256"],
+            tuple(entry["made"]),
+            dict(entry["failures"]),
+            bool(entry["ready"]),
+        )
+        for entry in index["sets"]
+    ]
+    return index, records
+
+
+def _checked_index(path: Path) -> dict[str, Any]:
+    index = read_json(path)
+    if not isinstance(index, dict) or not set(index) >= _KEYS:
+        raise ValueError(
+            f"{path} is no index of hidden sets (it needs {', '.join(sorted(_KEYS))}); give "
+            "another folder"
+        )
+    if index["version"] != VERSION:
+        raise ValueError(
+            f"{path} is of version {index['version']}, expected {VERSION}; make the sets anew in "
+            "another folder"
+        )
+    return index
+
+
+def _begin(
+    directory: Path, plan: SeriesPlan, units: Sequence[SolvedUnit], version: str
+) -> list[dict[str, Any]]:
+    """Return the index's entries of the sets, those of a run before where there was one."""
+    path = directory / INDEX
+    if path.is_file():
+        index = _checked_index(path)
+        for key, wanted in plan.stated().items():
+            if index[key] != wanted:
+                raise ValueError(
+                    f"{directory} holds sets of {key} {index[key]!r}, asked for were {wanted!r}; "
+                    "give that value to continue them, or another folder with --out"
+                )
+        if index.get("calculix") != version:
+            raise ValueError(
+                f"{directory} holds sets that CalculiX {index.get('calculix')} solved, installed "
+                f"is {version}; give another folder with --out"
+            )
+        entries: list[dict[str, Any]] = index["sets"]
+        if [entry["truth_sha256"] for entry in entries] != [unit.digest() for unit in units]:
+            raise ValueError(
+                f"{directory} holds sets with other truths than this version draws; give another "
+                "folder with --out"
+            )
+        return entries
+    if directory.exists() and any(directory.iterdir()):
+        raise FileExistsError(
+            f"{directory} holds files, and no {INDEX} that says they are hidden sets; give an "
+            "empty folder or a new one with --out"
+        )
+    every = replace(plan, trajectories=())
+    known = {protocol.name for unit in units for protocol in _protocols(every, unit)}
+    unknown = sorted(set(plan.trajectories) - known)
+    if unknown:
+        raise ValueError(
+            f"no trajectory {', '.join(unknown)}, expected of {', '.join(sorted(known))}"
+        )
+    entries = [
+        {
+            "name": unit.name,
+            "half": unit.half,
+            "seed": list(unit.seed),
+            "truth_sha256": unit.digest(),
+            "made": [],
+            "failures": {},
+            "ready": False,
+        }
+        for unit in units
+    ]
+    origin = {"calculix": version, "provenance": provenance(), "halves": list(HALVES)}
+    write_json(path, plan.stated() | origin | {"sets": entries})
+    return entries
+
+
+def _write(directory: Path, entries: list[dict[str, Any]]) -> None:
+    index = read_json(directory / INDEX)
+    write_json(directory / INDEX, index | {"sets": entries})
+
+
+def _protocols(plan: SeriesPlan, unit: SolvedUnit) -> list[Protocol]:
+    """Return the trajectories of a unit that are asked for, all where none is named."""
+    every = protocols(plan.sensor, np.random.default_rng([*unit.seed, 2]))
+    return [p for p in every if not plan.trajectories or p.name in plan.trajectories]
+
+
+def _make_set(
+    directory: Path,
+    plan: SeriesPlan,
+    unit: SolvedUnit,
+    planned: Sequence[Protocol],
+    record: dict[str, Any],
+    tell: Callable[[str], None],
+    partial_index: Callable[[], None],
+) -> None:
+    """Make the planned trajectories of a set that are missing; its entry is kept up to date."""
+    folder = directory / unit.name
+    skin = dome_skin(plan.sensor.gel.outer_radius_m, SKIN_SPACING_M)
+    data_set = DataSetWriter(folder, skin, indenter_step_m=INDENTER_STEP_M)
+    for number, protocol in enumerate(planned):
+        name = protocol.name
+        if name in record["failures"]:
+            continue
+        notes = {"truth_sha256": unit.digest()}
+        if data_set.holds(name, notes):
+            if name not in record["made"]:
+                record["made"].append(name)
+            continue
+        indenter = replace(load_indenter(protocol.indenter), name=protocol.indenter)
+        try:
+            trajectory, tries = measured(
+                unit,
+                plan.sensor,
+                skin,
+                protocol,
+                indenter,
+                np.random.default_rng([*unit.seed, 3, number]),
+                coarseness=plan.coarseness,
+                tell=lambda text, place=f"{unit.name}/{name}": tell(f"{place}: {text}"),  # type: ignore[misc]
+            )
+        except UnsolvedError as error:
+            record["failures"][name] = str(error)
+            tell(f"{unit.name}/{name}: {error}")
+        else:
+            data_set.add(trajectory, indenter, notes | {"tries": tries})
+            record["made"].append(name)
+            tell(f"{unit.name}/{name}: {len(protocol.time_s)} frames, {tries} tries")
+        partial_index()
+
+
+def size_bytes(directory: Path) -> int:
+    """Return how large all files below a folder are together."""
+    total = 0
+    for path in directory.rglob("*"):
+        # Another process may be replacing it.
+        with suppress(FileNotFoundError):
+            total += path.stat().st_size if path.is_file() else 0
+    return total

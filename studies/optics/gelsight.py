@@ -1,0 +1,477 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""The models of the image on real flat sensors: presses of a ball on GelSights.
+
+The recordings hold photographs of a ball, with the circle of contact marked by hand in each, and
+one photograph without contact. The pose of the ball and the force were not recorded, so the shape
+of the gel is inferred from the circle:
+
+- by this package's gel, see `twin.ball_presses`;
+- as a cap: the ball's surface inside the circle and a flat gel around it, which is how Taxim and
+  FOTS label such presses for their own calibration.
+
+The cameras set their white balance and exposure in every photograph anew, which no model of the gel
+can know. So beside the plain scores each row has `balanced` ones: of the image with the three gains
+that the photograph shows beyond the contact, for every model alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dotsim_ros.arrays import ImageArray
+from dotsim_ros.cache import content_key
+from dotsim_ros.measured.importers.ball_photographs import (
+    BallPress,
+    BallRecording,
+    with_circles_found,
+)
+from dotsim_ros.measured.importers.fots_balls import read_fots_balls
+from dotsim_ros.measured.importers.taxim_balls import SUBSETS, read_taxim_balls
+from dotsim_ros.metrics.images import score_image
+from dotsim_ros.specification import (
+    GelSpecification,
+    SensorSpecification,
+    SolverSpecification,
+)
+from dotsim_ros.twin.ball_presses import (
+    CAMERA_DISTANCE_M,
+    FlatScene,
+    flat_scene,
+    gel_presses,
+    press_profiles,
+)
+from dotsim_ros.twin.footage import OpticalPress
+from studies.optics.judge import Factory, mean_score
+from studies.optics.models import FitSettings, factory_of
+from studies.optics.sheet import write_optics_sheet
+from studies.rivals.optics import per_pixel
+from studies.table import Column, entry_list, markdown_table
+
+HELD_OUT = 8
+EVERY = 4
+"""Every fourth press of Taxim's recordings is held out."""
+BEYOND_CONTACT = 2.5
+"""Radii from a contact beyond which a photograph's gains are read."""
+CAP = "_cap"
+MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "local", "ours")
+AS_MARKED = "_as_marked"
+MARKED_MODELS = ("idle", "taxim", "fots", "ours")
+MARKED_BALL_RADIUS_M = 2.0e-3
+"""Of a ball that was not recorded: one as wide as the circles that were marked."""
+CANDIDATE_RADII_M = (0.75e-3, 1.0e-3, 1.5e-3)
+"""Of a ball that was not recorded, for the circles found."""
+SHOWN_MODELS = ("ours", "taxim", "fots")
+SHOWN_PRESSES = 2
+RADIUS_STEPS = 500
+"""Steps of training where only candidates of a radius are compared."""
+
+SENSOR = SensorSpecification(
+    name="gelsight",
+    gel=GelSpecification(
+        shape="flat_pad", pad_size_m=(0.021, 0.025, 0.004), skin_spacing_m=0.25e-3
+    ),
+    solver=SolverSpecification(grid_spacing_m=1.0e-3, refined=False),
+)
+"""The pad's thickness is not recorded; silicone as its maker states that of a DenseTact."""
+
+
+def cap_presses(
+    presses: Sequence[BallPress],
+    given: Sequence[OpticalPress],
+    scene: FlatScene,
+    ball_radius_m: float,
+) -> list[OpticalPress]:
+    """Return the presses with the ball's cap on a flat pad instead of the gel's shape.
+
+    Args:
+        presses: their circles; that the cap is nearer to the camera moves no pixel.
+        given: the same presses, whose other arrays are kept.
+        scene: camera and rest.
+        ball_radius_m: of the ball.
+    """
+    height, width = scene.rest.lit.shape
+    x, y = np.meshgrid(np.arange(width), np.arange(height))
+    capped = []
+    for press, other in zip(presses, given, strict=True):
+        across = (np.stack([x, y], axis=-1) - press.centre_px) / scene.pixels_per_metre
+        square = np.sum(across**2, axis=-1)
+        # A circle as wide as the ball has nowhere deeper to be.
+        contact = min(press.radius_px / scene.pixels_per_metre, 0.999 * ball_radius_m)
+        inside = square < contact**2
+        height_m = np.sqrt(np.where(inside, ball_radius_m**2 - square, 1.0))
+        sunk = np.where(inside, height_m - np.sqrt(ball_radius_m**2 - contact**2), 0.0)
+        nearer = 1.0 - sunk / CAMERA_DISTANCE_M
+        ball = np.concatenate([across, -height_m[..., None]], axis=-1) / ball_radius_m
+        normal = np.where(inside[..., None], ball, scene.rest.normal)
+        capped.append(
+            replace(
+                other,
+                depth_m=(scene.rest.depth_m * nearer).astype(np.float32)[None],
+                normal=normal.astype(np.float32)[None],
+            )
+        )
+    return capped
+
+
+@dataclass(frozen=True)
+class BallStudy:
+    """A recording, with the shapes of the gel under its presses.
+
+    Attributes:
+        recording: the photographs, with circles that say where models are judged.
+        scene: camera and pad.
+        by_gel: the presses with the pad's shape.
+        by_cap: the presses with the ball's cap.
+    """
+
+    recording: BallRecording
+    scene: FlatScene
+    by_gel: tuple[OpticalPress, ...]
+    by_cap: tuple[OpticalPress, ...]
+
+    @classmethod
+    def of(
+        cls,
+        recording: BallRecording,
+        placed: Sequence[BallPress] | None = None,
+        sensor: SensorSpecification = SENSOR,
+    ) -> BallStudy:
+        """Press the ball into a pad, and lay the pad's shape under each photograph.
+
+        Args:
+            recording: the photographs.
+            placed: the same presses with the circles to lay it at; None for the recording's.
+            sensor: whose pad is pressed.
+
+        Raises:
+            ValueError: the gel could not be solved, or is smaller than the image.
+        """
+        scene = flat_scene(recording.idle, sensor, recording.pixels_per_metre)
+        profiles = press_profiles(sensor, recording.ball_radius_m)
+        placed = recording.presses if placed is None else placed
+        by_gel = gel_presses(placed, scene, profiles)
+        by_cap = cap_presses(placed, by_gel, scene, recording.ball_radius_m)
+        return cls(recording, scene, tuple(by_gel), tuple(by_cap))
+
+    def training_key(self, test: Sequence[int]) -> str:
+        """Return a key of what a network learns from with some presses held out: photographs, and
+        the gel's shapes under them, which another gel changes."""
+        return content_key((), self.by_gel, sorted(test))
+
+    def judged(
+        self, make: Factory, test: Sequence[int], *, cap: bool = False
+    ) -> tuple[dict[str, Any], list[ImageArray]]:
+        """Return the mean scores of a model on some presses, fitted on the others, and its images
+        of them."""
+        shapes = self.by_cap if cap else self.by_gel
+        presses = self.recording.presses
+        fitted = make(
+            [shape for k, shape in enumerate(shapes) if k not in test],
+            self.scene.rest,
+            self.scene.camera,
+        )
+        images = [fitted.predict(shapes[k], self.scene.rest)[0] for k in test]
+        plain, balanced = [], []
+        for k, predicted in zip(test, images, strict=True):
+            regions = {"frame": None, "contact": presses[k].near_contact()}
+            plain.append(score_image(predicted, presses[k].image, regions))
+            balanced.append(
+                score_image(with_gains_of(predicted, presses[k]), presses[k].image, regions)
+            )
+        row = {
+            **mean_score([score["frame"] for score in plain]),
+            "contact": mean_score([score["contact"] for score in plain]),
+            "balanced": {
+                **mean_score([score["frame"] for score in balanced]),
+                "contact": mean_score([score["contact"] for score in balanced]),
+            },
+        }
+        return row, images
+
+
+def with_gains_of(predicted: ImageArray, press: BallPress) -> ImageArray:
+    """Return an image (H, W, 3) with the gains of a photograph: of each colour, what its mean
+    beyond the contact is of the image's."""
+    beyond = ~press.within(BEYOND_CONTACT)
+    if not beyond.any():
+        return predicted
+    measured = press.image[beyond].astype(np.float64).mean(axis=0)
+    gains = measured / np.maximum(predicted[beyond].astype(np.float64).mean(axis=0), 1.0)
+    return np.clip(np.rint(predicted * gains), 0.0, 255.0).astype(np.uint8)
+
+
+def evaluate_recording(
+    recording: BallRecording,
+    test: Sequence[int],
+    *,
+    placed: Sequence[BallPress] | None = None,
+    models: Sequence[str],
+    settings: FitSettings,
+    state: Path,
+    sheets: Path | None = None,
+    progress: Callable[[str], None] = lambda _line: None,
+) -> dict[str, Any]:
+    """Return the figures of the models on some presses, fitted on the others.
+
+    Args:
+        recording: the photographs.
+        test: numbers of the presses held out.
+        placed: the presses with the circles at which the gel's shape is laid, for every model
+            alike; None for the recording's own.
+        models: names of `MODELS`.
+        settings: how models are fitted.
+        state: folder of the networks' trainings, one in it for each gel and choice of presses.
+        sheets: folder of a sheet of images, named by the recording; None for none.
+        progress: called with a line that says what is being done.
+
+    Raises:
+        ValueError: the gel could not be solved.
+    """
+    presses = recording.presses
+    progress(f"{recording.name}: pressing the ball into a pad, {len(presses)} images to explain")
+    study = BallStudy.of(recording, placed)
+    training = state / f"{recording.name}-{study.training_key(test)}"
+    rows, shown = {}, {}
+    for model in models:
+        progress(f"{recording.name}, {model}: fitting on {len(presses) - len(test)} presses")
+        make = _factory(model.removesuffix(CAP), settings, training, progress)
+        rows[model], images = study.judged(make, test, cap=model.endswith(CAP))
+        if model in SHOWN_MODELS:
+            keys = [(presses[k].name, 0) for k in test[:SHOWN_PRESSES]]
+            shown[model] = dict(zip(keys, images, strict=False))
+    if sheets is not None:
+        write_optics_sheet(
+            sheets / f"balls_{recording.name}.jpg",
+            {(presses[k].name, 0): presses[k].image for k in test[:SHOWN_PRESSES]},
+            {model: shown[model] for model in SHOWN_MODELS if model in shown},
+            study.scene.rest.lit,
+            title=f"{recording.name}: presses held out, and errors x 3",
+        )
+    scale = recording.pixels_per_metre
+    return {
+        "rows": rows,
+        "train": [press.name for k, press in enumerate(presses) if k not in test],
+        "test": [presses[k].name for k in test],
+        "scale_known": recording.scale_known,
+        "contact_radius_mm": [1e3 * press.radius_px / scale for press in presses],
+    }
+
+
+def evaluate_gelsight(
+    directory: Path,
+    *,
+    models: Sequence[str],
+    settings: FitSettings,
+    state: Path,
+    held_out: int = HELD_OUT,
+    sheets: Path | None = None,
+    progress: Callable[[str], None] = lambda _line: None,
+) -> dict[str, Any]:
+    """Return the figures of the models on the presses of FOTS.
+
+    Args:
+        directory: of the recording.
+        models: names of `MODELS`.
+        settings: how models are fitted; the seed draws the presses held out too.
+        state: folder of a network's training.
+        held_out: how many.
+        sheets: folder of a sheet of images; None for none.
+        progress: called with a line that says what is being done.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_fots_balls`, or too few presses.
+    """
+    recording = read_fots_balls(directory)
+    count = len(recording.presses)
+    if not 0 < held_out < count:
+        raise ValueError(
+            f"{held_out} of {count} presses cannot be held out; expected 1 to {count - 1}"
+        )
+    random = np.random.default_rng(settings.seed)
+    test = sorted(random.choice(count, size=held_out, replace=False).tolist())
+    return evaluate_recording(
+        recording,
+        test,
+        models=models,
+        settings=settings,
+        state=state,
+        sheets=sheets,
+        progress=progress,
+    )
+
+
+def evaluate_gelsight_taxim(
+    directory: Path,
+    *,
+    models: Sequence[str],
+    settings: FitSettings,
+    state: Path,
+    sheets: Path | None = None,
+    progress: Callable[[str], None] = lambda _line: None,
+) -> dict[str, Any]:
+    """Return the figures of the models on every fourth press of Taxim's two sensors, and what the
+    others say of a ball that was not recorded.
+
+    Args:
+        directory: of both recordings.
+        models: names of `MODELS`.
+        settings: how models are fitted.
+        state: folder of a network's training.
+        sheets: folder of the sheets of images; None for none.
+        progress: called with a line that says what is being done.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_taxim_balls`.
+    """
+    figures: dict[str, Any] = {}
+    for subset in SUBSETS:
+        recording = read_taxim_balls(directory, subset)
+        test = list(range(EVERY - 1, len(recording.presses), EVERY))
+        given: dict[str, Any] = {"settings": settings, "state": state, "progress": progress}
+        if recording.scale_known:
+            figures[subset] = evaluate_recording(
+                recording, test, models=models, sheets=sheets, **given
+            )
+            continue
+        # Its marks lie beside what is seen, by up to half their radius.
+        found = with_circles_found(recording).presses
+        figures[subset] = evaluate_recording(
+            recording, test, placed=found, models=models, sheets=sheets, **given
+        )
+        fitted_on = [k for k in range(len(recording.presses)) if k not in test]
+        figures[subset]["by_ball_radius_mm"] = radius_profile(
+            replace(recording, presses=tuple(recording.presses[k] for k in fitted_on)),
+            [found[k] for k in fitted_on],
+            settings,
+            progress,
+        )
+        figures[subset + AS_MARKED] = evaluate_recording(
+            replace(recording, ball_radius_m=MARKED_BALL_RADIUS_M),
+            test,
+            models=[model for model in models if model in MARKED_MODELS],
+            **given,
+        )
+    return {"subsets": figures}
+
+
+def radius_profile(
+    recording: BallRecording,
+    placed: Sequence[BallPress],
+    settings: FitSettings,
+    progress: Callable[[str], None],
+) -> dict[str, float]:
+    """Return the contact's PSNR on every fourth press, of our model fitted on the others, for
+    candidates of the radius of a ball that was not recorded, by the radius in mm. A flat profile:
+    images do not tell it."""
+    # Loaded on use: it needs torch.
+    from dotsim_ros.learning.neighbourhood import NeighbourhoodRecipe, fit_neighbourhood
+
+    recipe = NeighbourhoodRecipe(steps=RADIUS_STEPS)
+    found = {}
+    for radius in CANDIDATE_RADII_M:
+        progress(f"{recording.name}: a ball of {1e3 * radius:g} mm radius")
+        study = BallStudy.of(replace(recording, ball_radius_m=radius), placed)
+        row, _images = study.judged(
+            lambda t, r, c: fit_neighbourhood(t, r, c, seed=settings.seed, recipe=recipe),
+            range(0, len(recording.presses), EVERY),
+        )
+        found[f"{1e3 * radius:g}"] = row["contact"]["psnr_db"]
+    return found
+
+
+def _factory(
+    model: str, settings: FitSettings, state: Path, progress: Callable[[str], None]
+) -> Factory:
+    match model:
+        case "fots":
+            return lambda t, r, c: per_pixel.fit(
+                t, r, c, seed=settings.seed, settings=per_pixel.FOTS
+            )
+        case "ours":
+            # Loaded on use: it needs torch.
+            from dotsim_ros.learning.neighbourhood import fit_neighbourhood
+
+            return lambda t, r, c: fit_neighbourhood(t, r, c, seed=settings.seed)
+        case "local":
+            return factory_of("ours", settings, state=state, progress=progress)
+        case _:
+            return factory_of(model, settings, state=state, progress=progress)
+
+
+COLUMNS = (
+    Column("psnr_db", "PSNR dB ↑", 2),
+    Column("mean_l2", "mean L2 x 10⁻² ↓", 2, 100.0),
+    Column("significant_l2", "sig. L2 x 10⁻² ↓", 2, 100.0),
+    Column("ssim", "SSIM ↑", 4),
+    Column("contact_psnr_db", "contact PSNR ↑", 2),
+    Column("contact_mean_l2", "contact L2 ↓", 2, 100.0),
+    Column("contact_ssim", "contact SSIM ↑", 4),
+    Column("balanced_psnr_db", "balanced PSNR ↑", 2),
+    Column("balanced_contact_psnr_db", "balanced contact PSNR ↑", 2),
+)
+NOTES = """Means over the photographs held out. Contact: pixels within one and a half radii of the
+marked circle's centre. Balanced: with the photograph's own gains of red, green and blue, read
+beyond the contact, for every method alike; the camera sets them anew each time. `_cap`: with the
+ball's cap on a flat gel, as Taxim and FOTS label such presses; the others with the shape of this
+package's gel. `local` is the network of the DenseTact's table, `ours` the one of
+`learning.neighbourhood`.
+"""
+
+
+def gelsight_page(figures: dict[str, Any]) -> str:
+    """Return the table of FOTS's presses as a Markdown page."""
+    return "\n".join(
+        [
+            "# Images of a real GelSight\n",
+            *_table(figures),
+            NOTES,
+            "These eight presses had been judged before the model of `ours` was chosen, by "
+            "cross-validation among the others: they count as development.\n",
+            entry_list(figures["provenance"]),
+        ]
+    )
+
+
+def gelsight_taxim_page(figures: dict[str, Any]) -> str:
+    """Return the tables of Taxim's presses as a Markdown page."""
+    lines = ["# Images of two more real GelSights\n"]
+    for subset, of_subset in figures["subsets"].items():
+        lines += [f"## {subset}\n", *_table(of_subset)]
+        if "by_ball_radius_mm" in of_subset:
+            profile = ", ".join(
+                f"{radius} mm {level:.2f} dB"
+                for radius, level in of_subset["by_ball_radius_mm"].items()
+            )
+            lines.append(
+                "The ball's radius was not recorded. Judged on every fourth of the presses fitted "
+                f"on, with a short training, the contact's PSNR by an assumed radius: {profile}.\n"
+            )
+    lines.append(
+        "`gelsight_mini`: the gel's shape lies at the circle found in each photograph by "
+        "`measured.contact_circle`, for every method alike, as the circles marked scatter around "
+        f"what is seen; `{AS_MARKED}` has them. Contact is the marked circle's in both.\n"
+    )
+    return "\n".join([*lines, NOTES, entry_list(figures["provenance"])])
+
+
+def _table(figures: dict[str, Any]) -> list[str]:
+    rows = []
+    for name, row in figures["rows"].items():
+        contact = {f"contact_{key}": value for key, value in row["contact"].items()}
+        balanced = {
+            "balanced_psnr_db": row["balanced"]["psnr_db"],
+            "balanced_contact_psnr_db": row["balanced"]["contact"]["psnr_db"],
+        }
+        rows.append(([name], row | contact | balanced))
+    return [
+        f"Fitted on {len(figures['train'])} real presses of a ball, judged on "
+        f"{len(figures['test'])} held out.\n",
+        markdown_table(["method"], rows, COLUMNS),
+    ]

@@ -1,0 +1,127 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Presses that CalculiX has solved as trajectories of a data set."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dotsim_ros.arrays import FloatArray
+from dotsim_ros.gel.make import law_of
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from studies.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
+from studies.reference.mesh import interpolate_skin
+from studies.reference.press import ReferencePress, reference_deck
+from studies.reference.run import Solution, SolvedStep, solve, solve_section
+
+SPEED_M_S = 0.005
+FIRST_STAMP_NS = 1_000_000_000
+
+
+def stamps_ns(poses: Sequence[Pose]) -> NDArray[np.int64]:
+    """Return (F,) stamps of poses that follow each other at 5 mm/s, from 1 s."""
+    position = np.array([pose.position_m for pose in poses])
+    moved = np.linalg.norm(np.diff(position, axis=0), axis=1)
+    time = np.concatenate([[0.0], np.cumsum(moved)]) / SPEED_M_S
+    return FIRST_STAMP_NS + np.round(1e9 * time).astype(np.int64)
+
+
+def _trajectory(
+    poses: Sequence[Pose],
+    displacement_m: Sequence[FloatArray],
+    steps: Sequence[SolvedStep],
+    skin: SkinMesh,
+    name: str,
+) -> Trajectory:
+    """Return solved frames, displacements (V, 3) of the skin, behind a first without contact."""
+    poses = poses[: len(steps) + 1]
+    stamp_ns = stamps_ns(poses)
+    rest, nothing = skin.rest_position_m, np.zeros(3)
+    position = [rest, *(rest + moved for moved in displacement_m)]
+    return Trajectory(
+        pose=PoseChannel(
+            stamp_ns,
+            np.array([pose.position_m for pose in poses]),
+            np.array([pose.quaternion_xyzw for pose in poses]),
+        ),
+        wrench=WrenchChannel(
+            stamp_ns,
+            np.array([nothing, *(step.force_n for step in steps)]),
+            np.array([nothing, *(step.torque_nm for step in steps)]),
+        ),
+        skin=SkinChannel(stamp_ns, np.array(position, dtype=np.float32)),
+        name=name,
+    )
+
+
+def solved_press(
+    press: ReferencePress,
+    skin: SkinMesh,
+    *,
+    thread_count: int = 1,
+    keep: Path | None = None,
+    time_limit_s: float | None = None,
+) -> tuple[Trajectory, Solution]:
+    """Run CalculiX on a press; return the frames it solved and what it took.
+
+    Args:
+        press: what to solve.
+        skin: of the sensor; the trajectory lists its vertices.
+        thread_count, keep, time_limit_s: see `solve`.
+
+    Raises:
+        CalculixMissingError: it is not installed.
+        CalculixError: it solved no frame at all.
+        ValueError: the gel is no dome around a core, or is not touched.
+    """
+    if isinstance(press.settings, AxisymmetricSettings):
+        return _solved_section(press, press.settings, skin, thread_count, keep, time_limit_s)
+    deck = reference_deck(press.specification, skin, press.indenter, press.poses(), press.settings)
+    solution = solve(deck, thread_count=thread_count, keep=keep, time_limit_s=time_limit_s)
+    at = interpolate_skin(deck.gel, skin.rest_position_m)
+    moved = [at.of(step.displacement_m) for step in solution.steps]
+    return _trajectory(deck.poses, moved, solution.steps, skin, press.name), solution
+
+
+def _solved_section(
+    press: ReferencePress,
+    settings: AxisymmetricSettings,
+    skin: SkinMesh,
+    thread_count: int,
+    keep: Path | None,
+    time_limit_s: float | None,
+) -> tuple[Trajectory, Solution]:
+    """As `solved_press`, in two dimensions."""
+    poses = press.poses()
+    apex_m = press.specification.gel.outer_radius_m
+    section = dome_section(press.specification.gel, settings)
+    deck = AxisymmetricDeck(
+        section=section,
+        indenter=press.indenter,
+        apex_m=apex_m,
+        depth_m=[apex_m - float(pose.position_m[2]) for pose in poses],
+        law=law_of(press.specification.material),
+        contact=press.specification.contact,
+        settings=settings,
+    )
+    solution = solve_section(deck, thread_count=thread_count, keep=keep, time_limit_s=time_limit_s)
+    rest = skin.rest_position_m
+    across = np.linalg.norm(rest[:, :2], axis=1)
+    angle = np.arctan2(across, rest[:, 2])
+    direction = rest[:, :2] / np.maximum(across, 1e-12)[:, None]
+    skin_angle = np.arctan2(*section.node_m[section.skin_node].T)
+    moved = []
+    for step in solution.steps:
+        sideways, up = (
+            np.interp(angle, skin_angle, step.displacement_m[section.skin_node, axis])
+            for axis in (0, 2)
+        )
+        moved.append(np.concatenate([sideways[:, None] * direction, up[:, None]], axis=1))
+    return _trajectory(poses, moved, solution.steps, skin, press.name), solution

@@ -1,0 +1,228 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Runs studies: a name, a function, and what its record is made with.
+
+    python -m studies                      list the studies, with the minutes that each takes
+    python -m studies NAME --help          the options of one
+    python -m studies NAME [OPTION ...]    run one
+    python -m studies NAME NAME ...        run several with the options of their records
+    python -m studies all                  run all
+
+`--json DIR` writes each record to DIR/NAME.json. A record below docs/results is made from a clean
+commit, and only if it does not name that commit yet, so that an interrupted run is resumed. Sealed
+records, of data that can be judged once only, are not made again. Measured and real data are read
+from $DOTSIM_ROS_DATA (../shared).
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import json
+import shlex
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from cyclopts import App, Parameter
+
+from dotsim_ros.files import write_json
+from dotsim_ros.provenance import commit_of, provenance
+from studies.data import DATA
+from studies.results_page import RESULTS, tables_of
+
+ROOT = Path(__file__).resolve().parents[1]
+FAILED = "failed"
+"""Key of the figures under which a study lists what failed."""
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study, and how its record is made.
+
+    Attributes:
+        minutes: that it takes, roughly, on two slow cores.
+        function: `module:function` below `studies`; it takes keywords alone and returns figures.
+        options: of the function, for the record, where its defaults are others.
+        before: commands that make what the record needs, below out/.
+        command: makes the record in place of a function, as it is given with `--json FILE`.
+    """
+
+    minutes: int
+    function: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    before: tuple[str, ...] = ()
+    command: str = ""
+
+    def summary(self) -> str:
+        """Return the first line of the function's docstring, without importing it."""
+        if self.command:
+            return self.command.partition(" --")[0]
+        module, _, name = self.function.partition(":")
+        source = (ROOT / "studies" / f"{module.replace('.', '/')}.py").read_text(encoding="utf-8")
+        for node in ast.parse(source).body:
+            if isinstance(node, ast.FunctionDef) and node.name == name:
+                return (ast.get_docstring(node) or "").partition("\n")[0]
+        raise ValueError(f"there is no {self.function}")
+
+    def load(self) -> Callable[..., dict[str, Any]]:
+        """Return the function."""
+        module, _, name = self.function.partition(":")
+        found: Callable[..., dict[str, Any]] = getattr(
+            importlib.import_module(f"studies.{module}"), name
+        )
+        return found
+
+
+SENSOR_A = f"--data {DATA}/measured/sensor_a"
+KNOWN_NOISE = "--noise-skin-discretisation-m 0.3e-3 --joint-steps 0"
+FIRST = f"dotsim_ros calibrate {SENSOR_A} --workers 1 --run out/run_first --out out/first.yaml"
+APART = (
+    f"dotsim_ros calibrate-camera {SENSOR_A} --sensor densetact2 --leave-out 1_sphere "
+    "3_lying_cylinder --out out/apart/apart.yaml"
+)
+STUDIES: dict[str, Study] = {
+    "calibration_sensor_a": Study(
+        15,
+        command=f"dotsim_ros calibrate {SENSOR_A} --workers 1 --run out/run_first --out "
+        "out/again.yaml",
+    ),
+    "calibration_sensor_a_28": Study(
+        20,
+        before=(FIRST,),
+        command=f"dotsim_ros calibrate {SENSOR_A} --sensor out/first.yaml --fit E nu friction c20 "
+        f"{KNOWN_NOISE} --solves 5 --hold-out 0 --workers 1 --run out/run_28 "
+        "--out docs/results/sensor_a_28.yaml",
+    ),
+    "calibration_sensor_a_stiffening": Study(
+        15,
+        before=(FIRST,),
+        command=f"dotsim_ros calibrate {SENSOR_A} --sensor out/first.yaml --fit E nu friction c20 "
+        f"{KNOWN_NOISE} --solves 5 --workers 1 --run out/run_19 --out out/sensor_a.yaml",
+    ),
+    "calibration_sensor_a_thickness": Study(
+        15,
+        command=f"dotsim_ros calibrate {SENSOR_A} --trajectories 1_sphere_3 1_sphere_slide_1 "
+        "2_cone_1 3_lying_cylinder_0 4_torus_1 6_round_punch_0 --hold-out 0 --workers 1 --sensor "
+        f"sensor_a --fit E nu friction c20 thickness {KNOWN_NOISE} --solves 6 --out "
+        "out/thickness.yaml",
+    ),
+    "camera_sensor_a": Study(
+        5,
+        command=f"dotsim_ros calibrate-camera {SENSOR_A} --sensor sensor_a --out out/camera.yaml",
+    ),
+    "environments": Study(5, "speed.environments:environments"),
+}
+
+
+def is_made(name: str, directory: Path, commit: str) -> bool:
+    """Return whether the record of a study names a commit, or is sealed and stays as it is."""
+    file = directory / f"{name}.json"
+    if not file.is_file():
+        return False
+    record = json.loads(file.read_text(encoding="utf-8"))
+    source = record.get("provenance") or record.get("origin") or record
+    return record.get("sealed", False) or source.get("commit") == commit
+
+
+def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None = None) -> bool:
+    """Run a study, print its tables and write its record.
+
+    Args:
+        name: of the study.
+        options: tokens of the command line, in place of the record's options.
+        json_directory: folder of the record; None for no record.
+
+    Returns:
+        Whether it ended well.
+
+    Raises:
+        ValueError: the input is not valid; OSError: a file cannot be read or written.
+        SystemExit: the options are not the function's, or only ask for help.
+    """
+    study = STUDIES[name]
+    file = None if json_directory is None else json_directory / f"{name}.json"
+    commands = [*study.before]
+    if study.command:
+        written = "" if file is None else f" --json {file}"
+        commands.append(f"{study.command} {shlex.join(options)}{written}")
+    for command in commands:
+        print(f"$ {command}", flush=True)
+        if subprocess.run(shlex.split(command), cwd=ROOT).returncode:
+            return False
+    if study.command:
+        return True
+    app = App(
+        name=f"python -m studies {name}",
+        help_format="plaintext",
+        version_flags=(),
+        default_parameter=Parameter(consume_multiple=True),
+    )
+    app.default(study.load())
+    function, bound, _ = app.parse_args(list(options))
+    if function is not study.load():
+        function(*bound.args, **bound.kwargs)
+        return True
+    figures = function(**{**study.options, **bound.arguments})
+    record = {**provenance(), **figures}
+    print(tables_of(f"{name}.json", record))
+    if file is not None:
+        write_json(file, record)
+    return not figures.get(FAILED)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Run `python -m studies`; return the exit status: 1 where a study failed."""
+    words, directory = list(arguments), None
+    if "--json" in words:
+        place = words.index("--json")
+        if place + 1 == len(words):
+            return _refused("--json names no folder, expected --json DIR")
+        directory = Path(words[place + 1])
+        del words[place : place + 2]
+    if not words or words[0] in ("--help", "-h"):
+        print(__doc__)
+        for name, study in STUDIES.items():
+            print(f"{name:28} {study.minutes:3d} min  {study.summary()}")
+        return 0
+    names = []
+    while words and not words[0].startswith("-"):
+        names.append(words.pop(0))
+    if names == ["all"]:
+        names = list(STUDIES)
+    if unknown := [name for name in names if name not in STUDIES]:
+        return _refused(f"there is no study {', '.join(unknown)}; they are {', '.join(STUDIES)}")
+    if words and len(names) > 1:
+        return _refused(f"{' '.join(words)}: options are of one study, and {len(names)} are named")
+    commit = commit_of(ROOT)
+    is_record = directory is not None and directory.resolve() == RESULTS
+    if is_record and commit.endswith("-dirty"):
+        return _refused("a record names a clean commit: commit or stash the changes first")
+    failed = []
+    for number, name in enumerate(names, start=1):
+        if is_record and not words and is_made(name, RESULTS, commit):
+            print(f"{name}: made at this commit")
+            continue
+        if len(names) > 1:
+            print(f"{name}: {number} of {len(names)}, about {STUDIES[name].minutes} minutes")
+        begun = time.monotonic()
+        try:
+            is_well = run(name, words, json_directory=directory)
+        except (ValueError, OSError) as error:
+            print(f"{name}: {error}", file=sys.stderr)
+            is_well = False
+        failed += [] if is_well else [name]
+        print(f"{name}: {(time.monotonic() - begun) / 60.0:.1f} minutes", flush=True)
+    if failed:
+        print(f"failed: {', '.join(failed)}", file=sys.stderr)
+    return min(len(failed), 1)
+
+
+def _refused(reason: str) -> int:
+    print(f"python -m studies: {reason}", file=sys.stderr)
+    return 2
