@@ -8,12 +8,9 @@ effects_table.py [--check]
 
 from __future__ import annotations
 
-import importlib
-import inspect
 import sys
 from pathlib import Path
 
-from dotsim_ros.effects import builtin
 from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.library import load_effects
 
@@ -38,19 +35,12 @@ def row_of(effect: Effect) -> tuple[str, ...]:
         "image": effect.image,
     }
     return (
-        f"**{effect.title}** (`{effect.name}`): {summary_of(effect.name)}",
+        f"**{effect.title}** (`{effect.name}`): {effect.summary}",
         ", ".join(place for place, hook in hooks.items() if hook is not None),
         "; ".join(map(range_of, effect.parameters)),
         effect.protocol,
         ", ".join(f"`{name}`" if "_" in name else name for name in effect.taken_for) or "-",
     )
-
-
-def summary_of(name: str) -> str:
-    """Return what the effect's module says that it does, without its subject."""
-    module = importlib.import_module(f"{builtin.__name__}.{name}")
-    paragraph = (inspect.getdoc(module) or "").partition("\n\n")[0]
-    return " ".join(paragraph.partition(":")[2].split())
 
 
 def range_of(parameter: EffectParameter) -> str:

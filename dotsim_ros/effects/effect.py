@@ -151,16 +151,18 @@ ImageFilter = Callable[[SeenImage], FloatArray]
 
 @dataclass(frozen=True)
 class Effect:
-    """An effect of the library; one file in `effects/builtin` holds one, as `EFFECT`.
+    """An effect: of the library, where a module of `effects/builtin` holds a family of them, or of
+    a user's file, which holds one as `EFFECT`.
 
     Attributes:
-        name: of its file.
+        name: of the effect, and of a user's file.
         title: as reports name it, at the start of a sentence.
         parameters: its numbers; the first one is its size.
         channels: where it shows: `SKIN`, `FORCE`, `IMAGE`.
         protocol: what excites it, in words for the user.
         excited_by: whether a trajectory of a data set does.
         taken_for: effects, or parameters, that look alike.
+        summary: what it does, in one sentence, for tables.
         gel, motion, response, image: its hooks, each None where it does not act. The first three
             are given the recording that they are for; in the live sensor there is none.
     """
@@ -176,6 +178,7 @@ class Effect:
     motion: Callable[[Values], MotionFilter] | None = None
     response: Callable[[Values], ResponseFilter] | None = None
     image: Callable[[Values], ImageFilter] | None = None
+    summary: str = ""
 
     @property
     def needs_solve(self) -> bool:

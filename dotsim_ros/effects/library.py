@@ -18,10 +18,11 @@ import logging
 import pkgutil
 import sys
 from collections.abc import Callable, Collection, Sequence
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
-from dotsim_ros.effects import builtin as effects
+from dotsim_ros.effects import builtin
 from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, Effect, EffectParameter
 from dotsim_ros.printable import one_line
 
@@ -56,10 +57,7 @@ def load_effects(
         FileNotFoundError: no such folder.
         ValueError: a file that cannot be run, or that holds no effect of its own name.
     """
-    found = {}
-    for info in pkgutil.iter_modules(effects.__path__):
-        module = importlib.import_module(f"{effects.__name__}.{info.name}")
-        found[info.name] = _effect_of(module, info.name, str(module.__file__))
+    found = dict(_shipped())
     paths = [path for path in _files_of(folders) if names is None or path.stem in names]
     contents = {path: _read(path) for path in paths}
     new = [path for path in paths if (path, _digest(contents[path])) not in _executed]
@@ -81,9 +79,19 @@ def effect_names(folders: Sequence[str | Path] = ()) -> tuple[str, ...]:
     Raises:
         FileNotFoundError: no such folder.
     """
-    shipped = [info.name for info in pkgutil.iter_modules(effects.__path__)]
     own = [path.stem for path in _files_of(folders)]
-    return tuple(dict.fromkeys([*shipped, *own]))
+    return tuple(dict.fromkeys([*_shipped(), *own]))
+
+
+@cache
+def _shipped() -> dict[str, Effect]:
+    """Return the effects of the library by name, in alphabetical order."""
+    found = {}
+    for info in pkgutil.iter_modules(builtin.__path__):
+        module = importlib.import_module(f"{builtin.__name__}.{info.name}")
+        for effect in filter(lambda each: isinstance(each, Effect), vars(module).values()):
+            found[effect.name] = effect
+    return dict(sorted(found.items()))
 
 
 def _files_of(folders: Sequence[str | Path]) -> list[Path]:

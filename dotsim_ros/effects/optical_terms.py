@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, SeenImage, Values
+from dotsim_ros.effects.effect import SeenImage
 from dotsim_ros.geometry.camera import CAMERAS, Camera
 from dotsim_ros.measured.recording import Phase, Recording
 
@@ -131,31 +131,3 @@ class FixedResampling:
             self._x, self._y = self._source(image)
             self._geometry = geometry
         return within_scale(sampled(image.pixels, self._x, self._y))
-
-
-def led_imbalance(colour: str, channel: int) -> Effect:
-    """Return the effect that the LEDs of one colour shine weaker or brighter than the others.
-
-    The image's channel stands for the LEDs: the light of one colour that the camera sees in
-    another channel is left out.
-
-    Args:
-        colour: of the LEDs.
-        channel: of the image: 0 red, 1 green, 2 blue.
-    """
-
-    def image(values: Values) -> Callable[[SeenImage], FloatArray]:
-        gain = np.ones(3)
-        gain[channel] = 1.0 - values["loss_share"]
-        return lambda seen: within_scale(seen.pixels * gain)
-
-    return Effect(
-        name=f"led_imbalance_{colour}",
-        title=f"{colour.capitalize()} LEDs out of balance",
-        parameters=(EffectParameter("loss_share", "", 0.0, -0.3, 0.3, (0.05, -0.05)),),
-        channels=(IMAGE,),
-        protocol="any images, also without contact",
-        excited_by=any_frame,
-        taken_for=("white balance of the camera",),
-        image=image,
-    )

@@ -87,7 +87,7 @@ def recording_of(indenter: Indenter) -> Recording:
 
 EFFECT = """
 from dotsim_ros.effects.effect import FORCE, Effect, EffectParameter
-from dotsim_ros.effects.pose_terms import shifted
+from dotsim_ros.effects.builtin.pose import shifted
 import numpy as np
 
 def _motion(values):

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.effects.builtin.adhesion import ClingingContact
-from dotsim_ros.effects.builtin.poroelastic_relaxation import contact_radius_m
+from dotsim_ros.effects.builtin.friction_and_contact import ClingingContact
+from dotsim_ros.effects.builtin.time import contact_radius_m
 from dotsim_ros.effects.effect import Active, Effect, GelTerm, Response, gel_with
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.values import GelValues

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.effects.builtin.defocus import disc_px
+from dotsim_ros.effects.builtin.camera import disc_px
 from dotsim_ros.effects.effect import IMAGE, Active, SeenImage, image_filters
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.optical_terms import sampled

@@ -1,21 +1,11 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Adhesion: the skin sticks to the indenter as it is withdrawn, and pulls on it.
-
-Johnson, Kendall and Roberts, "Surface energy and the contact of elastic solids", 1971, on release
-alone: a skin that is pressed on does not cling, one that is pulled off does. From the deepest point
-the edge of the contact stays (the force falls as under a flat punch; Maugis and Barquins, "Fracture
-mechanics and the adherence of viscoelastic bodies", 1978) until the energy that a receding edge
-sets free is the work of adhesion; from there it recedes along the curve of 1971 and breaks off at
-its end. What Hertz would give is taken away from it, and the rest is added to the force.
-
-An approximation: the contact is that of a half space with one radius, its modulus follows from the
-force at the deepest point, and the neck of the skin, some hundredths of a millimetre, is left out.
-"""
+"""Effects of friction, contact and the bond of the gel."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,13 +13,34 @@ from scipy.optimize import brentq
 
 from dotsim_ros.effects.effect import (
     FORCE,
+    SKIN,
     Effect,
     EffectParameter,
+    GelTerm,
     Response,
     ResponseFilter,
     Values,
 )
-from dotsim_ros.effects.excitation import unloads
+from dotsim_ros.effects.excitation import touches, unloads
+from dotsim_ros.measured.recording import Phase, Recording
+
+
+def _coulomb_slip_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:
+    friction = term.values.friction * values["friction_ratio"]
+    return replace(term, values=replace(term.values, friction=friction))
+
+
+COULOMB_SLIP = Effect(
+    name="coulomb_slip",
+    title="Coulomb slip at another friction",
+    summary="the skin slides on the indenter at another coefficient than the twin's.",
+    parameters=(EffectParameter("friction_ratio", "", 1.0, 0.1, 5.0, (0.6, 1.6)),),
+    channels=(SKIN, FORCE),
+    protocol="a slide of two contact radii, or an oblique press",
+    excited_by=lambda recording: recording.has(Phase.SLIDE),
+    taken_for=("numerical shear stiffness",),
+    gel=_coulomb_slip_gel,
+)
 
 
 @dataclass(frozen=True)
@@ -110,9 +121,10 @@ def _response(values: Values) -> ResponseFilter:
     return clinging
 
 
-EFFECT = Effect(
+ADHESION = Effect(
     name="adhesion",
     title="Adhesion on release",
+    summary="the skin sticks to the indenter as it is withdrawn, and pulls on it.",
     parameters=(
         EffectParameter("work_j_m2", "J/m2", 0.0, 0.0, 1.0, (0.2,)),
         EffectParameter("radius_m", "m", None, 1e-3, 15e-3, (3e-3,)),
@@ -123,3 +135,49 @@ EFFECT = Effect(
     taken_for=("backlash", "viscoelastic_relaxation"),
     response=_response,
 )
+"""Johnson, Kendall and Roberts, "Surface energy and the contact of elastic solids", 1971, on
+release alone: a skin that is pressed on does not cling, one that is pulled off does. From the
+deepest point the edge of the contact stays (the force falls as under a flat punch; Maugis and
+Barquins, "Fracture mechanics and the adherence of viscoelastic bodies", 1978) until the energy that
+a receding edge sets free is the work of adhesion; from there it recedes along the curve of 1971 and
+breaks off at its end. What Hertz would give is taken away from it, and the rest is added to the
+force.
+
+An approximation: the contact is that of a half space with one radius, its modulus follows from the
+force at the deepest point, and the neck of the skin, some hundredths of a millimetre, is left out.
+"""
+
+
+def _lost_bond_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:
+    own = term.values
+    if values["slip_share"] == 0.0:
+        return term
+    patch = (values["x_rad"], values["y_rad"], values["radius_rad"])
+    if own.bond_slip_share > 0.0:
+        # A gel has one patch: that which has come off already gets looser.
+        patch = own.loose_patch_rad
+    slip = 1.0 - (1.0 - own.bond_slip_share) * (1.0 - values["slip_share"])
+    return replace(term, values=replace(own, bond_slip_share=slip, loose_patch_rad=patch))
+
+
+LOST_BOND = Effect(
+    name="lost_bond",
+    title="A gel that has come off its core",
+    summary="the gel has come off its core, and slides on it.",
+    parameters=(
+        EffectParameter("slip_share", "", 0.0, 0.0, 1.0, (0.5, 1.0), natural_ends=(1.0,)),
+        EffectParameter("x_rad", "rad", None, -1.5, 1.5, (0.0,)),
+        EffectParameter("y_rad", "rad", None, -1.5, 1.5, (0.0,)),
+        EffectParameter("radius_rad", "rad", None, 0.1, math.pi, (math.pi,)),
+    ),
+    channels=(SKIN, FORCE),
+    protocol="presses and slides all over the skin, to depths of a fifth of the thickness",
+    excited_by=touches,
+    taken_for=("thickness_error", "youngs_modulus", "compressibility"),
+    gel=_lost_bond_gel,
+)
+"""The size is the share of a shear's sliding that the bond lets through (`dotsim_ros.gel.bond`); at
+1, where it slides freely, the range ends by nature. The air's pressure keeps the gel on the core,
+so that it does not open. A search looks for a bond that is lost all over the core; a smaller patch
+is for simulation, or for a file of your own with its place as probes.
+"""
