@@ -137,6 +137,19 @@ def test_the_layout_is_that_of_the_contract() -> None:
     ]
 
 
+def test_the_walks_name_functions_that_there_are() -> None:
+    walks = section(text_of("architecture.md"), "Three walks").split("\n### ")[1:]
+    assert len(walks) == 3
+    for walk in walks:
+        steps = re.findall(r"^\d+\. `([a-z_.]+)\.([A-Z][\w.]+|\w+)`", walk, re.MULTILINE)
+        assert 5 <= len(steps) <= 10
+        for module, names in steps:
+            source = ROOT / "dotsim_ros" / f"{module.replace('.', '/')}.py"
+            for name in names.split("."):
+                defined = rf"^ *(?:class|def) {name}\b"
+                assert re.search(defined, source.read_text(), re.MULTILINE), (module, name)
+
+
 def test_ten_questions_are_answered_by_three_files_that_there_are() -> None:
     table = rows(section(text_of("architecture.md"), "Ten questions"))
     assert len(table) == 10
