@@ -14,7 +14,8 @@ exit status: 0 no gap, 10 an effect named, 11 a set of effects that the data do 
 example:
   dotsim_ros find-gap --measured measured/after --sensor sensor_a --out report
   dotsim_ros find-gap --measured measured/after --reference measured/commissioning --out report
-  dotsim_ros find-gap --demo --seed 2 --out demo
+  dotsim_ros find-gap --example
+  dotsim_ros find-gap --demo --out demo
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from typing import Any
 
 from dotsim_ros.cli._workers import add_worker_arguments, crew_of
 
+EXAMPLE = "gap/example_report.html"
+"""The report of `find-gap --demo`, below params/."""
 CHANNELS = ("skin", "force", "image")
 
 
@@ -77,14 +80,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(
         "--demo",
         action="store_true",
-        help="search a shipped set that finite elements solved; --seed says which",
+        help="search a shipped set that finite elements solved; --seed says which of three",
+    )
+    add(
+        "--example",
+        action="store_true",
+        help="search nothing: print where the finished report of --demo lies, to open in a browser",
     )
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Search, write the report, print the answer."""
-    if arguments.demo == (arguments.measured is not None):
-        raise ValueError("name a data set with --measured, or ask for --demo")
+    asked = (arguments.demo, arguments.example, arguments.measured is not None)
+    if sum(asked) != 1:
+        raise ValueError("name a data set with --measured, or ask for --demo or --example")
+    if arguments.example:
+        _check_alone(arguments, "--example shows a finished report", ("example",))
+        from dotsim_ros.files import parameter_path
+
+        print(parameter_path(EXAMPLE).resolve().as_uri())
+        return 0
     if arguments.demo:
         _check_demo(arguments)
         from studies.gap.demo import run_demo
@@ -137,21 +152,26 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _check_demo(arguments: argparse.Namespace) -> None:
     """Refuse what the demonstration would leave out of account."""
+    _check_alone(
+        arguments,
+        "--demo makes its own data and searches for every effect",
+        ("demo", "out", "seed", "workers", "ray_address"),
+    )
+    if arguments.seed < 0 or arguments.workers < 1:
+        raise ValueError(
+            f"seed is {arguments.seed} and workers {arguments.workers}, expected 0 or more and 1 "
+            "or more"
+        )
+
+
+def _check_alone(arguments: argparse.Namespace, why: str, taken: tuple[str, ...]) -> None:
+    """Refuse options that are set and not taken."""
     parser = argparse.ArgumentParser()
     add_arguments(parser)
-    taken = ("demo", "out", "seed", "workers", "ray_address")
     others = [
         f"--{name.replace('_', '-')}"
         for name, value in vars(arguments).items()
         if name not in taken and value != parser.get_default(name)
     ]
     if others:
-        raise ValueError(
-            "--demo makes its own data and searches for every effect: leave out "
-            f"{', '.join(others)}"
-        )
-    if arguments.seed < 0 or arguments.workers < 1:
-        raise ValueError(
-            f"seed is {arguments.seed} and workers {arguments.workers}, expected 0 or more and 1 "
-            "or more"
-        )
+        raise ValueError(f"{why}: leave out {', '.join(others)}")

@@ -4,7 +4,7 @@
 """Open the live page: drag an indenter over the sensor in the browser, and watch what it feels.
 
 The page is served to this machine alone, and loads nothing from outside. It shows the camera's
-image, the depth, the skin coloured by how far it has moved, and the force over time, records
+image, the indentation, the skin coloured by how far it has moved, and the force over time, records
 presses as ROS 2 bags in OUT, and scrubs through any bag. With --attach it shows a running node
 instead, by its topics, and publishes indenter/pose to it; that needs ROS 2. Ctrl-C ends it.
 
@@ -43,7 +43,10 @@ def _port(text: str) -> int:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     parser.add_argument("--port", type=_port, default=PORT, help=f"0: any that is free ({PORT})")
-    parser.add_argument("--sensor", help=f"name below params/sensors or a YAML file ({SENSOR})")
+    parser.add_argument(
+        "--sensor",
+        help=f"name below params/sensors or a YAML file ({SENSOR}); the page's menu has the others",
+    )
     parser.add_argument(
         "--indenter",
         help="name below params/indenters, a YAML, STL, OBJ or PLY file, or a definition such as "
@@ -113,13 +116,20 @@ def _simulated(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
     profile = arguments.profile or PROFILE
     if profile not in PROFILES:
         raise ValueError(f"--profile is {profile!r}, expected one of {', '.join(PROFILES)}")
-    specification = load_sensor(arguments.sensor or SENSOR)
+    first = load_sensor(arguments.sensor or SENSOR)
+    sensors = {name: load_sensor(name) for name in shipped_names("sensors")}
+    sensors[first.name] = first
     name, indenter = _indenter(arguments.indenter or INDENTER)
     names = list(dict.fromkeys([*shipped_names("indenters"), name]))
 
     def show(desk: LiveDesk) -> int:
         subject = SimulatedSubject(
-            desk, specification, {name: indenter}, indenters=names, profile=profile
+            desk,
+            sensors,
+            {name: indenter},
+            sensor=first.name,
+            indenters=names,
+            profile=profile,
         )
         desk.attend(subject)
         subject.start()

@@ -13,7 +13,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
@@ -26,6 +26,7 @@ from dotsim_ros.files import expanded
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import (
+    IndentationScale,
     Kind,
     history_payload,
     packed,
@@ -52,19 +53,26 @@ class Subject(Protocol):
 
     @property
     def title(self) -> str:
-        """What it is, for the page."""
+        """What it is, for the page; empty where the menu of sensors says it."""
 
     @property
-    def indenters(self) -> Sequence[str]:
+    def sensors(self) -> Collection[str]:
+        """Names to choose from; none where it cannot be chosen."""
+
+    @property
+    def indenters(self) -> Collection[str]:
         """Names to choose from."""
 
     @property
-    def profiles(self) -> Sequence[str]:
-        """Names to choose from; none where it cannot be chosen."""
+    def profiles(self) -> Mapping[str, str]:
+        """Names to choose from, and what each of them is in one line."""
 
     def move(self, pose: Pose | None, number: int) -> None:
         """Bring the indenter to a pose in the base frame, or away, instead of whatever was ordered
         before."""
+
+    def choose_sensor(self, name: str) -> None:
+        """Press another sensor from now on."""
 
     def choose_indenter(self, name: str) -> None:
         """Press with another indenter from now on, from rest."""
@@ -92,14 +100,17 @@ class LiveDesk:
         self._playback: Playback | None = None
         self._index = 0
         self._scene: Scene | None = None
+        self._scale = IndentationScale()
         self._history: deque[tuple[float, float, float, float]] = deque(maxlen=HISTORY_COUNT)
         self._recorder: PressRecorder | None = None
         self._counted_s = 0.0
         self._state: dict[str, Any] = {
             "title": "",
+            "sensors": [],
+            "sensor": "",
             "indenters": [],
             "indenter": "",
-            "profiles": [],
+            "profiles": {},
             "profile": "",
             "busy": "",
             "can_press": False,
@@ -111,7 +122,10 @@ class LiveDesk:
         """Let the pages press a subject."""
         self._subject = subject
         self.tell_state(
-            title=subject.title, indenters=list(subject.indenters), profiles=list(subject.profiles)
+            title=subject.title,
+            sensors=list(subject.sensors),
+            indenters=list(subject.indenters),
+            profiles=dict(subject.profiles),
         )
 
     def close(self) -> None:
@@ -126,8 +140,13 @@ class LiveDesk:
         """Show a scene, and its moments from now on."""
         payload = scene_payload(scene)
         with self._lock:
-            self._scene = scene
+            before, self._scene = self._scene, scene
             self._show_live("scene", payload)
+            if before is not None and not np.array_equal(before.rest_m, scene.rest_m):
+                # The forces were another sensor's.
+                self._history.clear()
+                if self._playback is None:
+                    self._publish("history", self._shown()["history"])
 
     def show_skin(self, moment: SkinMoment) -> None:
         """Show the skin, and record it where a recording runs."""
@@ -146,18 +165,16 @@ class LiveDesk:
 
     def show_picture(self, picture: Picture) -> None:
         """Show what the camera sees, and record it where a recording runs."""
-        with self._lock:
-            depth_m = None if self._scene is None else self._scene.depth_m
-            recorder = self._recorder
-        payload = picture_payload(picture, depth_m)
+        payload = picture_payload(picture, self._scale)
         with self._lock:
             self._show_live("picture", payload)
+            recorder = self._recorder
         if recorder is not None:
             self._record(recorder, partial(recorder.add_picture, picture))
 
     def tell_state(self, **values: Any) -> None:
-        """Show what has changed: `indenter`, `profile`, `busy` (what is awaited, in words),
-        `can_press`."""
+        """Show what has changed: `sensor`, `indenter`, `profile`, `profiles`, `busy` (what is
+        awaited, in words), `can_press`."""
         with self._lock:
             if any(self._state[name] != value for name, value in values.items()):
                 self._state.update(values)
@@ -210,6 +227,13 @@ class LiveDesk:
     def _reset(self, _order: Mapping[str, Any]) -> None:
         self._go_live()
         self._pressed().reset()
+
+    def _sensor(self, order: Mapping[str, Any]) -> None:
+        self._go_live()
+        subject = self._pressed()
+        if self._recorder is not None:
+            raise ValueError("a bag has one sensor: save the recording first")
+        subject.choose_sensor(_choice(order, "sensor", subject.sensors))
 
     def _indenter(self, order: Mapping[str, Any]) -> None:
         self._go_live()
@@ -280,6 +304,7 @@ class LiveDesk:
         "pose": _pose,
         "away": _away,
         "reset": _reset,
+        "sensor": _sensor,
         "indenter": _indenter,
         "profile": _profile,
         "record": _record_order,
@@ -429,7 +454,7 @@ def _number(order: Mapping[str, Any]) -> int:
     return given
 
 
-def _choice(order: Mapping[str, Any], name: str, known: Sequence[str]) -> str:
+def _choice(order: Mapping[str, Any], name: str, known: Collection[str]) -> str:
     given = order.get("name")
     if given not in known:
         raise ValueError(

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
+
+AT_REST_M = 10e-6
+"""A skin that has moved by less is at rest."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +27,15 @@ class Scene:
         rest_m: (V, 3) the skin at rest, base frame.
         triangles: (T, 3) vertex numbers.
         indenter: what presses, drawn by its surface; None where that is not known.
-        depth_m: the nearest and farthest depth, the ends of the colours; None: not known.
     """
 
     rest_m: FloatArray
     triangles: NDArray[np.integer]
     indenter: Indenter | None = None
-    depth_m: tuple[float, float] | None = None
+
+    def is_at_rest(self, skin_m: FloatArray) -> bool:
+        """Return whether a skin (V, 3) is the one at rest."""
+        return bool(np.abs(skin_m - self.rest_m).max() < AT_REST_M)
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,7 @@ class SkinMoment:
         pose: of the indenter, that the skin shows; None where it is away or not known.
         number: of the newest order that the skin shows; 0: of none.
         spent_s: time of the frame before it, camera included; None where it is not known.
-        rate_hz: frames a second at the moment.
+        rate_hz: frames a second at the moment; None where the one before is long past.
         is_converged: whether the gel's solver met its tolerance.
         is_behind: whether the indenter is still on its way to where it was ordered.
     """
@@ -56,9 +62,16 @@ class SkinMoment:
     pose: Pose | None
     number: int = 0
     spent_s: float | None = None
-    rate_hz: float = 0.0
+    rate_hz: float | None = None
     is_converged: bool = True
     is_behind: bool = False
+
+
+def rate_hz_of(frame_times_s: Sequence[float]) -> float | None:
+    """Return the rate of frames at increasing times (N,); None for fewer than two."""
+    if len(frame_times_s) < 2:
+        return None
+    return (len(frame_times_s) - 1) / max(frame_times_s[-1] - frame_times_s[0], 1e-6)
 
 
 @dataclass(frozen=True)
@@ -68,9 +81,12 @@ class Picture:
     Attributes:
         stamp_ns: the time.
         image: (H, W, 3) uint8, red, green, blue; None where there is none.
-        depth_m: (H, W) along the ray, NaN where no skin is seen; None where it is not known.
+        depth_m: (H, W) along the optical axis, NaN where no skin is seen or the ray is 90 degrees
+            or more from the axis; None where it is not known.
+        rest_depth_m: (H, W) the same of the skin at rest; None where it is not known.
     """
 
     stamp_ns: int
     image: ImageArray | None
     depth_m: NDArray[np.floating] | None
+    rest_depth_m: NDArray[np.floating] | None = None

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
-from dotsim_ros.view.panels import DEPTH_COLOURS, coloured
+from dotsim_ros.view.panels import coloured
 
 ALIGNED = 4
 SURFACE_STEP_M = 0.5e-3
@@ -30,9 +30,12 @@ SKIN_MAP_COLOURS = "magma_r"
 """Pale at rest, as silicone is, and darker the farther the skin has moved."""
 JPEG_QUALITY = 88
 DEPTH_STRIDE = 2
-"""Depth is drawn from every second pixel of every second row."""
-
-LEAST_ROOM_M = 2e-3
+"""Indentation is drawn from every second pixel of every second row."""
+INDENTATION_COLOURS = "viridis"
+INDENTATION_ENDS_M = tuple(1e-3 * mm for mm in (0.5, 1, 1.5, 2, 3, 4, 5, 6, 8, 10, 15, 20))
+"""Where the colours of the indentation may end."""
+RELEASED_M = 0.05e-3
+"""A smaller indentation is the end of a press."""
 
 Kind = str
 """What a payload holds: one of scene, state, history, skin, picture."""
@@ -71,7 +74,7 @@ def scene_payload(scene: Scene) -> bytes:
         surface = indenter_surface(scene.indenter, SURFACE_STEP_M)
         parts["indenter"] = surface.vertices_m.astype(np.float32)
         parts["indenter_triangles"] = surface.triangles.astype(np.uint32)
-    return packed("scene", {"depth_m": scene.depth_m}, parts)
+    return packed("scene", {}, parts)
 
 
 def skin_payload(moment: SkinMoment) -> bytes:
@@ -91,22 +94,43 @@ def skin_payload(moment: SkinMoment) -> bytes:
     return packed("skin", header, {"skin": np.asarray(moment.skin_m, dtype=np.float32)})
 
 
-def picture_payload(picture: Picture, depth_range_m: tuple[float, float] | None) -> bytes:
-    """Return what the camera sees, image and depth as JPEG files.
+class IndentationScale:
+    """The end of the colours of an indentation: it only grows during a press, so that the colours
+    do not flicker, and begins again at its smallest when the press is over."""
+
+    def __init__(self) -> None:
+        self._end_m = INDENTATION_ENDS_M[0]
+
+    def end_m(self, largest_m: float) -> float:
+        """Return the end for the next picture, whose largest indentation is given."""
+        enough_m = (end_m for end_m in INDENTATION_ENDS_M if end_m >= largest_m)
+        needed_m = next(enough_m, INDENTATION_ENDS_M[-1])
+        self._end_m = needed_m if largest_m < RELEASED_M else max(self._end_m, needed_m)
+        return self._end_m
+
+
+def picture_payload(picture: Picture, scale: IndentationScale) -> bytes:
+    """Return what the camera sees, image and indentation as JPEG files.
+
+    The indentation of a pixel is the depth of the skin at rest minus the present one.
 
     Args:
-        picture: to show.
-        depth_range_m: the ends of the colours; None: those of this picture.
+        picture: to show; without a depth at rest it has no indentation.
+        scale: of the pictures before.
     """
     parts: dict[str, Any] = {}
     header: dict[str, Any] = {"stamp_s": 1e-9 * picture.stamp_ns}
     if picture.image is not None:
         parts["image"] = _jpeg(picture.image)
-    if picture.depth_m is not None:
-        depth_m = np.asarray(picture.depth_m[::DEPTH_STRIDE, ::DEPTH_STRIDE], dtype=np.float64)
-        low, high = depth_range_m or depth_range_of(depth_m)
-        parts["depth"] = _jpeg(coloured(depth_m, low, high, DEPTH_COLOURS))
-        header["depth_m"] = [low, high]
+    if picture.depth_m is not None and picture.rest_depth_m is not None:
+        drawn = (slice(None, None, DEPTH_STRIDE), slice(None, None, DEPTH_STRIDE))
+        indentation_m = np.asarray(
+            picture.rest_depth_m[drawn] - picture.depth_m[drawn], dtype=np.float64
+        )
+        end_m = scale.end_m(float(np.max(indentation_m, initial=0.0, where=indentation_m > 0.0)))
+        parts["indentation"] = _jpeg(coloured(indentation_m, 0.0, end_m, INDENTATION_COLOURS))
+        parts["colours"] = coloured(np.linspace(0.0, 1.0, 256), 0.0, 1.0, INDENTATION_COLOURS)
+        header["indentation_end_m"] = end_m
     return packed("picture", header, parts)
 
 
@@ -119,19 +143,6 @@ def history_payload(time_s: NDArray[np.floating], force_n: NDArray[np.floating])
         "force": np.asarray(force_n, dtype=np.float32).reshape(-1, 3),
     }
     return packed("history", {"start_s": start_s}, parts)
-
-
-def depth_range_of(depth_m: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the nearest and farthest depth, (0, 1) where none is finite."""
-    seen = depth_m[np.isfinite(depth_m)]
-    return (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
-
-
-def pressed_depth_range_of(rest_depth_m: NDArray[np.floating]) -> tuple[float, float]:
-    """Return the ends of the colours for a skin that is going to be pressed towards the camera: as
-    much room on the near side as the skin at rest takes."""
-    low, high = depth_range_of(rest_depth_m)
-    return max(0.0, low - max(high - low, LEAST_ROOM_M)), high
 
 
 def _jpeg(image: ImageArray) -> bytes:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 import msg_adapters
 from dotsim_ros.arrays import FloatArray, IntArray
@@ -18,9 +19,9 @@ from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import (
+    IndentationScale,
     history_payload,
     picture_payload,
-    pressed_depth_range_of,
     scene_payload,
     skin_payload,
 )
@@ -85,19 +86,23 @@ def read_playback(path: Path) -> Playback:
     poses = _Poses(path, there)
     chosen = _spread(stamps_ns)
     scene: Scene | None = None
-    depth_m: tuple[float, float] | None = None
+    scale = IndentationScale()
+    rest_depth_m: NDArray[np.floating] | None = None
+    before: BagMoment | None = None
     skins: list[bytes | None] = []
     pictures: list[bytes] = []
     for moment in _moments(path, topics, chosen):
         if moment.cloud is not None and scene is None:
             rest_m = rest_position_m(moment.cloud)
             scene = Scene(rest_m, skin_triangles(rest_m), _indenter(path, there))
-        if moment.depth_m is not None and depth_m is None:
-            depth_m = pressed_depth_range_of(moment.depth_m)
+        if not _have_one_size(moment.depth_m, rest_depth_m):
+            rest_depth_m = None
+        if rest_depth_m is None and _shows_rest(moment, before, scene):
+            rest_depth_m = moment.depth_m
+        before = moment
         skins.append(_skin(moment, forces, poses, path, scene))
-        pictures.append(
-            picture_payload(Picture(moment.stamp_ns, moment.image, moment.depth_m), depth_m)
-        )
+        picture = Picture(moment.stamp_ns, moment.image, moment.depth_m, rest_depth_m)
+        pictures.append(picture_payload(picture, scale))
     return Playback(
         bag_name(path),
         None if scene is None else scene_payload(scene),
@@ -149,6 +154,24 @@ def _indenter(path: Path, there: dict[str, str]) -> Indenter | None:
         return load_indenter(name)
     except (ValueError, OSError):
         return None
+
+
+def _have_one_size(
+    depth_m: NDArray[np.floating] | None, rest_depth_m: NDArray[np.floating] | None
+) -> bool:
+    return depth_m is None or rest_depth_m is None or depth_m.shape == rest_depth_m.shape
+
+
+def _shows_rest(moment: BagMoment, before: BagMoment | None, scene: Scene | None) -> bool:
+    """Return whether the depth of a moment is that of the skin at rest; a bag without skin begins
+    at rest."""
+    if moment.depth_m is None or scene is None or moment.cloud is None:
+        return True
+    is_of_one_time = before is None or (
+        moment.depth_m is not before.depth_m and moment.cloud is not before.cloud
+    )
+    skin_m = np.asarray(moment.cloud.position, dtype=np.float64)
+    return is_of_one_time and skin_m.shape == scene.rest_m.shape and scene.is_at_rest(skin_m)
 
 
 def _spread(stamps_ns: IntArray) -> set[int]:

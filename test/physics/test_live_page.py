@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -29,10 +30,15 @@ from websockets.sync.client import ClientConnection, connect
 
 from dotsim_ros import Pose, load_indenter, load_sensor
 from dotsim_ros.cli.main import main
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.live.desk import LiveDesk
+from dotsim_ros.live.moments import rate_hz_of
 from dotsim_ros.live.server import PageServer
+from dotsim_ros.measured.bag import BagReader
 from dotsim_ros.measured.trajectory import Topics, read_trajectory
 from dotsim_ros.nodes.live_page.simulated import SimulatedSubject
+from dotsim_ros.specification import SensorSpecification
+from msg_adapters import decode_image
 
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "google-chrome"))), None)
 WINDOW = {"width": 1000, "height": 640}
@@ -42,11 +48,18 @@ PRESSED_MM = 0.5
 APEX_M = 0.01575
 
 
+def coarse(name: str, grid_spacing_m: float) -> SensorSpecification:
+    sensor = load_sensor(name)
+    solver = replace(sensor.solver, refined=False, grid_spacing_m=grid_spacing_m)
+    return replace(sensor, solver=solver)
+
+
 def coarse_subject(desk: LiveDesk) -> SimulatedSubject:
-    sensor = load_sensor("densetact2")
-    sensor = replace(sensor, solver=replace(sensor.solver, refined=False, grid_spacing_m=4.8e-3))
+    sensors = {"densetact2": coarse("densetact2", 4.8e-3), "flat_pad": coarse("flat_pad", 2e-3)}
     own = {"sphere_4mm": load_indenter("sphere_4mm")}
-    return SimulatedSubject(desk, sensor, own, indenters=["cone", "sphere_4mm"])
+    return SimulatedSubject(
+        desk, sensors, own, sensor="densetact2", indenters=["cone", "sphere_4mm"]
+    )
 
 
 def head_of(payload: bytes) -> tuple[dict[str, Any], bytes]:
@@ -152,6 +165,69 @@ def test_a_pose_moves_the_skin_and_a_pose_beyond_the_gel_leaves_it(client: Clien
     assert client.press(-0.001, 3)["force_n"] == [0.0, 0.0, 0.0]
 
 
+def test_the_indentation_is_along_the_axis_on_a_scale_that_grows_until_the_press_is_over(
+    client: Client, live: Live
+) -> None:
+    def pressed(depth_m: float, number: int) -> dict[str, Any]:
+        stamp_s = client.press(depth_m, number)["stamp_s"]
+        return client.wait(lambda picture: picture["stamp_s"] >= stamp_s, "picture")
+
+    pressed(-0.001, 4)
+    client.send(do="record", name="depths")
+    client.wait(lambda state: state["recording"], "state")
+    picture = pressed(0.0013, 5)
+    assert picture["indentation_end_m"] == pytest.approx(1.5e-3)
+    shown = cv2.imdecode(np.frombuffer(picture["indentation"], np.uint8), cv2.IMREAD_COLOR)
+    # The apex is in the middle of the image, where the ray is the axis.
+    middle = shown[shown.shape[0] // 2, shown.shape[1] // 2, ::-1].astype(float)
+    colours = picture["colours"].reshape(256, 3)
+    indentation_m = 1.5e-3 / 255 * np.argmin(np.linalg.norm(colours - middle, axis=1))
+    rest_m, skin_m = (
+        client.newest[kind][name].reshape(-1, 3)
+        for kind, name in (("scene", "rest"), ("skin", "skin"))
+    )
+    assert indentation_m == pytest.approx((rest_m - skin_m)[:, 2].max(), abs=0.05e-3)
+    assert pressed(0.0007, 6)["indentation_end_m"] == pytest.approx(1.5e-3)
+    assert pressed(-0.001, 7)["indentation_end_m"] == pytest.approx(0.5e-3)
+    client.send(do="stop")
+    client.wait(lambda state: state["recording"] is None, "state")
+
+    camera = Camera.from_specification(load_sensor("densetact2").camera)
+    with BagReader(live.recordings / "depths") as bag:
+        depth_m = [decode_image(each.message()) for each in bag.messages("/depth/image")][-1]
+    across, down = np.rint(camera.project(rest_m).T / 2).astype(int)
+    optical_m = camera.to_optical(rest_m)
+    height, width = depth_m.shape
+    # Rays of 30 to 60 degrees from the axis: a range would be at least 1.15 times the depth.
+    share = optical_m[:, 2] / np.linalg.norm(optical_m, axis=1)
+    is_seen = (share > 0.5) & (share < 0.87) & (across < width) & (down < height)
+    is_seen &= (across >= 0) & (down >= 0)
+    ratio = depth_m[down[is_seen], across[is_seen]] / optical_m[is_seen, 2]
+    assert np.isfinite(ratio).sum() > 1000
+    assert np.nanmax(np.abs(ratio - 1.0)) < 0.05
+
+
+def test_another_sensor_is_pressed_in_the_same_process(client: Client) -> None:
+    state = client.newest["state"]
+    assert state["sensors"] == ["densetact2", "flat_pad"]
+    assert set(state["profiles"]) == {"exact", "realtime", "fast"}
+    assert all(state["profiles"].values())
+    for number, name in enumerate(("flat_pad", "densetact2"), 51):
+        client.send(do="sensor", name=name)
+        client.wait(lambda state, name=name: state["sensor"] == name and not state["busy"], "state")
+        scene = client.wait(lambda scene: True, "scene")
+        apex_m = float(scene["rest"].reshape(-1, 3)[:, 2].max())
+        client.wait(lambda history: history["time"].size < 2, "history")
+        assert apex_m == pytest.approx(load_sensor(name).gel.bounds_m[1][2], abs=1e-5)
+        client.press(APEX_M - apex_m + 0.0005, number)
+        assert client.newest["skin"]["force_n"][2] > 0.01
+
+
+def test_a_rate_takes_two_frames() -> None:
+    assert rate_hz_of([3.0]) is None
+    assert rate_hz_of([3.0, 3.1, 3.2]) == pytest.approx(10.0)
+
+
 def test_an_order_at_the_very_first_moment_is_followed(tmp_path: Path) -> None:
     followed = threading.Event()
 
@@ -192,6 +268,7 @@ def test_another_indenter_and_profile_are_taken_up(client: Client) -> None:
         ('{"do": "fly"}', "'fly'.*expected a mapping with 'do'"),
         ('{"do": "pose", "position_m": [0, 0, NaN]}', "position_m.*expected 3 finite numbers"),
         ('{"do": "indenter", "name": "spoon"}', "'spoon', expected one of cone, sphere_4mm"),
+        ('{"do": "sensor", "name": "spoon"}', "'spoon', expected one of densetact2, flat_pad"),
         ('{"do": "profile", "name": "slow"}', "'slow', expected one of exact, realtime, fast"),
         ('{"do": "record", "name": "../x"}', "'../x', expected at most 100 letters"),
         ('{"do": "stop"}', "nothing is being recorded"),
@@ -283,6 +360,9 @@ class Tab:
     def motion_mm(self) -> float:
         return float(self.page.locator("#motion").text_content())
 
+    def rate(self) -> str:
+        return str(self.page.locator("#rate").text_content())
+
     def wait(self, is_reached: Callable[[], Any], what: str) -> None:
         end_s = time.monotonic() + PATIENCE_S
         while not is_reached():
@@ -322,6 +402,9 @@ def test_a_drag_moves_the_skin_in_every_tab_and_a_tab_comes_back(
         # The picture follows the skin, and a browser unpacks it in its own time.
         each.wait(lambda each=each: each.image_width_px() == 640, "a picture of 640 pixels")
     assert tab.page.evaluate("lagsMs.length") > 0
+    # Frames are sent on a change alone.
+    for each in (tab, other):
+        each.wait(lambda each=each: each.rate() == "idle", "no frames")
     assert tab.complaints == other.complaints == []
     # A tab that slept or lost the network has no connection any more when it comes back.
     live.restart_server()

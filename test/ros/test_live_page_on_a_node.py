@@ -66,6 +66,7 @@ def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Pat
                 lambda state: state["profile"] and state["can_press"] and not state["busy"],
             )
             assert state["title"] == f"{NAMESPACE}/tactile_sim"
+            assert "exact" in state["profiles"][state["profile"]]
             position_m = [0.0, 0.0, APEX_M - 0.001]
             pose = {"do": "pose", "position_m": position_m, "quaternion_xyzw": [0, 0, 0, 1]}
             socket.send(json.dumps(pose))
@@ -73,8 +74,12 @@ def test_a_page_presses_a_running_node_and_shows_what_it_publishes(tmp_path: Pat
             deep = {**pose, "position_m": [0.0, 0.0, APEX_M - 0.009]}
             socket.send(json.dumps(deep))
             heard(socket, "state", lambda state: "press less deep" in state["notice"])
-            picture = heard(socket, "picture", lambda picture: len(picture["parts"]) == 2)
-            assert {part[0] for part in picture["parts"]} == {"image", "depth"}
+            # Against the depth of the frame that showed the skin at rest.
+            picture = heard(
+                socket, "picture", lambda picture: picture.get("indentation_end_m", 0.0) > 0.6e-3
+            )
+            assert picture["indentation_end_m"] < 2e-3
+            assert {part[0] for part in picture["parts"]} == {"image", "indentation", "colours"}
             socket.send(json.dumps({"do": "indenter", "name": "cone"}))
             heard(socket, "state", lambda state: state["indenter"] == "cone")
             socket.send(json.dumps({"do": "away"}))

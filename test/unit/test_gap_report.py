@@ -13,12 +13,15 @@ import math
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import url2pathname
 
 import numpy as np
 import pytest
 from gap_findings import EXAMPLES, named, no_gap, of_set, places, unknown
 from PIL import Image
 
+from dotsim_ros.cli.main import main
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FILE_NAME, FoundEffect, Overlay, read_overlay
 from dotsim_ros.gap.findings import Findings, ResidualPlace, Verdict, as_record, findings_of
@@ -74,6 +77,22 @@ def read(page: str) -> Reader:
     reader.close()
     assert reader.open == []
     return reader
+
+
+def test_the_finished_report_that_is_shipped_names_its_effect_and_its_command(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["find-gap", "--example"]) == 0
+    path = Path(url2pathname(urlsplit(capsys.readouterr().out.strip()).path))
+    assert path.stat().st_size < 1.5e6
+    page = read(path.read_text(encoding="utf-8"))
+    assert "Coulomb slip at another friction is missing" in page.text
+    assert "dotsim_ros find-gap --demo" in page.text
+    assert "script" not in page.tags
+    assert page.sources
+    assert all(source.startswith("data:") for source in page.sources)
+    assert main(["find-gap", "--example", "--alpha", "0.1"]) == 1
+    assert "--example shows a finished report: leave out --alpha" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -9,6 +9,8 @@ import {SceneView} from "./scene.js";
 const RETRY_MS = 1000;
 const LAG_COUNT = 25;
 const PLOT_MS = 150;
+// Frames are sent on a change alone: none for so long means that nothing moves.
+const IDLE_MS = 2000;
 // Where drawing is slow, what is no news of the skin is drawn with the next one, if that comes so soon;
 // what the user turns, sooner.
 const PATIENCE_MS = 400;
@@ -27,7 +29,7 @@ let isDrawing = false;
 let patience = null;
 let picture = null;
 let playing = null;
-const sequence = {skin: null, history: null};
+const sequence = {skin: null, idle: null};
 // Milliseconds from each drag to the skin drawn, the newest last; benchmarks read it.
 window.lagsMs = [];
 
@@ -85,16 +87,14 @@ function unpacked(buffer) {
 const handlers = {
   scene({parts}) {
     view.setScene(parts);
-    const pen = document.querySelector("#scale canvas").getContext("2d");
-    const row = pen.createImageData(256, 1);
-    for (let index = 0; index < 256; ++index) {
-      row.data.set([...parts.colours.subarray(3 * index, 3 * index + 3), 255], 4 * index);
-    }
-    pen.putImageData(row, 0, 0);
+    drawScale("#scale canvas", parts.colours);
     redraw();
   },
   skin(message) {
     sequence.skin = message;
+    clearTimeout(sequence.idle);
+    sequence.idle = setTimeout(() => writeRate(null), IDLE_MS);
+    writeRate(message.rate_hz);
     const {position_m: position, quaternion_xyzw: quaternion} = message;
     view.setSkin(message.parts.skin, position && {position, quaternion});
     if (message.force_n && !state?.bag) plot.add(message.stamp_s, message.force_n);
@@ -115,9 +115,14 @@ const handlers = {
   state(message) {
     const before = state;
     state = message;
+    fill(get("sensor"), state.sensors, state.sensor);
     fill(get("indenter"), state.indenters, state.indenter);
-    fill(get("profile"), state.profiles.length ? state.profiles : [state.profile], state.profile);
+    fill(get("profile"), Object.keys(state.profiles), state.profile);
+    get("sensor_label").hidden = !state.sensors.length;
     get("title").textContent = state.title;
+    const summary = state.profiles[state.profile];
+    get("profile_summary").textContent = summary ? `Profile ${state.profile}: ${summary}` : "";
+    get("profile_label").title = Object.entries(state.profiles).map(pair => pair.join(": ")).join("\n");
     view.canPress = state.can_press && !state.bag;
     if (before?.can_press !== state.can_press && sequence.skin) handlers.skin(sequence.skin);
     busy(state.busy);
@@ -127,13 +132,30 @@ const handlers = {
   },
 };
 
-function showPicture({parts, depth_m: range}) {
+function showPicture({parts, indentation_end_m: end}) {
   show(get("image"), parts.image);
-  show(get("depth"), parts.depth);
-  if (range) {
-    const [low, high] = range.map(value => (1e3 * value).toFixed(1));
-    get("depth_range").textContent = `${low} to ${high} mm`;
+  show(get("indentation"), parts.indentation);
+  for (const id of ["indentation", "indentation_scale"]) get(id).hidden = !parts.indentation;
+  get("indentation_unknown").hidden = Boolean(parts.indentation);
+  if (!parts.indentation) return;
+  drawScale("#indentation_scale canvas", parts.colours);
+  get("indentation_end").value = Number((1e3 * end).toFixed(1));
+}
+
+// Colours: 256 times red, green, blue.
+function drawScale(selector, colours) {
+  const pen = document.querySelector(selector).getContext("2d");
+  const row = pen.createImageData(256, 1);
+  for (let index = 0; index < 256; ++index) {
+    row.data.set([...colours.subarray(3 * index, 3 * index + 3), 255], 4 * index);
   }
+  pen.putImageData(row, 0, 0);
+}
+
+function writeRate(rate) {
+  const isIdle = rate === null;
+  get("rate").value = state?.bag ? "-" : isIdle ? "idle" : rate.toFixed(1);
+  get("rate_unit").hidden = isIdle || Boolean(state?.bag);
 }
 
 function show(image, blob) {
@@ -234,7 +256,6 @@ function write() {
   get("scale_end").value = view.end_mm;
   if (!skin) return;
   get("force").value = skin.force_n ? Math.hypot(...skin.force_n).toFixed(2) : "-";
-  get("rate").value = state?.bag ? "-" : skin.rate_hz.toFixed(1);
   get("spent").value = skin.spent_ms === null ? "-" : skin.spent_ms.toFixed(0);
   get("place").textContent = place(skin);
   if (skin.number > drawnNumber && skin.number <= number) {
@@ -264,6 +285,7 @@ function stopPlaying() {
   get("play").textContent = "Play";
 }
 
+get("sensor").onchange = event => send({do: "sensor", name: event.target.value});
 get("indenter").onchange = event => send({do: "indenter", name: event.target.value});
 get("profile").onchange = event => send({do: "profile", name: event.target.value});
 get("reset").onclick = () => send({do: "reset"});

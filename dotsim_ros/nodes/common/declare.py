@@ -97,7 +97,7 @@ def follow(
             if each.name in known
         }
         for name in changed:
-            is_same = changed[name] == _plain(node.get_parameter(name).value)
+            is_same = changed[name] == _plain(node.get_parameter(name).value, known[name])
             if known[name].fixed_while_configured and not is_same:
                 raise ValueError(
                     f"{name} is read-only while the node is configured: clean it up first"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -28,11 +28,11 @@ from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.desk import LiveDesk
-from dotsim_ros.live.moments import Picture, Scene, SkinMoment
-from dotsim_ros.live.payloads import pressed_depth_range_of
+from dotsim_ros.live.moments import Picture, Scene, SkinMoment, rate_hz_of
 from dotsim_ros.measured.trajectory import BASE_FRAME
 from dotsim_ros.nodes.common.ingest import Fault
 from dotsim_ros.nodes.common.spin import WorkingNode
+from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
 from dotsim_ros.view.skin_map import rest_position_m, skin_triangles
 from msg_adapters import Level, Status
 
@@ -59,13 +59,14 @@ class LiveAttachment(WorkingNode):
         desk: LiveDesk,
         *,
         node_name: str,
-        indenters: Sequence[str],
+        indenters: Collection[str],
         indenter: Indenter | None,
     ) -> None:
         super().__init__("live_page")
-        self.indenters: Sequence[str] = indenters
-        # A node's profile is its own.
-        self.profiles: Sequence[str] = ()
+        # A node's sensor and profile are its own.
+        self.sensors: Collection[str] = ()
+        self.indenters: Collection[str] = indenters
+        self.profiles: Mapping[str, str] = {}
         self._desk, self._node_name, self._indenter = desk, node_name, indenter
         self._scene: Scene | None = None
         self._pose: Pose | None = None
@@ -73,7 +74,10 @@ class LiveAttachment(WorkingNode):
         self._torque_nm: FloatArray = np.zeros(3)
         self._image: Any = None
         self._seen_depth_s = -np.inf
-        self._rest_depth_m: tuple[float, float] | None = None
+        self._depth_m: Any = None
+        self._depth_stamp_ns: int | None = None
+        self._rest_stamp_ns: int | None = None
+        self._rest_depth_m: Any = None
         self._heard_s: deque[float] = deque()
         self._is_asked = False
         self._base_frame = BASE_FRAME
@@ -128,6 +132,10 @@ class LiveAttachment(WorkingNode):
                 frame_id=self._base_frame,
             )
         )
+
+    def choose_sensor(self, name: str) -> None:
+        """See `desk.Subject`."""
+        raise ValueError(f"sensor {name} is the node's own: set it when the node is started")
 
     def choose_indenter(self, name: str) -> None:
         """See `desk.Subject`."""
@@ -210,10 +218,15 @@ class LiveAttachment(WorkingNode):
         self._base_frame = message.header.frame_id
         cloud = msg_adapters.decode_cloud(message)
         skin_m = np.asarray(cloud.position, dtype=np.float64)
-        if self._scene is None or len(self._scene.rest_m) != len(skin_m):
+        scene = self._scene
+        if scene is None or len(scene.rest_m) != len(skin_m):
             rest_m = rest_position_m(cloud)
-            triangles = skin_triangles(rest_m)
-            self._show(Scene(rest_m, triangles, self._indenter, self._rest_depth_m))
+            scene = Scene(rest_m, skin_triangles(rest_m), self._indenter)
+            self._show(scene)
+        stamp_ns = msg_adapters.message_stamp_ns(message)
+        if scene.is_at_rest(skin_m):
+            self._rest_stamp_ns = stamp_ns
+            self._learn_rest_depth()
         now_s = time.monotonic()
         self._heard_s.append(now_s)
         while now_s - self._heard_s[0] > RATE_WINDOW_S:
@@ -222,12 +235,12 @@ class LiveAttachment(WorkingNode):
             self._desk.tell_state(can_press=True, busy="")
         self._desk.show_skin(
             SkinMoment(
-                msg_adapters.message_stamp_ns(message),
+                stamp_ns,
                 skin_m,
                 self._force_n,
                 self._torque_nm,
                 self._pose,
-                rate_hz=len(self._heard_s) / RATE_WINDOW_S,
+                rate_hz=rate_hz_of(self._heard_s),
             )
         )
 
@@ -238,26 +251,36 @@ class LiveAttachment(WorkingNode):
             self._show_picture(msg_adapters.message_stamp_ns(message), None)
 
     def _on_depth(self, message: Image) -> None:
-        depth_m = msg_adapters.decode_image(message)
+        self._depth_m = msg_adapters.decode_image(message)
+        self._depth_stamp_ns = msg_adapters.message_stamp_ns(message)
         self._seen_depth_s = time.monotonic()
-        if self._rest_depth_m is None:
-            self._rest_depth_m = pressed_depth_range_of(depth_m)
-            if self._scene is not None:
-                self._show(replace(self._scene, depth_m=self._rest_depth_m))
-        self._show_picture(msg_adapters.message_stamp_ns(message), depth_m)
+        if self._rest_depth_m is not None and self._rest_depth_m.shape != self._depth_m.shape:
+            self._rest_depth_m = None
+        self._learn_rest_depth()
+        self._show_picture(self._depth_stamp_ns, self._depth_m)
+
+    def _learn_rest_depth(self) -> None:
+        """Keep the newest depth where it is of the frame that shows the skin at rest."""
+        if self._depth_stamp_ns is not None and self._depth_stamp_ns == self._rest_stamp_ns:
+            self._rest_depth_m = self._depth_m
 
     def _show_picture(self, stamp_ns: int, depth_m: Any) -> None:
         image = None if self._image is None else msg_adapters.decode_rgb(self._image)
-        self._desk.show_picture(Picture(stamp_ns, image, depth_m))
+        self._desk.show_picture(Picture(stamp_ns, image, depth_m, self._rest_depth_m))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         # As `GuardedNode.label` of a node that shares this one's namespace.
         label = f"{self.get_namespace()}/{self._node_name}".strip("/")
         for status in msg_adapters.decode_diagnostics(message):
             if status.name == f"{label}: frames":
-                self._desk.tell_state(profile=status.values.get("profile", ""))
+                self._tell_profile(status.values.get("profile", ""))
             elif status.name == f"{label}: input":
                 self._tell_fault(status)
+
+    def _tell_profile(self, name: str) -> None:
+        if name:
+            self.profiles = {name: PROFILES[name].summary if name in PROFILES else ""}
+        self._desk.tell_state(profile=name, profiles=self.profiles)
 
     def _tell_fault(self, status: Status) -> None:
         """Show what the node has refused since its last report."""

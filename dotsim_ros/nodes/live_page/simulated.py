@@ -23,14 +23,14 @@ import numpy as np
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.desk import LiveDesk
-from dotsim_ros.live.moments import Picture, Scene, SkinMoment
-from dotsim_ros.live.payloads import pressed_depth_range_of
+from dotsim_ros.live.moments import Picture, Scene, SkinMoment, rate_hz_of
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.motion import HELD_MOTIONS, MotionOrder
 from dotsim_ros.nodes.tactile_sim.profile_in_force import Rung, ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES, REALTIME
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
-from dotsim_ros.sensor import FRAME_S, TactileSensor
+from dotsim_ros.optics.depth import DepthConversion
+from dotsim_ros.sensor import FRAME_S, Frame, TactileSensor
 from dotsim_ros.specification import SensorSpecification
 
 START_HEIGHT_M = 2e-3
@@ -51,6 +51,25 @@ class _Seen:
 
     moment: SensorMoment
     shown: SkinMoment
+    depths: _Depths
+
+
+class _Depths:
+    """Depth of the frames of one sensor, along its optical axis.
+
+    Args:
+        sensor: at rest.
+        rest: its frame at rest.
+    """
+
+    def __init__(self, sensor: TactileSensor, rest: Frame) -> None:
+        self._conversion = DepthConversion(sensor.camera)
+        self._rest_m = self._conversion.axial_m(rest.depth_m)
+
+    def picture(self, stamp_ns: int, frame: Frame) -> Picture:
+        """Return what a page shows of a frame."""
+        depth_m = self._conversion.axial_m(frame.depth_m)
+        return Picture(stamp_ns, frame.image, depth_m, self._rest_m)
 
 
 class SimulatedSubject:
@@ -58,9 +77,10 @@ class SimulatedSubject:
 
     Args:
         desk: shows what comes of it.
-        specification: what the sensor is.
+        sensors: to choose from, by name.
         own: indenters that are none of the shipped, or that press first, by name; the first one
             presses first.
+        sensor: the first one.
         indenters: names to choose from: own and shipped ones.
         profile: the first one.
         frame_s: time of a frame at the sensor's rate.
@@ -69,23 +89,21 @@ class SimulatedSubject:
     def __init__(
         self,
         desk: LiveDesk,
-        specification: SensorSpecification,
+        sensors: Mapping[str, SensorSpecification],
         own: Mapping[str, Indenter],
         *,
+        sensor: str,
         indenters: Sequence[str],
         profile: str = REALTIME.name,
         frame_s: float = FRAME_S,
     ) -> None:
-        self.title = specification.name
-        self.indenters = indenters
-        # What a gel remembers no other solver could go on with.
-        self.profiles = [profile] if specification.remembers else list(PROFILES)
-        self._desk, self._specification, self._frame_s = desk, specification, frame_s
+        self.title = ""
+        self.sensors, self.indenters = sensors, indenters
+        self._desk, self._frame_s = desk, frame_s
         self._own, self._profile = own, profile
         self._indenter = next(iter(own.values()))
-        self._rungs: dict[str, Rung] = {
-            name: ladder_of(name, specification)[0] for name in self.profiles
-        }
+        self._name = sensor
+        self.profiles = _profiles_of(sensors[sensor], profile)
         self._wake = threading.Condition()
         self._is_stopping = False
         self._ordered: deque[_Ordered] = deque(maxlen=HELD_MOTIONS)
@@ -104,7 +122,7 @@ class SimulatedSubject:
     def start(self) -> None:
         """Make the sensor, on its own thread, and press from then on."""
         self._desk.tell_state(
-            busy="making the gel; a first start compiles kernels and may take minutes"
+            busy=f"making the gel of {self._name}; a first start may take minutes"
         )
         for thread in self._threads:
             thread.start()
@@ -124,6 +142,10 @@ class SimulatedSubject:
                 self._ordered.clear()
             self._ordered.append(_Ordered(pose, number))
             self._wake.notify_all()
+
+    def choose_sensor(self, name: str) -> None:
+        """See `desk.Subject`."""
+        self._do(lambda: self._change_sensor(name))
 
     def choose_indenter(self, name: str) -> None:
         """See `desk.Subject`."""
@@ -157,7 +179,7 @@ class SimulatedSubject:
     # The gel's thread.
 
     def _solve(self) -> None:
-        self._make()
+        self._make(self._name)
         due_s = time.monotonic()
         while True:
             job, ordered = self._awaited(due_s)
@@ -172,31 +194,40 @@ class SimulatedSubject:
                 self._is_late = time.monotonic() - begun_s > self._frame_s
                 due_s = begun_s + self._frame_s
 
-    def _make(self) -> None:
-        rung = self._rungs[self._profile]
-        specification = replace(self._specification, solver=rung.solver)
-        self._sensor = TactileSensor(specification, indenter=self._indenter)
-        self._session = SensorSession(
-            self._sensor, first_dt_s=self._frame_s, limit_m=rung.profile.move_m
-        )
-        self._session.warm_up()
-        self._rest_depth_m = pressed_depth_range_of(self._session.moment.render().depth_m)
+    def _make(self, name: str) -> None:
+        """Make a sensor and show it; the one before stays in use until it is ready.
+
+        Raises:
+            ValueError: the indenter does not suit the sensor.
+        """
+        rung = self._rung(name, self._profile)
+        specification = replace(self.sensors[name], solver=rung.solver)
+        sensor = TactileSensor(specification, indenter=self._indenter)
+        session = SensorSession(sensor, first_dt_s=self._frame_s, limit_m=rung.profile.move_m)
+        session.warm_up()
+        self._depths = _Depths(sensor, session.moment.render())
+        self._sensor, self._session, self._name = sensor, session, name
+        self.profiles = _profiles_of(self.sensors[name], self._profile)
+        self._is_new_start, self._is_behind = True, False
         self._show_scene()
+        with self._wake:
+            # Poses that the sensor before was to show.
+            self._ordered.clear()
         # Before a page may press: its first order must not be overwritten.
         start_m = self._sensor.skin.apex_m + np.array([0.0, 0.0, START_HEIGHT_M])
         self.move(Pose(start_m), 0)
         self._desk.tell_state(
             busy="",
             can_press=True,
+            sensor=name,
+            profiles=dict(self.profiles),
             indenter=self._indenter.name,
             profile=self._profile,
         )
 
     def _show_scene(self) -> None:
         skin = self._sensor.skin
-        self._desk.show_scene(
-            Scene(skin.rest_position_m, skin.triangles, self._indenter, self._rest_depth_m)
-        )
+        self._desk.show_scene(Scene(skin.rest_position_m, skin.triangles, self._indenter))
 
     def _awaited(self, due_s: float) -> tuple[Callable[[], None] | None, list[_Ordered]]:
         """Wait for a job, or until a frame is due and there is something to show."""
@@ -239,13 +270,13 @@ class SimulatedSubject:
             moment.pose,
             number=self._number,
             spent_s=self._spent_s,
-            rate_hz=len(self._frame_times_s) / RATE_WINDOW_S,
+            rate_hz=rate_hz_of(self._frame_times_s),
             is_converged=gel.converged,
             is_behind=self._is_behind,
         )
         self._desk.show_skin(shown)
         with self._wake:
-            self._seen = _Seen(moment, shown)
+            self._seen = _Seen(moment, shown, self._depths)
             self._wake.notify_all()
 
     def _moment(self, ordered: Sequence[_Ordered]) -> SensorMoment:
@@ -276,6 +307,21 @@ class SimulatedSubject:
     def _begin_anew(self) -> None:
         self.move(None, self._number)
 
+    def _rung(self, sensor: str, profile: str) -> Rung:
+        return ladder_of(profile, self.sensors[sensor])[0]
+
+    def _change_sensor(self, name: str) -> None:
+        if name == self._name:
+            return
+        self._desk.tell_state(
+            can_press=False, busy=f"making the gel of {name}; its first start may take minutes"
+        )
+        try:
+            self._make(name)
+        except ValueError as error:
+            self._desk.tell(error)
+            self._desk.tell_state(can_press=True)
+
     def _change_indenter(self, name: str) -> None:
         self._desk.tell_state(busy=f"preparing {name}")
         try:
@@ -294,7 +340,7 @@ class SimulatedSubject:
     def _change_profile(self, name: str) -> None:
         if name == self._profile:
             return
-        rung = self._rungs[name]
+        rung = self._rung(self._name, name)
         self._desk.tell_state(busy=f"preparing the gel of {name}")
         try:
             self._session.change_solver(
@@ -320,8 +366,15 @@ class SimulatedSubject:
             begun_s = time.monotonic()
             frame = seen.moment.render()
             self._spent_s = sum(frame.timings_s.values())
-            self._desk.show_picture(Picture(seen.shown.stamp_ns, frame.image, frame.depth_m))
+            self._desk.show_picture(seen.depths.picture(seen.shown.stamp_ns, frame))
             if self._is_late:
                 spent_s = time.monotonic() - begun_s
                 with self._wake:
                     self._wake.wait_for(lambda: self._is_stopping, spent_s)
+
+
+def _profiles_of(specification: SensorSpecification, chosen: str) -> dict[str, str]:
+    """Return the profiles that a sensor can be pressed in, and what each of them is."""
+    # What a gel remembers no other solver could go on with.
+    names = [chosen] if specification.remembers else list(PROFILES)
+    return {name: PROFILES[name].summary for name in names}

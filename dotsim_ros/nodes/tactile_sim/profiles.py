@@ -23,6 +23,7 @@ class Profile:
 
     Attributes:
         name: as the parameter has it.
+        summary: what it does, in one line.
         grid_factor: spacing of the grid as a multiple of the sensor's own, as far as the gel is
             large enough for it.
         smallest_tolerance_m: of Newton's method.
@@ -33,6 +34,7 @@ class Profile:
     """
 
     name: str
+    summary: str
     grid_factor: float
     smallest_tolerance_m: float
     largest_iterations: int
@@ -42,6 +44,7 @@ class Profile:
 
 EXACT = Profile(
     "exact",
+    "the sensor's own solver to its tolerance, any motion in one frame; the slowest",
     grid_factor=1.0,
     smallest_tolerance_m=0.0,
     largest_iterations=1000,
@@ -51,6 +54,7 @@ EXACT = Profile(
 """The sensor's own solver, and no limit of motion."""
 REALTIME = Profile(
     "realtime",
+    "two Newton iterations and 0.6 mm of motion a frame; skin within 1 mm of exact",
     grid_factor=1.0,
     smallest_tolerance_m=100.0e-6,
     largest_iterations=2,
@@ -63,7 +67,12 @@ right to a third of the tolerance, which saves the second solve of most frames; 
 continues from there. A frame that took long must not make the next one take longer: with two
 substeps a slide had two steady states, one frame of 50 ms and 0.5 mm or one of 100 ms and 1 mm, and
 stayed in the second."""
-FAST = replace(REALTIME, name="fast", grid_factor=4.0 / 3.0)
+FAST = replace(
+    REALTIME,
+    name="fast",
+    summary="as realtime on a grid four thirds as wide, in about half the time of exact",
+    grid_factor=4.0 / 3.0,
+)
 """The grid is what saves time. One iteration instead of two saves none, and the contact is as
 expensive on either grid."""
 PROFILES = {profile.name: profile for profile in (EXACT, REALTIME, FAST)}

@@ -19,9 +19,9 @@ from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, SolverSpecification
 
 KINDS = ("image", "depth", "skin", "wrench")
-"""The image (H, W, 3); depth in m and the three parts of the normal (H, W, 4), zero where no skin
-is seen; displacements of the skin's markers (V, 3), m; force and torque of the gel (6,), N and N m.
-"""
+"""The image (H, W, 3); range in m (along the ray of the pixel) and the three parts of the normal
+(H, W, 4), zero where no skin is seen; displacements of the skin's markers (V, 3), m; force and
+torque of the gel (6,), N and N m."""
 LARGEST_DEPTH_M = 0.1
 SKIN_SPACING_M = 1.0e-3
 SOLVER = SolverSpecification(grid_spacing_m=3.6e-3, refined=False, tolerance_m=100e-6, iterations=2)
