@@ -102,7 +102,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.demo:
         _check_demo(arguments)
-        from studies.gap.demo import run_demo
+        from dotsim_ros.gap.demo import run_demo
 
         return run_demo(arguments.out, seed=arguments.seed, workers=crew_of(arguments))
     from dotsim_ros.files import write_json
