@@ -32,7 +32,7 @@ from studies import results_page
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
-README_LINES = 150
+README_LINES = 75
 
 
 def text_of(name: str) -> str:
