@@ -235,9 +235,7 @@ def _split(
     """
     indenter_of = {entry.name: entry.indenter for entry in data_set.entries}
     names = sorted(indenter_of if trajectories is None else trajectories)
-    unknown = sorted(set(names) - set(indenter_of))
-    if unknown:
-        raise ValueError(f"{data_set.directory} has no trajectory {', '.join(unknown)}")
+    data_set.named(names)
     if leave_out is not None:
         if hold_out is not None:
             raise ValueError("either hold out trajectories or leave out an indenter, not both")

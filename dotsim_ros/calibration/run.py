@@ -33,7 +33,6 @@ from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
 from dotsim_ros.measured.data_set import DataSet
 from dotsim_ros.measured.plausibility import HARDEST_PA, SOFTEST_PA, check_same_shape
-from dotsim_ros.measured.presses import Prediction
 from dotsim_ros.measured.reading import Observation, Omission, few_of, read_observations
 from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.metrics.presses import PressFrameScore, score_press
@@ -383,23 +382,14 @@ class _Stages:
         seed: int,
     ) -> list[PressFrameScore]:
         """Return the scores of held-out presses at the shared parameters' point (P,)."""
-        shared = replace(problem, with_offset=False)
-        tasks = [Task("judge", o, shared, point, None, 0, "") for o in observations]
-        predicted = self._workers.predict(tasks, self._counter("held out", len(tasks)))
         scores: list[PressFrameScore] = []
-        for observation in observations:
-            skin, force, error = predicted[observation.press.name]
-            if skin is None:
-                omissions.append(Omission(observation.press.name, f"held out: {error}"))
-                continue
-            if observation.press.skin_position_m is not None:
-                scores += score_press(
-                    observation.press,
-                    Prediction(skin, force),
-                    observation.indenter,
-                    self.skin,
-                    seed=seed,
-                )
+        count = self._counter("held out", len(observations))
+        for o, found in self._workers.predict(problem, point, observations):
+            count(o.press.name)
+            if isinstance(found, str):
+                omissions.append(Omission(o.press.name, f"held out: {found}"))
+            elif o.press.skin_position_m is not None:
+                scores += score_press(o.press, found, o.indenter, self.skin, seed=seed)
         return scores
 
     def _run(

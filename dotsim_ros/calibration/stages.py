@@ -13,7 +13,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +32,7 @@ from dotsim_ros.calibration.fitting import (
 from dotsim_ros.documents import read_json
 from dotsim_ros.files import short_name, write_json
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.presses import Prediction
 from dotsim_ros.measured.reading import Observation
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
@@ -92,14 +93,13 @@ def _work(task: Task) -> Outcome:
     return Outcome(name, fit)
 
 
-def _predict(task: Task) -> tuple[str, FloatArray | None, FloatArray | None, str]:
+def _predict(task: Task) -> Prediction | str:
     assert _simulator is not None
-    name = task.observation.press.name
     try:
         found = simulate(_simulator, task.observation, task.problem, task.point)
     except SolveError as error:
-        return name, None, None, str(error)
-    return name, found.skin_position_m, found.force_n, ""
+        return str(error)
+    return Prediction(found.skin_position_m, found.force_n)
 
 
 class Workers:
@@ -135,14 +135,22 @@ class Workers:
         return outcomes
 
     def predict(
-        self, tasks: Sequence[Task], progress: Callable[[str], None]
-    ) -> dict[str, tuple[FloatArray | None, FloatArray | None, str]]:
-        """Return skin (F, V, 3) and force (F, 3) at the tasks' points, or why there are none."""
-        found = {}
-        for name, skin, force, error in self._pool.map(_predict, tasks):
-            found[name] = (skin, force, error)
-            progress(name)
-        return found
+        self,
+        problem: FitProblem,
+        point: FloatArray,
+        observations: Sequence[Observation],
+    ) -> Iterator[tuple[Observation, Prediction | str]]:
+        """Yield each press with what the gel gives for it, or with why it could not be solved.
+
+        Args:
+            problem: whose parameters the point is of.
+            point: (P,) shared by all presses.
+            observations: the presses.
+        """
+        shared = replace(problem, with_offset=False)
+        tasks = [Task("judge", o, shared, point, None, 0, "") for o in observations]
+        found = self._pool.map(_predict, tasks)
+        yield from zip(observations, found, strict=True)
 
     def _file(self, task: Task) -> Path:
         return self._directory / task.stage / f"{short_name(task.observation.press.name)}.json"

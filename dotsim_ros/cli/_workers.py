@@ -1,11 +1,12 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The options of all verbs that spread their work: how many workers, and where."""
+"""Options of the verbs that spread their work: how many workers, and where; and its progress."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -42,3 +43,13 @@ def crew_of(arguments: argparse.Namespace) -> Crew:
     if arguments.ray_address is None:
         return int(arguments.workers)
     return RayWorkers(arguments.workers, arguments.ray_address)
+
+
+def show_stage(stage: str, done: int, total: int) -> None:
+    """Draw a bar on a terminal; elsewhere print each stage's beginning and end."""
+    if sys.stderr.isatty():
+        filled = 30 * done // max(total, 1)
+        end = "\n" if done == total else ""
+        print(f"\r{stage:<10} [{'#' * filled:<30}] {done}/{total}", end=end, file=sys.stderr)
+    elif done in (0, total):
+        print(f"{stage}: {done}/{total}", file=sys.stderr, flush=True)

@@ -23,12 +23,11 @@ docs/guided.md walks through it.
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from dotsim_ros.cli._workers import add_worker_arguments, crew_of
+from dotsim_ros.cli._workers import add_worker_arguments, crew_of, show_stage
 
 if TYPE_CHECKING:
     from dotsim_ros.calibration.loss import LossNoise
@@ -218,7 +217,7 @@ def _run_presses(arguments: argparse.Namespace, sensor: str | Path) -> None:
         seed=arguments.seed,
         noise=_noise(arguments),
         topics=_topics(arguments),
-        progress=_show,
+        progress=show_stage,
     )
     report = report_folder(arguments.out)
     if arguments.json is not None:
@@ -241,13 +240,3 @@ def _topics(arguments: argparse.Namespace) -> Topics:
 
     given = {name: getattr(arguments, f"{name}_topic") for name in ("pose", "wrench", "skin")}
     return Topics(**{name: topic for name, topic in given.items() if topic is not None})
-
-
-def _show(stage: str, done: int, total: int) -> None:
-    """Draw a bar on a terminal; elsewhere print each stage's beginning and end."""
-    if sys.stderr.isatty():
-        filled = 30 * done // max(total, 1)
-        end = "\n" if done == total else ""
-        print(f"\r{stage:<10} [{'#' * filled:<30}] {done}/{total}", end=end, file=sys.stderr)
-    elif done in (0, total):
-        print(f"{stage}: {done}/{total}", file=sys.stderr, flush=True)

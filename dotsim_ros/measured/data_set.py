@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -133,6 +134,23 @@ class DataSet:
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
         return replace(mesh, on_base=on_base)
+
+    def named(self, names: Sequence[str]) -> tuple[DataSetEntry, ...]:
+        """Return the trajectories of some names, in their order.
+
+        Raises:
+            ValueError: no name, or one that the data set does not have.
+        """
+        by_name = {entry.name: entry for entry in self.entries}
+        unknown = sorted(set(names) - set(by_name))
+        if unknown:
+            raise ValueError(
+                f"{self.directory} has no trajectory {', '.join(unknown)}; it has "
+                f"{', '.join(sorted(by_name))}"
+            )
+        if not names:
+            raise ValueError("no trajectory was named, expected at least one")
+        return tuple(by_name[name] for name in names)
 
     def idle_images(self) -> tuple[Path, ...]:
         """Return the files of the images without contact."""

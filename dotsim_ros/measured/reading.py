@@ -199,7 +199,7 @@ class PressImages:
 def read_press_images(
     entry: DataSetEntry,
     *,
-    idle: ImageArray,
+    idle: ImageArray | None = None,
     topics: Topics = MEASURED_TOPICS,
     most: int | None = None,
 ) -> PressImages:
@@ -209,7 +209,7 @@ def read_press_images(
 
     Args:
         entry: the trajectory.
-        idle: (H, W, 3) without contact, by the same camera.
+        idle: (H, W, 3) without contact, by the same camera; None where none is known.
         topics: where the channels lie.
         most: frames to keep at most, evenly spread; None for all.
 
@@ -231,7 +231,7 @@ def read_press_images(
             "topic"
         )
     check_bag(entry, vertex_count=None, topics=topics, channels=("pose", "wrench"))
-    if image.pixels.shape[1:] != idle.shape:
+    if idle is not None and image.pixels.shape[1:] != idle.shape:
         raise ValueError(
             f"{entry.bag}: images are {image.pixels.shape[2]}x{image.pixels.shape[1]}, but the "
             f"idle images {idle.shape[1]}x{idle.shape[0]}; take both with one camera and setting"

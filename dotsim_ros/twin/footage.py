@@ -32,6 +32,8 @@ from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
+from dotsim_ros.optics.network.loading import completion_network
+from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError, follow
@@ -195,7 +197,7 @@ def read_filmed_data(
             for frame in _untouched_frames(one.press, indenters[one.press.indenter], skin)
         ],
     )
-    skin_of_press = _Follower(sensor, skin, cache or cache_directory() / "skins", say)
+    skin_of_press = SkinFollower(sensor, skin, cache or cache_directory() / "skins", say)
     return FilmedData(
         skin,
         idle,
@@ -263,6 +265,40 @@ def camera_for(sensor: SensorSpecification, image: ImageArray, source: str) -> C
         raise ValueError(f"{source}: measured images do not fit the camera: {error}") from error
 
 
+def twin_renderers(
+    sensor: SensorSpecification, camera: Camera, *, idle: ImageArray | None = None
+) -> tuple[SkinRenderer, ImageRenderer, ImageArray]:
+    """Return what renders a sensor's skin, what makes its image of that, and its idle image.
+
+    Args:
+        sensor: with its lights, its idle image and its network.
+        camera: its own, of any size.
+        idle: (H, W, 3) uint8 of that size in place of the sensor's own.
+
+    Raises:
+        FileNotFoundError: the sensor's idle image or network is missing.
+        ValueError: a network of another sensor.
+    """
+    frame = idle_frame_of(sensor, camera)
+    image = frame.image if idle is None else idle
+    skin = skin_of(sensor.gel)
+    renderer = SkinRenderer(camera, skin)
+    network = completion_network(sensor, camera)
+    completion = None
+    if network is not None:
+        completion = network.at_rest(renderer.render(skin.rest_position_m), image)
+    made = ImageRenderer(
+        camera,
+        skin,
+        image,
+        lighting=frame.lighting,
+        vignetting=frame.vignetting,
+        fine=frame.fine if idle is None else None,
+        completion=completion,
+    )
+    return renderer, made, image
+
+
 def render_filmed(
     filmed: FilmedData, camera: Camera, *, lighting: Lighting, vignetting: Vignetting
 ) -> OpticalData:
@@ -319,16 +355,7 @@ def _entries(data_set: DataSet, presses: Sequence[str] | None) -> list[DataSetEn
                 "them with images, or set 'images: true' in its index"
             )
         return entries
-    by_name = {entry.name: entry for entry in data_set.entries}
-    unknown = sorted(set(presses) - set(by_name))
-    if unknown:
-        raise ValueError(
-            f"{data_set.directory} has no trajectory {', '.join(unknown)}; it has "
-            f"{', '.join(sorted(by_name))}"
-        )
-    if not presses:
-        raise ValueError("no press was named, expected at least one")
-    return [by_name[name] for name in presses]
+    return list(data_set.named(presses))
 
 
 def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[int]:
@@ -341,8 +368,15 @@ def _untouched_frames(press: Press, indenter: Indenter, skin: SkinMesh) -> list[
     return untouched
 
 
-class _Follower:
-    """Lets one gel follow presses, or finds on disk where its skin went before."""
+class SkinFollower:
+    """Lets one gel follow presses, or finds on disk where its skin went before.
+
+    Args:
+        sensor: whose gel it is.
+        skin: the sensor's own, at rest.
+        cache: folder of the skins that were computed before.
+        say: called with a line where a press is followed.
+    """
 
     def __init__(
         self, sensor: SensorSpecification, skin: SkinMesh, cache: Path, say: Progress
@@ -352,7 +386,11 @@ class _Follower:
         self._indenter: Indenter | None = None
 
     def __call__(self, press: Press, indenter: Indenter) -> Float32Array:
-        """Return the skin (F, V, 3) at the poses of a press."""
+        """Return the skin (F, V, 3) at the poses of a press.
+
+        Raises:
+            SolveError: the gel could not follow them.
+        """
         path = self._cache / f"{short_name(press.name)}-{self._key(press, indenter)}.npz"
         shape = (press.frame_count, self._skin.vertex_count, 3)
         known = load_arrays(path, {"skin_position_m": ArrayForm(shape)})

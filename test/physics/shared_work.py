@@ -65,7 +65,9 @@ def share(patch: pytest.MonkeyPatch) -> None:
         inverse.flags.writeable = False
         return inverse
 
-    def kept_indenter(path: Path) -> Indenter:
+    def kept_indenter(path: Path | str, folder: Path | None = None) -> Indenter:
+        if isinstance(path, str):
+            return load_indenter(path, folder=folder)
         key = content_key((), path.name, path.read_bytes())
         mesh: Indenter = meshes.get(key, lambda: load_indenter(path))
         return mesh

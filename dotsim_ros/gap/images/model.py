@@ -145,32 +145,14 @@ class TwinCamera:
         # Loaded on use: they start Warp.
         from dotsim_ros.gel.make import skin_of
         from dotsim_ros.geometry.camera import Camera
-        from dotsim_ros.optics.image import ImageRenderer
-        from dotsim_ros.optics.network.loading import completion_network
-        from dotsim_ros.optics.pattern import idle_frame_of
-        from dotsim_ros.optics.renderer import SkinRenderer
+        from dotsim_ros.twin.footage import twin_renderers
 
         full = Camera.from_specification(sensor.camera)
         self.camera: Camera = full.scaled(width, height)
-        frame = idle_frame_of(sensor, self.camera)
-        self.idle: ImageArray = frame.image if idle is None else idle
         skin = skin_of(sensor.gel)
         self._triangles = skin.triangles
-        self._renderer = SkinRenderer(self.camera, skin)
-        network = completion_network(sensor, self.camera)
+        self._renderer, self._image, self.idle = twin_renderers(sensor, self.camera, idle=idle)
         self._untouched = self._renderer.render(skin.rest_position_m)
-        completion = None
-        if network is not None:
-            completion = network.at_rest(self._untouched, self.idle)
-        self._completion = completion
-        self._image = ImageRenderer(
-            self.camera,
-            skin,
-            self.idle,
-            lighting=frame.lighting,
-            vignetting=frame.vignetting,
-            fine=frame.fine if idle is None else None,
-        )
 
     def film(
         self, skin_position_m: NDArray[np.floating], stamp_s: FloatArray, start_s: float
@@ -230,8 +212,8 @@ class TwinCamera:
     def _seen(self, view: View) -> Float32Array:
         warped = self._image.warp(view)
         image = warped.astype(np.float32)
-        if self._completion is not None:
-            image = image + self._completion(view, warped)
+        if self._image.completion is not None:
+            image = image + self._image.completion(view, warped)
         return np.clip(image, np.float32(0.0), np.float32(255.0))
 
 
