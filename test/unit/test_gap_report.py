@@ -261,4 +261,3 @@ def test_a_figure_too_wide_for_a_phone_is_refused() -> None:
         pass
 
 
-GUIDE = Path(__file__).parents[2] / "docs" / "gap_finder.md"
