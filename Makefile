@@ -25,7 +25,7 @@ RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 # More than there are cores, since tests of nodes mostly wait; a file each, the longest first.
 TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
 
-# What the tests saw of bad input and faults, for docs/faults.md.
+# What the tests saw of bad input and faults, for docs/api/faults.md.
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
@@ -38,7 +38,7 @@ help:
 	@echo "make demo-loop   a policy follows a path by touch; a bag, a picture and a report"
 	@echo "make test    all tests, with real nodes over real DDS"
 	@echo "make fuzz    hostile input for every reader, for SECONDS (60)"
-	@echo "make faults  docs/faults.md, the answers to bad input and faults, from the tests"
+	@echo "make faults  docs/api/faults.md, the answers to bad input and faults, from the tests"
 	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
 	@echo "make canary  eight short motions, compared with kept values; KEEP=1 keeps new ones"

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Write docs/faults.md, the answers to bad input and faults, from what the tests saw; or check it.
+"""Write or check docs/api/faults.md, the answers to bad input and faults that the tests saw.
 
     pytest --faults FILE ...
     faults_table.py FILE [--check [--skips FILE]]
@@ -23,7 +23,7 @@ from pathlib import Path
 from skips import read
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "faults.md"
+PAGE = ROOT / "docs" / "api" / "faults.md"
 # By its path: the tests have several files of this name.
 AREAS: tuple[str, ...] = runpy.run_path(str(ROOT / "test" / "conftest.py"))["AREAS"]
 

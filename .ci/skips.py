@@ -6,11 +6,11 @@
     PYTHONPATH=.ci pytest -p skips --skips FILE ...
     skips.py FILE
 
-The first adds to a JSON file what was skipped, why, and the areas of docs/faults.md that it would
-have shown answers of, and which files and tests ran. The second fails on a skip for a reason that
-`KNOWN` does not list, or whose cause is not there, on a file below test/ of which nothing ran, as
-where pytest leaves out a folder, and where there are fewer tests than .ci/test_count.json says: a
-test must not stop running unseen.
+The first adds to a JSON file what was skipped, why, and the areas of docs/api/faults.md that it
+would have shown answers of, and which files and tests ran. The second fails on a skip for a reason
+that `KNOWN` does not list, or whose cause is not there, on a file below test/ of which nothing ran,
+as where pytest leaves out a folder, and where there are fewer tests than .ci/test_count.json says:
+a test must not stop running unseen.
 """
 
 from __future__ import annotations

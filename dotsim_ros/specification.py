@@ -7,7 +7,7 @@ A sensor is read from a YAML file, checked, frozen, and written here.
 
     python -m dotsim_ros.specification
 
-prints the tables of all fields; with `--markdown docs/sensor_fields.md` it writes them.
+prints the tables of all fields; with `--markdown docs/api/sensor_fields.md` it writes them.
 """
 
 from __future__ import annotations
@@ -1029,26 +1029,25 @@ lighting:
   that is left out has its default.
 - Lengths are in metres and all else in SI units, angles in degrees where the name ends so. The base
   plane of the gel is z = 0, +z points out of the gel, and the z axis is its middle.
-- A value that is unknown, of another type or out of its range is refused with the name of the
-  field, the value and the range: nothing is rounded, and quoted text is no number. Numbers
-  are finite.
-- What contradicts is refused, too: a core as large as its dome, a grid wider than half the gel's
-  smallest extent, a camera in front of the skin or more than {distance} m from the gel, an explicit
-  solver with another law than its own, and a sensor that would take more than {gigabytes} GB of
-  memory. How much it takes is worked out beforehand, within a third, by
-  `dotsim_ros.specification.size_of`.
+- A value that is unknown, of another type or out of its range is refused: the error names the
+  field, the value and the range. Nothing is rounded, and quoted text is not a number. Numbers are
+  finite.
+- Fields that contradict each other are refused: a core as large as its dome, a grid wider than
+  half the gel's smallest extent, a camera in front of the skin or more than {distance} m from the
+  gel, an explicit solver with another law than its own, and a sensor that would take more than
+  {gigabytes} GB of memory. `dotsim_ros.specification.size_of` returns that memory beforehand,
+  within a third.
 
-**Idle image.** The simulated image is the idle image, warped and shaded anew
-([idle_image.md](idle_image.md)). Where `camera.idle_image` is empty it is drawn, from the sections
-`lighting`, `vignetting` and `pattern`, in a few seconds when the sensor is made; to keep it as a
-file:
+**Idle image.** The simulated image is the [idle image](../camera.md#the-idle-image), warped and
+shaded. Where `camera.idle_image` is empty it is drawn from the sections `lighting`, `vignetting`
+and `pattern`, in a few seconds when the sensor is created. To keep it as a file:
 
 ```bash
 python -m dotsim_ros.optics.pattern my_pad_idle.png --sensor my_pad.yaml
 ```
 
-writes the image, and beside it the lights that it was drawn with, as a file that describes an idle
-image. Such a file comes before the sensor's own sections `lighting` and `vignetting`.
+This writes the image and, next to it, a file with its lights. Such a file comes before the sensor's
+own sections `lighting` and `vignetting`.
 
 **Pads.** `flat_pad` is a block of gel on a clear plate at z = 0. The camera stands below and looks
 up at the inner side of the upper face, the only one that is seen. `params/sensors/flat_pad.yaml` is
@@ -1086,7 +1085,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         prog="python -m dotsim_ros.specification",
         description="Print every field of a sensor's file with its unit, range and default.",
-        epilog="example: python -m dotsim_ros.specification --markdown docs/sensor_fields.md",
+        epilog="example: python -m dotsim_ros.specification --markdown docs/api/sensor_fields.md",
     )
     parser.add_argument("--markdown", type=Path, metavar="FILE", help="write the page to this file")
     arguments = parser.parse_args()

@@ -6,7 +6,7 @@
 A test marked `@pytest.mark.fault(area, what)` shows what becomes of one fault; it hands the words
 that a user sees to the fixture `answered`, once it has checked them. With `--faults FILE` the
 answers of all such tests that passed are added to a JSON file, of which `.ci/faults_table.py` makes
-`docs/faults.md`.
+`docs/api/faults.md`.
 """
 
 from __future__ import annotations

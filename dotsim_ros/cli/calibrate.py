@@ -17,7 +17,7 @@ example:
 With `--guided` it makes the sensor's file from a folder of photographs of a ball instead, without
 force and without a stage: idle image, scale, shading, and a report that says what photographs do
 not tell. With `--data` beside it, the gel's constants are then fitted to presses with force.
-docs/guided.md walks through it.
+docs/calibration.md walks through it.
 """
 
 from __future__ import annotations

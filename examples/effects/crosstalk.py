@@ -3,7 +3,7 @@
 
 """Crosstalk: the gauge's x axis reads a share of the force along z.
 
-An effect is a file that holds an EFFECT of its own name; docs/gap_finder.md explains each field.
+An effect is a file that holds an EFFECT of its own name; docs/extend.md explains each field.
 """
 
 from dataclasses import replace

@@ -83,7 +83,7 @@ def test_a_pinhole_agrees_with_opencv(aspect):
 
 @pytest.mark.parametrize("projection", ["equidistant", "pinhole"])
 def test_the_focal_lengths_of_a_calibrated_camera_come_back(projection):
-    """By the formulas of docs/sensor_fields.md."""
+    """By the formulas of docs/api/sensor_fields.md."""
     focal_x, focal_y, height = 412.0, 388.0, 480
     half = 0.5 * height / focal_y
     angle_rad = half if projection == "equidistant" else np.arctan(half)

@@ -55,23 +55,21 @@ def rows(text: str) -> list[list[str]]:
     return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[2:]]
 
 
-def test_the_example_of_an_effect_works(tmp_path: Path) -> None:
-    code = blocks(section(text_of("extend.md"), "An effect"), "python")[0]
-    (tmp_path / "crosstalk.py").write_text(code, encoding="utf-8")
-    effect = load_effects([tmp_path])["crosstalk"]
+def test_the_example_of_an_effect_works() -> None:
+    effect = load_effects([ROOT / "examples" / "effects"])["crosstalk"]
     mixed = response_filters([Active(effect, effect.checked({}))])
     nowhere = np.zeros((1, 3))
     given = Response(0.0, 0.0, Pose(np.zeros(3)), 1e-3, nowhere, nowhere, np.array([0.1, 0.0, 2.0]))
-    assert mixed(given).force_n == pytest.approx([0.16, 0.0, 2.0])
+    assert mixed(given).force_n == pytest.approx([0.3, 0.0, 2.0])
     assert not effect.needs_solve
 
 
 def test_the_example_of_a_sensor_is_one(tmp_path: Path) -> None:
-    path = tmp_path / "small_dome.yaml"
-    path.write_text(blocks(section(text_of("extend.md"), "A sensor"), "yaml")[0])
+    path = tmp_path / "my_pad.yaml"
+    path.write_text(blocks(section(text_of("sensors.md"), "Your own sensor"), "yaml")[0])
     sensor = load_sensor(path)
-    assert sensor.name == "small_dome"
-    assert sensor.material.law == "yeoh"
+    assert sensor.name == "my_pad"
+    assert (sensor.markers.columns, sensor.markers.rows) == (7, 5)
 
 
 def test_the_example_of_an_indenter_is_one(tmp_path: Path) -> None:

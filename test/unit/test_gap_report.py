@@ -278,6 +278,3 @@ def test_text_is_never_taken_for_markup() -> None:
 def test_a_figure_too_wide_for_a_phone_is_refused() -> None:
     with pytest.raises(ValueError, match=r"expected at most 3\.6"), page_figure(9.0, 3.0):
         pass
-
-
-GUIDE = Path(__file__).parents[2] / "docs" / "gap_finder.md"

@@ -422,9 +422,9 @@ def test_a_number_without_a_range_cannot_be_a_field() -> None:
 
 
 def test_the_page_of_the_fields_is_up_to_date() -> None:
-    page = (ROOT / "docs" / "sensor_fields.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "api" / "sensor_fields.md").read_text(encoding="utf-8")
     assert page == field_page(), (
-        "run: python -m dotsim_ros.specification --markdown docs/sensor_fields.md"
+        "run: python -m dotsim_ros.specification --markdown docs/api/sensor_fields.md"
     )
     for kind in SECTIONS.values():
         for name in quantities_of(kind):
