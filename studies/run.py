@@ -24,7 +24,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,28 @@ from studies.results_page import RESULTS, tables_of
 ROOT = Path(__file__).resolve().parents[1]
 FAILED = "failed"
 """Key of the figures under which a study lists what failed."""
+
+
+def expect_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Check that names are known ones, and that there is one.
+
+    Raises:
+        ValueError: they are not; says which ones there are.
+    """
+    names, choices = list(given), list(known)
+    if unknown := [name for name in names if name not in choices] or ([] if names else ["named"]):
+        raise ValueError(f"no {what} {', '.join(unknown)}; choose from {', '.join(choices)}")
+
+
+def expect_positive(**given: float) -> None:
+    """Check that numbers are above zero.
+
+    Raises:
+        ValueError: one is not; names it.
+    """
+    for name, value in given.items():
+        if not value > 0:
+            raise ValueError(f"{name} is {value:g}, expected more than 0")
 
 
 @dataclass(frozen=True)
@@ -168,8 +190,10 @@ def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None =
     if function is not study.load():
         function(*bound.args, **bound.kwargs)
         return True
+    # A study may write what the tree holds; the commit is that of the tree that it began with.
+    origin = provenance()
     figures = function(**{**study.options, **bound.arguments})
-    record = {**provenance(), **figures}
+    record = {**origin, **figures}
     print(tables_of(f"{name}.json", record))
     if file is not None:
         write_json(file, record)
