@@ -138,7 +138,23 @@ STUDIES: dict[str, Study] = {
         5,
         command=f"dotsim_ros calibrate-camera {SENSOR_A} --sensor sensor_a --out out/camera.yaml",
     ),
+    "coupling": Study(5, "speed.coupling:coupling"),
+    "device_check": Study(8, "speed.device_check:device_check"),
+    "drop_in": Study(6, "speed.drop_in:drop_in"),
     "environments": Study(5, "speed.environments:environments"),
+    "force_control": Study(5, "speed.force_control:force_control"),
+    "live": Study(2, "speed.live:live"),
+    "profiles": Study(10, "speed.profiles:profiles"),
+    "realtime": Study(8, "speed.realtime:realtime"),
+    "realtime_learned": Study(
+        4,
+        "speed.realtime:realtime",
+        {"sensor": "sensor_a", "seconds": 30.0, "case_frames": 40, "start_up": False},
+    ),
+    "scale_out": Study(10, "speed.scale_out:scale_out"),
+    "sensors": Study(5, "speed.sensors:sensors"),
+    "slow_machine": Study(5, "speed.slow_machine:slow_machine"),
+    "soak": Study(31, "speed.soak:soak"),
 }
 
 
