@@ -109,6 +109,7 @@ APART = (
     "3_lying_cylinder --out out/apart/apart.yaml"
 )
 STUDIES: dict[str, Study] = {
+    "accuracy": Study(30, "geometry.accuracy:accuracy"),
     "calibration_sensor_a": Study(
         15,
         command=f"dotsim_ros calibrate {SENSOR_A} --workers 1 --run out/run_first --out "
@@ -138,12 +139,21 @@ STUDIES: dict[str, Study] = {
         5,
         command=f"dotsim_ros calibrate-camera {SENSOR_A} --sensor sensor_a --out out/camera.yaml",
     ),
+    "closed_loop": Study(5, "trajectory.closed_loop:closed_loop"),
     "coupling": Study(5, "speed.coupling:coupling"),
+    "coverage_units": Study(25, "gap.coverage_units:coverage_units"),
     "device_check": Study(8, "speed.device_check:device_check"),
     "drop_in": Study(6, "speed.drop_in:drop_in"),
     "environments": Study(5, "speed.environments:environments"),
+    "find_gap": Study(30, "gap.search_time:find_gap"),
     "force_control": Study(5, "speed.force_control:force_control"),
+    "gap_images": Study(10, "gap.images_study:gap_images"),
+    "gap_nulls": Study(30, "gap.nulls_study:gap_nulls"),
+    "gap_open": Study(30, "gap.open_study:gap_open"),
+    "gap_rendered": Study(35, "gap.rendered_study:gap_rendered"),
     "live": Study(2, "speed.live:live"),
+    "loop_faults": Study(20, "trajectory.loop_faults:loop_faults"),
+    "optics_network": Study(5, "optics.optics_network:optics_network"),
     "profiles": Study(10, "speed.profiles:profiles"),
     "realtime": Study(8, "speed.realtime:realtime"),
     "realtime_learned": Study(
@@ -151,8 +161,11 @@ STUDIES: dict[str, Study] = {
         "speed.realtime:realtime",
         {"sensor": "sensor_a", "seconds": 30.0, "case_frames": 40, "start_up": False},
     ),
+    "reference": Study(45, "reference.study:reference"),
+    "residual_size": Study(15, "optics.residual_size:residual_size"),
     "scale_out": Study(10, "speed.scale_out:scale_out"),
     "sensors": Study(5, "speed.sensors:sensors"),
+    "simulated_loop": Study(70, "trajectory.simulated_loop:simulated_loop"),
     "slow_machine": Study(5, "speed.slow_machine:slow_machine"),
     "soak": Study(31, "speed.soak:soak"),
 }

@@ -56,8 +56,8 @@ def soak(*, minutes: float = 30.0) -> dict[str, Any]:
     """
     if minutes < SHORTEST_MINUTES:
         raise ValueError(
-            f"minutes is {minutes:g}, expected {SHORTEST_MINUTES:g} or more: memory is sampled once "
-            "a second"
+            f"minutes is {minutes:g}, expected {SHORTEST_MINUTES:g} or more: memory is sampled "
+            "once a second"
         )
     waiting: dict[int, float] = {}
     latency_s: list[float] = []
