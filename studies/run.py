@@ -168,6 +168,7 @@ STUDIES: dict[str, Study] = {
     "simulated_loop": Study(70, "trajectory.simulated_loop:simulated_loop"),
     "slow_machine": Study(5, "speed.slow_machine:slow_machine"),
     "soak": Study(31, "speed.soak:soak"),
+    "speed": Study(10, "speed.speed:speed"),
 }
 
 

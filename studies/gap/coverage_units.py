@@ -58,9 +58,9 @@ def coverage_units(
         if half in (None, record.half) and opened_truth(sets, record)["kind"] == NULL
     ]
     progress, rows = PrintedProgress(), []
-    for number, record in enumerate(nulls, start=1):
-        rows += _rows(sets, record, sensor, workers)
+    for number, record in enumerate(nulls):
         progress("units", number, len(nulls))
+        rows += _rows(sets, record, sensor, workers)
     names = list(dict.fromkeys(row["parameter"] for row in rows))
     halves = list(dict.fromkeys(row["half"] for row in rows))
     shares = {

@@ -53,8 +53,8 @@ def gap_nulls(
     source = Source(data, load_sensor(sensor), run or cache_directory() / "gap", workers, silent)
     progress, cases = PrintedProgress(), []
     for seed in range(count):
+        progress("searches", seed, count)
         cases.append(_searched(source, seed))
-        progress("searches", seed + 1, count)
     return {
         "false_names": sum(bool(case["named"]) for case in cases),
         "of": len(cases),

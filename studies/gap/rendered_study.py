@@ -219,8 +219,9 @@ def gap_rendered(
     )
     null = fit_noise_of_images(request, PrintedProgress())
     save_optical_null(null, noise)
-    results = []
-    for plan in later:
+    progress, results = PrintedProgress(), []
+    for number, plan in enumerate(later):
+        progress("sets", number, len(later))
         findings, _ = find_gap_with_images(
             replace(request, measured=sets / plan.name), PrintedProgress()
         )

@@ -109,9 +109,9 @@ def find_gap(
     # Warp adds its version to the folder that it is given.
     kernels = Path(wp.config.kernel_cache_dir).parent
     progress, runs = PrintedProgress(), []
-    for number, each in enumerate(measured, start=1):
-        runs.append(cold_run(each, options, kernels))
+    for number, each in enumerate(measured):
         progress("searches", number, len(measured))
+        runs.append(cold_run(each, options, kernels))
     shares = np.array(
         [
             said_s / left_s
