@@ -80,8 +80,8 @@ class PosePublisher:
 
     def __init__(self, node: Node, *, namespace: str = "", quality: QoSProfile | int = 1) -> None:
         self._node = node
-        self._frame_id = f"{namespace}_densetact_base" if namespace else "densetact_base"
-        topic = f"/{namespace}/indenter/pose" if namespace else "/indenter/pose"
+        self._frame_id = f"{namespace}_densetact_base".lstrip("_")
+        topic = f"{namespace}/indenter/pose".lstrip("/")
         self._publisher = node.create_publisher(PoseStamped, topic, quality)
 
     def has_reader(self) -> bool:
