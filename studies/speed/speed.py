@@ -36,6 +36,7 @@ from studies.speed.realtime import (
     measure_sensor,
     motion_under_load,
     shape_of,
+    speedup,
 )
 from studies.timing import percentiles_ms
 
@@ -140,7 +141,7 @@ def speed(
             name: {
                 "gel_p50_ms": case["gel_p50_ms"],
                 "gel_p95_ms": case["gel_p95_ms"],
-                "speedup": round(explicit_frame_ms / case["gel_p95_ms"], 1),
+                "speedup": speedup(case, explicit_frame_ms),
             }
             for name, case in cases.items()
         },
