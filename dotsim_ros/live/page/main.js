@@ -28,7 +28,7 @@ let patience = null;
 let picture = null;
 let playing = null;
 const sequence = {skin: null, history: null};
-// Milliseconds from each drag to the skin drawn, the newest last; studies/speed/live.py reads it.
+// Milliseconds from each drag to the skin drawn, the newest last; benchmarks read it.
 window.lagsMs = [];
 
 const view = new SceneView(get("scene"), (position, quaternion, since) => {
