@@ -227,7 +227,10 @@ def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None =
     print(tables_of(f"{name}.json", record))
     if file is not None:
         write_json(file, record)
-    return not figures.get(FAILED)
+    failed = figures.get(FAILED, [])
+    for reason in failed:
+        print(f"{name}: {reason}", file=sys.stderr)
+    return not failed
 
 
 def main(arguments: Sequence[str]) -> int:
