@@ -35,6 +35,8 @@ def provenance() -> dict[str, str]:
 def _command() -> str:
     """Return the command without the folder that this machine keeps its executables in."""
     program = Path(sys.argv[0])
+    if program.name == "__main__.py":
+        return " ".join(["python -m", program.parent.name, *sys.argv[1:]])
     # A virtual environment may be reached by a link.
     is_installed = program.parent.resolve() == Path(sys.executable).parent.resolve()
     called = [program.name] if is_installed else ["python", sys.argv[0]]

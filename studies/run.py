@@ -24,7 +24,7 @@ import shlex
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -39,6 +39,28 @@ from studies.results_page import RESULTS, tables_of
 ROOT = Path(__file__).resolve().parents[1]
 FAILED = "failed"
 """Key of the figures under which a study lists what failed."""
+
+
+def expect_known(what: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Check that names are known ones, and that there is one.
+
+    Raises:
+        ValueError: they are not; says which ones there are.
+    """
+    names, choices = list(given), list(known)
+    if unknown := [name for name in names if name not in choices] or ([] if names else ["named"]):
+        raise ValueError(f"no {what} {', '.join(unknown)}; choose from {', '.join(choices)}")
+
+
+def expect_positive(**given: float) -> None:
+    """Check that numbers are above zero.
+
+    Raises:
+        ValueError: one is not; names it.
+    """
+    for name, value in given.items():
+        if not value > 0:
+            raise ValueError(f"{name} is {value:g}, expected more than 0")
 
 
 @dataclass(frozen=True)
@@ -87,6 +109,7 @@ APART = (
     "3_lying_cylinder --out out/apart/apart.yaml"
 )
 STUDIES: dict[str, Study] = {
+    "accuracy": Study(30, "geometry.accuracy:accuracy"),
     "calibration_sensor_a": Study(
         15,
         command=f"dotsim_ros calibrate {SENSOR_A} --workers 1 --run out/run_first --out "
@@ -116,7 +139,36 @@ STUDIES: dict[str, Study] = {
         5,
         command=f"dotsim_ros calibrate-camera {SENSOR_A} --sensor sensor_a --out out/camera.yaml",
     ),
+    "closed_loop": Study(5, "trajectory.closed_loop:closed_loop"),
+    "coupling": Study(5, "speed.coupling:coupling"),
+    "coverage_units": Study(25, "gap.coverage_units:coverage_units"),
+    "device_check": Study(8, "speed.device_check:device_check"),
+    "drop_in": Study(6, "speed.drop_in:drop_in"),
     "environments": Study(5, "speed.environments:environments"),
+    "find_gap": Study(30, "gap.search_time:find_gap"),
+    "force_control": Study(5, "speed.force_control:force_control"),
+    "gap_images": Study(10, "gap.images_study:gap_images"),
+    "gap_nulls": Study(30, "gap.nulls_study:gap_nulls"),
+    "gap_open": Study(30, "gap.open_study:gap_open"),
+    "gap_rendered": Study(35, "gap.rendered_study:gap_rendered"),
+    "live": Study(2, "speed.live:live"),
+    "loop_faults": Study(20, "trajectory.loop_faults:loop_faults"),
+    "optics_network": Study(5, "optics.optics_network:optics_network"),
+    "profiles": Study(10, "speed.profiles:profiles"),
+    "realtime": Study(8, "speed.realtime:realtime"),
+    "realtime_learned": Study(
+        4,
+        "speed.realtime:realtime",
+        {"sensor": "sensor_a", "seconds": 30.0, "case_frames": 40, "start_up": False},
+    ),
+    "reference": Study(45, "reference.study:reference"),
+    "residual_size": Study(15, "optics.residual_size:residual_size"),
+    "scale_out": Study(10, "speed.scale_out:scale_out"),
+    "sensors": Study(5, "speed.sensors:sensors"),
+    "simulated_loop": Study(70, "trajectory.simulated_loop:simulated_loop"),
+    "slow_machine": Study(5, "speed.slow_machine:slow_machine"),
+    "soak": Study(31, "speed.soak:soak"),
+    "speed": Study(10, "speed.speed:speed"),
 }
 
 
@@ -168,12 +220,17 @@ def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None =
     if function is not study.load():
         function(*bound.args, **bound.kwargs)
         return True
+    # A study may write what the tree holds; the commit is that of the tree that it began with.
+    origin = provenance()
     figures = function(**{**study.options, **bound.arguments})
-    record = {**provenance(), **figures}
+    record = {**origin, **figures}
     print(tables_of(f"{name}.json", record))
     if file is not None:
         write_json(file, record)
-    return not figures.get(FAILED)
+    failed = figures.get(FAILED, [])
+    for reason in failed:
+        print(f"{name}: {reason}", file=sys.stderr)
+    return not failed
 
 
 def main(arguments: Sequence[str]) -> int:

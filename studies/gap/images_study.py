@@ -4,20 +4,15 @@
 """How often the gap finder is right about effects of the camera: nulls, and hidden laws by size.
 
 The images are those of a measured data set. What images show where nothing is missing is learnt
-from the trajectories that the twin's network was fitted on (`--noise` writes the file that the
+from the trajectories that the twin's network was fitted on (RUN/optical_noise.npz, which the
 package ships); all that is judged comes from the others: nulls are subsets of them as they were
-measured, cases are hidden laws (`evaluation.gap.hidden.images`) applied to one subset. The nulls
+measured, cases are hidden laws (`studies.hidden.images`) applied to one subset. The nulls
 are also drawn the other way round, learnt from the held-out trajectories and judged on subsets of
 the fitted ones. Subsets overlap, so these are fewer independent draws than their number.
-
-example:
-  python benchmarks/gap_images.py --data ../shared/measured/sensor_a --run out/gap_images \
-      --noise params/gap/optical_noise.npz --json docs/results/gap_images.json
 """
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -29,7 +24,7 @@ import numpy as np
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.files import given_path, write_json
+from dotsim_ros.files import given_path
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
 from dotsim_ros.gap.images.find import case_of
@@ -39,9 +34,10 @@ from dotsim_ros.gap.images.search import Signature, signatures_of
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.optics.network.card import read_network
 from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
+from studies.data import SENSOR_A
 from studies.hidden.images import LAWS, ImageLaw, Takes, taken
+from studies.run import expect_known, expect_positive
 
 Signatures = Mapping[str, Sequence[Signature]]
 
@@ -89,7 +85,7 @@ class Study:
         )
 
 
-def nulls(
+def answers_to_nulls(
     study: Study, null: OpticalNull, names: Sequence[str], count: int, seed: int
 ) -> list[dict[str, Any]]:
     """Return what the finder makes of subsets of trajectories as they were measured."""
@@ -109,7 +105,6 @@ def nulls(
                 "largest_excess": answer.largest_excess,
             }
         )
-        print(f"null {number}: {answer.verdict.value}, {answer.statistic:.1f}", flush=True)
     return found
 
 
@@ -128,7 +123,7 @@ def power(search: ImageSearch, law: ImageLaw, size: float) -> dict[str, Any]:
         is_in_set = answer.verdict is Verdict.SET and law.library in {*named, *answer.alternatives}
     else:
         is_right, is_in_set = answer.verdict is Verdict.UNKNOWN, False
-    result = {
+    return {
         "law": law.name,
         "library": law.library,
         "size": size,
@@ -148,64 +143,49 @@ def power(search: ImageSearch, law: ImageLaw, size: float) -> dict[str, Any]:
             for name, estimates in answer.estimates.items()
         },
     }
-    print(
-        f"{law.name} {size:g}: {answer.verdict.value} {named} {list(answer.alternatives)}, "
-        f"{answer.statistic:.0f}",
-        flush=True,
-    )
-    return result
 
 
-def main() -> int:
-    """Run the study."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--data", type=Path, required=True, help="folder of the data set")
-    parser.add_argument("--sensor", default="sensor_a", help="name or file of the twin (sensor_a)")
-    parser.add_argument("--run", type=Path, required=True, help="folder of the solves")
-    parser.add_argument("--noise", type=Path, help="write what nulls show here")
-    parser.add_argument("--nulls", type=int, default=12, help="of each of the two ways (12)")
-    parser.add_argument("--laws", nargs="*", default=list(LAWS), choices=list(LAWS), help="(all)")
-    parser.add_argument("--json", type=Path, help="write the figures here")
-    arguments = parser.parse_args()
+def gap_images(
+    *,
+    data: Path = SENSOR_A,
+    sensor: str = "sensor_a",
+    run: Path = Path("out/gap_images"),
+    nulls: int = 12,
+    laws: tuple[str, ...] = tuple(LAWS),
+) -> dict[str, Any]:
+    """How often the gap finder is right about effects of the camera.
+
+    Args:
+        data: folder of the data set.
+        sensor: name or file of the twin.
+        run: folder of the solves, and of what nulls show.
+        nulls: of each of the two ways.
+        laws: that are hidden, of `studies.hidden.images`.
+    """
+    expect_positive(nulls=nulls)
+    expect_known("law", laws, LAWS)
     begun_s = time.monotonic()
-    # Before the noise is written, which may be a file that the repository holds.
-    made_by = provenance()
-    sensor = load_sensor(arguments.sensor)
-    card = read_network(given_path(sensor.camera.residual))
+    twin = load_sensor(sensor)
+    card = read_network(given_path(twin.camera.residual))
     effects = [effect for effect in load_effects().values() if effect.image is not None]
-    request = GapRequest(arguments.data, sensor, arguments.run, workers=1)
+    request = GapRequest(data, twin, run, workers=1)
     study = Study(case_of(request, PrintedProgress()), effects)
     there = {shot.name for shot in study.case.shots}
     fitted = [name for name in card.data["train"] if name in there]
     others = [name for name in card.data["held_out"] if name in there]
-    data = arguments.data.name
-    source = f"{len(fitted)} trajectories of {data} that the network of {sensor.name} was fitted on"
-    null = study.null(fitted, sensor.name, source)
-    if arguments.noise is not None:
-        save_optical_null(null, arguments.noise)
-    swapped = study.null(others, sensor.name, f"{len(others)} trajectories held out")
+    source = (
+        f"{len(fitted)} trajectories of {data.name} that the network of {twin.name} was fitted on"
+    )
+    null = study.null(fitted, twin.name, source)
+    save_optical_null(null, run / "optical_noise.npz")
+    swapped = study.null(others, twin.name, f"{len(others)} trajectories held out")
     search = study.search(others[:: len(others) // SUBSET or 1][:SUBSET], null)
-    held_out = nulls(study, null, others, arguments.nulls, 1)
-    the_other_way = nulls(study, swapped, fitted, arguments.nulls, 2)
-    cases = [(LAWS[name], size) for name in arguments.laws for size in LAWS[name].sizes]
-    figures = {
-        "provenance": made_by,
+    return {
         "source": source,
         "pictures": sum(len(shot.measured) for shot in study.case.shots),
-        "held_out": held_out,
-        "swapped": the_other_way,
+        "held_out": answers_to_nulls(study, null, others, nulls, 1),
+        "swapped": answers_to_nulls(study, swapped, fitted, nulls, 2),
         "power_trajectories": [shot.name for shot in search.shots],
-        "power": [power(search, law, size) for law, size in cases],
+        "power": [power(search, LAWS[name], size) for name in laws for size in LAWS[name].sizes],
         "seconds": time.monotonic() - begun_s,
     }
-    if arguments.json is not None:
-        write_json(arguments.json, figures)
-    wrong = [one for one in (*held_out, *the_other_way) if one["verdict"] != "no_gap"]
-    print(f"{len(wrong)} false names in {len(held_out) + len(the_other_way)} nulls")
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

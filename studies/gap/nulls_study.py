@@ -3,8 +3,6 @@
 
 """How often the whole search gives a name to presses in which nothing is missing.
 
-    python benchmarks/gap_nulls.py --data DIR --sensor NAME --json docs/results/gap_nulls.json
-
 Each case is a data set of eight trajectories of an independent solver, read, calibrated, screened
 and refitted as any other. All that the search knows of presses without an effect comes from the
 half of the trajectories that the case was not drawn from. Cases share presses.
@@ -12,7 +10,6 @@ half of the trajectories that the case was not drawn from. Cases share presses.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import tempfile
 import time
@@ -22,80 +19,80 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dotsim_ros.files import cache_directory, write_json
+from dotsim_ros.files import cache_directory
 from dotsim_ros.gap.presses.covariance import save_discrepancy
 from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.measured.data_set import INDEX, read_data_set
-from dotsim_ros.provenance import provenance
+from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.specification import load_sensor
+from studies.data import SENSOR_A
 from studies.gap.discrepancy import calibrated_discrepancy
 from studies.gap.presses import CASE_SIZE, Source, halves, silent
+from studies.run import expect_positive
 
 
-def main() -> None:
-    """Search the cases and print a line for each."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--data", type=Path, required=True, help="a data set without any effect")
-    parser.add_argument("--sensor", default="sensor_a", help="calibrated to it")
-    parser.add_argument("--count", type=int, default=12, help="cases")
-    parser.add_argument("--run", type=Path, help="folder of the solves (the user's cache)")
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    run = arguments.run or cache_directory() / "gap"
-    sensor = load_sensor(arguments.sensor)
-    source = Source(arguments.data, sensor, run, arguments.workers, silent)
-    names = [entry.name for entry in read_data_set(arguments.data).entries]
-    # Before a file is written: a tracked one that has changed would count as a changed tree.
-    origin, false = provenance(), 0
-    cases: list[dict[str, Any]] = []
-    for seed in range(arguments.count):
-        known, tested = halves(names, seed)
-        discrepancy = calibrated_discrepancy(source, known, seed)
-        random = np.random.default_rng([seed, 5])
-        drawn = sorted(random.choice(tested, CASE_SIZE, replace=False).tolist())
-        with tempfile.TemporaryDirectory() as folder:
-            data, covariance = Path(folder) / "data", Path(folder) / "discrepancy.npz"
-            _link(arguments.data.resolve(), data, drawn)
-            save_discrepancy(discrepancy, covariance)
-            begun_s = time.monotonic()
-            findings, _ = search_presses(
-                GapRequest(
-                    measured=data,
-                    sensor=sensor,
-                    directory=run,
-                    seed=seed,
-                    workers=arguments.workers,
-                    discrepancy=covariance,
-                ),
-                silent,
-            )
-        cases.append(
-            {
-                "seed": seed,
-                "trajectories": drawn,
-                "verdict": findings.verdict.value,
-                "named": list(findings.named),
-                "gain": round(findings.statistic, 1),
-                "limit": round(findings.threshold, 1),
-                "seconds": round(time.monotonic() - begun_s, 1),
-            }
+def gap_nulls(
+    *,
+    data: Path = SENSOR_A,
+    sensor: str = "sensor_a",
+    count: int = 12,
+    run: Path | None = None,
+    workers: int = 1,
+) -> dict[str, Any]:
+    """How often the whole search gives a name to presses in which nothing is missing.
+
+    Args:
+        data: a data set without any effect.
+        sensor: calibrated to it.
+        count: of the cases.
+        run: folder of the solves; the user's cache where none is given.
+        workers: processes.
+    """
+    expect_positive(count=count, workers=workers)
+    source = Source(data, load_sensor(sensor), run or cache_directory() / "gap", workers, silent)
+    progress, cases = PrintedProgress(), []
+    for seed in range(count):
+        progress("searches", seed, count)
+        cases.append(_searched(source, seed))
+    return {
+        "false_names": sum(bool(case["named"]) for case in cases),
+        "of": len(cases),
+        "cases": cases,
+    }
+
+
+def _searched(source: Source, seed: int) -> dict[str, Any]:
+    """Return what the search makes of a draw of trajectories, knowing half of the others."""
+    known, tested = halves([entry.name for entry in read_data_set(source.directory).entries], seed)
+    discrepancy = calibrated_discrepancy(source, known, seed)
+    random = np.random.default_rng([seed, 5])
+    drawn = sorted(random.choice(tested, CASE_SIZE, replace=False).tolist())
+    with tempfile.TemporaryDirectory() as folder:
+        measured, covariance = Path(folder) / "data", Path(folder) / "discrepancy.npz"
+        _link(source.directory.resolve(), measured, drawn)
+        save_discrepancy(discrepancy, covariance)
+        begun_s = time.monotonic()
+        findings, _ = search_presses(
+            GapRequest(
+                measured=measured,
+                sensor=source.sensor,
+                directory=source.run,
+                seed=seed,
+                workers=source.workers,
+                discrepancy=covariance,
+            ),
+            silent,
         )
-        shown = cases[-1]
-        print(
-            f"{seed}: {shown['verdict']} {' '.join(shown['named'])} "
-            f"({shown['gain']} of {shown['limit']}, {shown['seconds']} s)",
-            flush=True,
-        )
-        # After each: one takes minutes, and those before it stand if it is broken off.
-        false = sum(bool(case["named"]) for case in cases)
-        if arguments.json is not None:
-            figures = {"false_names": false, "of": len(cases), "cases": cases}
-            write_json(arguments.json, {**figures, "provenance": origin})
-    print(f"false names: {false} of {len(cases)}")
+    return {
+        "seed": seed,
+        "trajectories": drawn,
+        "verdict": findings.verdict.value,
+        "named": list(findings.named),
+        "gain": round(findings.statistic, 1),
+        "limit": round(findings.threshold, 1),
+        "seconds": round(time.monotonic() - begun_s, 1),
+    }
 
 
 def _link(source: Path, target: Path, names: list[str]) -> None:
@@ -110,7 +107,3 @@ def _link(source: Path, target: Path, names: list[str]) -> None:
     (target / INDEX).write_text(yaml.safe_dump(index), encoding="utf-8")
     shutil.copy(source / "skin_mesh.npz", target)
     (target / "indenters").symlink_to(source / "indenters")
-
-
-if __name__ == "__main__":
-    main()

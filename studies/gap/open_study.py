@@ -3,8 +3,6 @@
 
 """What the gap finder answers on data sets whose effect an independent solver has solved.
 
-    python benchmarks/gap_open.py --data DIR --sensor sensor_a --json docs/results/gap_open.json
-
 Each folder `open_*` of DIR is searched as `find-gap` searches it; only then is its truth read. The
 seconds are those of the whole search; nothing is kept from one set for the next, but kernels and
 the gel's tables are those of the user's cache.
@@ -12,17 +10,16 @@ the gel's tables are those of the user's cache.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from dotsim_ros.documents import read_json
-from dotsim_ros.files import write_json
 from dotsim_ros.gap.find import find_gap
 from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.provenance import provenance
+from studies.data import MEASURED
 from studies.gap.solved_score import outcome_of
+from studies.run import expect_known, expect_positive
 
 HIDDEN: dict[str, set[str]] = {
     "open_none": set(),
@@ -37,38 +34,44 @@ HIDDEN: dict[str, set[str]] = {
 """The library's names for what the sets' README says of them."""
 
 
-def main() -> None:
-    """Search the sets and print a line for each."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--data", type=Path, required=True, help="folder of the data sets")
-    parser.add_argument("--sensor", default="sensor_a", help="the twin")
-    parser.add_argument("--sets", nargs="+", choices=list(HIDDEN), default=list(HIDDEN))
-    parser.add_argument("--workers", type=int, default=2, help="processes")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    rows = [_searched(name, arguments) for name in arguments.sets]
-    right = sum(row["outcome"] in ("right", "in the set") for row in rows)
-    print(f"right, or in the set: {right} of {len(rows)}")
-    if arguments.json is not None:
-        figures = {"right_or_in_the_set": right, "of": len(rows), "sets": rows}
-        write_json(arguments.json, {**figures, "provenance": provenance()})
+def gap_open(
+    *,
+    data: Path = MEASURED,
+    sensor: str = "sensor_a",
+    sets: tuple[str, ...] = tuple(HIDDEN),
+    workers: int = 2,
+) -> dict[str, Any]:
+    """What the gap finder answers on data sets whose effect an independent solver has solved.
+
+    Args:
+        data: folder of the data sets.
+        sensor: name or file of the twin.
+        sets: names of their folders.
+        workers: processes.
+    """
+    expect_positive(workers=workers)
+    expect_known("set", sets, HIDDEN)
+    rows = [_searched(data, name, sensor, workers) for name in sets]
+    return {
+        "right_or_in_the_set": sum(row["outcome"] in ("right", "in the set") for row in rows),
+        "of": len(rows),
+        "sets": rows,
+    }
 
 
-def _searched(name: str, arguments: argparse.Namespace) -> dict[str, Any]:
-    folder = arguments.data / name
+def _searched(data: Path, name: str, sensor: str, workers: int) -> dict[str, Any]:
+    folder = data / name
     with tempfile.TemporaryDirectory() as out:
         findings = find_gap(
             folder,
-            sensor=arguments.sensor,
-            indenters=arguments.data / "sensor_a" / "indenters",
+            sensor=sensor,
+            indenters=data / "sensor_a" / "indenters",
             out=Path(out),
-            workers=arguments.workers,
+            workers=workers,
             progress=PrintedProgress(),
         )
     verdict = findings.verdict.value
-    row = {
+    return {
         "set": name,
         "verdict": verdict,
         "named": list(findings.named),
@@ -90,13 +93,3 @@ def _searched(name: str, arguments: argparse.Namespace) -> dict[str, Any]:
         "truth": read_json(folder / "truth.json"),
         "outcome": outcome_of(verdict, findings.named, findings.alternatives, HIDDEN[name]),
     }
-    print(
-        f"{name}: {verdict} {' '.join(findings.named)}, {row['outcome']} "
-        f"({row['statistic']} of {row['threshold']}, {row['seconds']} s)",
-        flush=True,
-    )
-    return row
-
-
-if __name__ == "__main__":
-    main()

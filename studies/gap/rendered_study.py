@@ -3,21 +3,16 @@
 
 """How often the gap finder is right about images of an independent renderer.
 
-A path tracer (Mitsuba 3, `evaluation.gap.hidden.path_traced`) renders the skins of a measured data
+A path tracer (Mitsuba 3, `studies.hidden.path_traced`) renders the skins of a measured data
 set: a commissioning, from which the finder learns what its images show where nothing is
 missing, and later sets of other trajectories, of which some hide an effect in the scene or in the
 camera. The twin has the gel of a sensor's file, the camera and the LEDs as the scene has them, and
 no network.
 Each set's truth is sealed beside it, its hash printed first, and opened after the finder's answer.
-
-example:
-  python benchmarks/gap_rendered.py --data ../shared/measured/sensor_a --run out/gap_rendered \
-      --json docs/results/gap_rendered.json
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
 from collections.abc import Sequence
@@ -29,7 +24,6 @@ import cv2
 import numpy as np
 import yaml
 
-from dotsim_ros.files import write_json
 from dotsim_ros.gap.find import find_gap_with_images
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.images.find import fit_noise_of_images
@@ -38,8 +32,8 @@ from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import CameraSpecification, SensorSpecification, load_sensor
+from studies.data import SENSOR_A
 from studies.hidden.path_traced import (
     LED_AZIMUTH_DEG,
     LED_HEIGHT_M,
@@ -50,6 +44,7 @@ from studies.hidden.path_traced import (
 from studies.hidden.reality import Truth, write_truth
 from studies.hidden.rendered_laws import LAWS
 from studies.hidden.rendered_unit import LEAK, Studio
+from studies.run import expect_positive
 
 ALPHA = 0.02
 NULLS = 4
@@ -183,34 +178,39 @@ def noise_figures(null: OpticalNull) -> dict[str, Any]:
     }
 
 
-def main() -> int:
-    """Run the study."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--data", type=Path, required=True, help="measured data set with skins")
-    parser.add_argument("--sensor", default="sensor_a", help="whose gel the twin has (sensor_a)")
-    parser.add_argument("--run", type=Path, required=True, help="folder of the data sets")
-    parser.add_argument("--seed", type=int, default=0, help="of trajectories and order (0)")
-    parser.add_argument("--samples", type=int, default=12, help="rays a pixel and colour (12)")
-    parser.add_argument("--json", type=Path, help="write the figures here")
-    arguments = parser.parse_args()
+def gap_rendered(
+    *,
+    data: Path = SENSOR_A,
+    sensor: str = "sensor_a",
+    run: Path = Path("out/gap_rendered"),
+    seed: int = 2,
+    samples: int = 12,
+) -> dict[str, Any]:
+    """How often the gap finder is right about images of an independent renderer.
+
+    Args:
+        data: measured data set with skins.
+        sensor: whose gel the twin has.
+        run: folder of the data sets.
+        seed: of trajectories and order.
+        samples: rays a pixel and colour.
+    """
+    expect_positive(samples=samples)
     begun_s = time.monotonic()
-    source = read_data_set(arguments.data)
+    source = read_data_set(data)
     mitsuba = open_mitsuba()
-    studio = Studio(source, mitsuba, sample_count=arguments.samples)
-    first, later = plans([entry.name for entry in source.entries], arguments.seed)
-    sets = arguments.run / "sets"
+    studio = Studio(source, mitsuba, sample_count=samples)
+    first, later = plans([entry.name for entry in source.entries], seed)
+    sets = run / "sets"
     for plan in (first, *later):
         render(studio, plan, sets)
     rendered_s = time.monotonic() - begun_s
-    sensor = twin(load_sensor(arguments.sensor), sets / first.name, arguments.run)
-    noise = arguments.run / "optical_noise.npz"
+    noise = run / "optical_noise.npz"
     # Solves are shared by all sets.
     request = GapRequest(
         sets / first.name,
-        sensor,
-        arguments.run,
+        twin(load_sensor(sensor), sets / first.name, run),
+        run,
         reference=sets / first.name,
         channels=("image",),
         alpha=ALPHA,
@@ -219,18 +219,17 @@ def main() -> int:
     )
     null = fit_noise_of_images(request, PrintedProgress())
     save_optical_null(null, noise)
-    results = []
-    for plan in later:
+    progress, results = PrintedProgress(), []
+    for number, plan in enumerate(later):
+        progress("sets", number, len(later))
         findings, _ = find_gap_with_images(
             replace(request, measured=sets / plan.name), PrintedProgress()
         )
         results.append(judged(findings, sets, plan))
-        print(f"{results[-1]['hidden']}: {results[-1]['outcome']}; {findings.sentence}", flush=True)
     outcomes = [one["outcome"] for one in results]
-    figures = {
-        "provenance": provenance(),
+    return {
         "mitsuba": f"{mitsuba.__version__}, {mitsuba.variant()}",
-        "pictures": f"{studio.width}x{studio.height}, {arguments.samples} rays a pixel and colour",
+        "pictures": f"{studio.width}x{studio.height}, {samples} rays a pixel and colour",
         "picture_count": sum(
             len(plan.trajectories) * FRAMES + len(read_data_set(sets / plan.name).idle_images())
             for plan in (first, *later)
@@ -242,11 +241,3 @@ def main() -> int:
         "render_seconds": rendered_s,
         "seconds": time.monotonic() - begun_s,
     }
-    if arguments.json is not None:
-        write_json(arguments.json, figures)
-    print(figures["outcomes"])
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -1,10 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""How long `dotsim_ros find-gap` takes from nothing, and how well it says how long it will take.
-
-python benchmarks/find_gap.py --measured data/hidden_23/set_03 data/hidden_23/set_10 \
-    --sensor data/hidden_17/sensor_a.yaml --discrepancy data/hidden_17/discrepancy.npz --json FILE
+"""How long `dotsim_ros find-gap` takes from nothing, and how right the time left is that it prints.
 
 Runs the command as a user does, on one set after the other, each with an empty folder and an empty
 cache of solves; the kernels are compiled before. Every line of progress is timed as it arrives.
@@ -14,7 +11,6 @@ left: below that a rounded second decides.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import subprocess
@@ -26,14 +22,14 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.files import write_json
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.provenance import provenance
+from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.warp_runtime import wp
+from studies.run import expect_positive
 
-GOAL_S = 300.0
 JUDGED_S = 5.0
 WITHIN = 1.0 / 3.0
+SETS = tuple(Path(f"data/hidden_23/set_{number:02d}") for number in (0, 3, 10, 12))
 ANSWERED = {verdict.exit_status for verdict in Verdict if verdict is not Verdict.UNUSABLE}
 
 
@@ -89,49 +85,44 @@ def cold_run(measured: Path, options: list[str], kernels: Path) -> dict[str, Any
     return {"set": measured.name, "exit_status": status, "wall_s": took_s, "steps": steps_of(told)}
 
 
-def main() -> int:
-    """Run the benchmark."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--measured", type=Path, nargs="+", required=True, help="data sets")
-    parser.add_argument("--sensor", default="sensor_a", help="name or file of the twin (sensor_a)")
-    parser.add_argument("--discrepancy", type=Path, help="see find-gap")
-    parser.add_argument("--workers", type=int, default=2, help="processes (2)")
-    parser.add_argument("--json", type=Path, help="write the figures here")
-    arguments = parser.parse_args()
-    options = ["--sensor", arguments.sensor, "--workers", str(arguments.workers)]
-    if arguments.discrepancy is not None:
-        options += ["--discrepancy", str(arguments.discrepancy)]
-    made_by = provenance()
+def find_gap(
+    *,
+    measured: tuple[Path, ...] = SETS,
+    sensor: str = "data/hidden_17/sensor_a.yaml",
+    discrepancy: Path | None = Path("data/hidden_17/discrepancy.npz"),
+    workers: int = 2,
+) -> dict[str, Any]:
+    """How long `dotsim_ros find-gap` takes from nothing, and how right its time left is.
+
+    Args:
+        measured: data sets.
+        sensor: name or file of the twin.
+        discrepancy: see `dotsim_ros find-gap --help`.
+        workers: processes.
+    """
+    expect_positive(workers=workers, sets=len(measured))
+    options = ["--sensor", sensor, "--workers", str(workers)]
+    if discrepancy is not None:
+        options += ["--discrepancy", str(discrepancy)]
     wp.init()
     assert wp.config.kernel_cache_dir is not None
-    runs = []
-    for measured in arguments.measured:
-        # Warp adds its version to the folder that it is given.
-        run = cold_run(measured, options, Path(wp.config.kernel_cache_dir).parent)
-        runs.append(run)
-        parts = ", ".join(f"{s['name']} {s['to_s'] - s['from_s']:.0f}" for s in run["steps"])
-        print(f"{run['set']}: {run['wall_s']:.0f} s (goal {GOAL_S:.0f}); {parts}", flush=True)
-    pairs = np.array(
-        [pair for run in runs for step in run["steps"] for pair in step["said_and_left_s"]]
-    ).reshape(-1, 2)
-    share = pairs[:, 0] / pairs[:, 1]
-    is_right = np.abs(share - 1.0) <= WITHIN
-    print(
-        f"time left: {is_right.sum()} of {len(share)} within a third; said over true "
-        f"{share.min(initial=np.inf):.2f} to {share.max(initial=0.0):.2f}"
+    # Warp adds its version to the folder that it is given.
+    kernels = Path(wp.config.kernel_cache_dir).parent
+    progress, runs = PrintedProgress(), []
+    for number, each in enumerate(measured):
+        progress("searches", number, len(measured))
+        runs.append(cold_run(each, options, kernels))
+    shares = np.array(
+        [
+            said_s / left_s
+            for run in runs
+            for step in run["steps"]
+            for said_s, left_s in step["said_and_left_s"]
+        ]
     )
-    figures = {
-        "provenance": made_by,
-        "workers": arguments.workers,
+    is_right = np.abs(shares - 1.0) <= WITHIN
+    return {
+        "workers": workers,
         "runs": runs,
-        "times_left": {"told": len(share), "within_a_third": int(is_right.sum())},
+        "times_left": {"told": len(shares), "within_a_third": int(is_right.sum())},
     }
-    if arguments.json is not None:
-        write_json(arguments.json, figures)
-    return 0
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

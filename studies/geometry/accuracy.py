@@ -3,14 +3,11 @@
 
 """Error of the fast gel against its cost, for grids of 2.4, 1.8 and 1.2 mm.
 
-python benchmarks/accuracy.py --json docs/results/accuracy.json \
-    --figure docs/images/gel_error_cost.png
-
 The reference is the same model on a grid of 1.2 mm, solved until no marker moves by more than 1 um,
 with contact at every marker.
 Its compliance at rest is inverted once, which takes some ten minutes and 6 GB; then a motion of an
 indenter takes one to five minutes. It is kept beside the tables that are computed once, so that a
-second run needs seconds. Penetration of the reference itself is printed too: a sharp edge sinks in
+second run needs seconds. Penetration of the reference itself is a figure too: a sharp edge sinks in
 whatever the solver does.
 
 Each indenter presses straight in, and then slides at 10 mm/s at one depth.
@@ -18,7 +15,6 @@ Each indenter presses straight in, and then slides at 10 mm/s at one depth.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -30,15 +26,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dotsim_ros.cache import content_key, load_arrays, store_arrays
-from dotsim_ros.files import cache_directory, whole_file, write_json
+from dotsim_ros.files import cache_directory, whole_file
 from dotsim_ros.gel.implicit.contact_points import ContactPoints
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.tactile_sim.profiles import REALTIME
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.run import expect_known
 
 INDENTERS = ("sphere_4mm", "flat_punch", "box_edge", "cone", "box_face")
 STEP_M = 0.25e-3
@@ -50,8 +46,8 @@ MOTIONS = ("press", "slide")
 SLIDES_M = (0.8e-3, 1.6e-3, 2.4e-3)
 DIRECTION = (0.3, 0.15, 1.0)
 FRAME_S = 0.04
-TOLD_S = 1.0
-"""Steps that take longer are told of."""
+REPORTED_S = 1.0
+"""Steps that take longer are printed."""
 DECIDED_BY = (
     "gel/elastic_kernels.py",
     "gel/elasticity.py",
@@ -112,7 +108,7 @@ def make(specification: SensorSpecification, method: Method, indenter: str) -> I
     )
 
 
-def motions(outer_radius_m: float) -> dict[str, tuple[list[Pose], dict[int, float]]]:
+def motions_of(outer_radius_m: float) -> dict[str, tuple[list[Pose], dict[int, float]]]:
     """Return the poses of each motion, and the length in metres that those to be judged stand for,
     by their number: depth of a press, way of a slide."""
     depths = np.arange(STEP_M, DEPTHS_M[-1] + 1e-9, STEP_M)
@@ -141,7 +137,7 @@ def moved(
         seconds.append(time.perf_counter() - begun)
         if number in judged:
             states[judged[number]] = state
-        if seconds[-1] > TOLD_S:
+        if seconds[-1] > REPORTED_S:
             print(f"  {name}, step {number + 1}: {seconds[-1]:.0f} s", flush=True)
     return states, seconds
 
@@ -211,7 +207,7 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
     figure, (skin, force) = plt.subplots(1, 2, figsize=(11, 4.5), sharex=True)
     methods = list(dict.fromkeys(row["method"] for row in rows))
     indenters = list(dict.fromkeys(row["indenter"] for row in rows))
-    colours = dict(zip(indenters, plt.colormaps["tab10"].colors, strict=False))
+    colours = {name: f"C{number}" for number, name in enumerate(indenters)}
     for indenter in indenters:
         worst = []
         for method in methods:
@@ -241,41 +237,44 @@ def draw(rows: list[dict[str, Any]], path: Path) -> None:
         figure.savefig(part, dpi=110, format="png")
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--json", type=Path, help="write the figures here")
-    parser.add_argument("--figure", type=Path, help="draw error against cost here (PNG)")
-    parser.add_argument("--indenters", nargs="+", default=INDENTERS, help="names or files")
-    parser.add_argument("--motions", nargs="+", default=MOTIONS, choices=MOTIONS, help="which")
-    arguments = parser.parse_args()
+def accuracy(
+    *,
+    figure: Path | None = Path("docs/images/gel_error_cost.png"),
+    indenters: tuple[str, ...] = INDENTERS,
+    motions: tuple[str, ...] = MOTIONS,
+) -> dict[str, Any]:
+    """Error of the fast gel against its cost, for grids of 2.4, 1.8 and 1.2 mm.
+
+    Args:
+        figure: picture (PNG) of error against cost.
+        indenters: names or files.
+        motions: of press, slide.
+    """
+    expect_known("motion", motions, MOTIONS)
     specification = load_sensor("densetact2")
     reference_gel = cache(lambda: make(specification, REFERENCE, INDENTERS[0]))
     rows: list[dict[str, Any]] = []
-    for indenter in arguments.indenters:
-        for motion in arguments.motions:
-            poses, judged = motions(specification.gel.outer_radius_m)[motion]
+    for indenter in indenters:
+        for motion in motions:
+            poses, judged = motions_of(specification.gel.outer_radius_m)[motion]
             truth = reference(reference_gel, specification, indenter, poses, judged)
             for method in METHODS:
                 gel = make(specification, method, indenter)
                 states, seconds = moved(gel, poses, judged, indenter)
-                for length_m, state in states.items():
-                    true = truth[length_m]
-                    row = {
+                rows += [
+                    {
                         "indenter": indenter,
                         "method": method.name,
                         "motion": motion,
                         "depth_mm" if motion == "press" else "way_mm": round(1e3 * length_m, 2),
-                        **compare(state, true, seconds),
-                        "reference_penetration_um": round(1e6 * float(true["penetration"]), 1),
-                        "reference_converged": bool(true["converged"]),
+                        **compare(state, truth[length_m], seconds),
+                        "reference_penetration_um": round(
+                            1e6 * float(truth[length_m]["penetration"]), 1
+                        ),
+                        "reference_converged": bool(truth[length_m]["converged"]),
                     }
-                    rows.append(row)
-                    print(" ".join(f"{key}={value}" for key, value in row.items()), flush=True)
-    if arguments.json is not None:
-        write_json(arguments.json, {**provenance(), "cases": cases_of(rows), "rows": rows})
-    if arguments.figure is not None:
-        draw(rows, arguments.figure)
-
-
-if __name__ == "__main__":
-    main()
+                    for length_m, state in states.items()
+                ]
+    if figure is not None:
+        draw(rows, figure)
+    return {"cases": cases_of(rows), "rows": rows}

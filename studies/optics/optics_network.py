@@ -3,17 +3,15 @@
 
 """Times the learned image: each part on a sensor with a network, and the network by two runtimes.
 
-    python benchmarks/optics_network.py --sensor sensor_a --json optics_network.json
-
-The whole of the optics is what a frame costs beside the gel: depth, normals, the warped image,
+The whole of the optics is what a frame costs without the gel: depth, normals, the warped image,
 the network's input, the network, and what it adds. The network alone is then timed by ONNX Runtime
 and, where it is installed, by OpenVINO, with one and with two threads, and DeepLabV3-ResNet50 (with
-random weights, which cost the same) beside it in the same run where torch is.
+random weights, which cost the same) in the same run, where torch is installed.
 """
 
 from __future__ import annotations
 
-import argparse
+import importlib.util
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -24,7 +22,7 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from dotsim_ros.files import given_path, write_json
+from dotsim_ros.files import given_path
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -35,11 +33,15 @@ from dotsim_ros.optics.network.carded_weights import GRAPH
 from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.optics.network.input import CompletionInput
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.run import expect_positive
+from studies.timing import percentiles_ms
 
 PRESS_AXIS = np.array([0.35, 0.2, 0.9]) / np.linalg.norm([0.35, 0.2, 0.9])
 THREADS = (1, 2)
+PERCENTS = (5, 50, 95)
+WARM_CALLS = 5
+"""Before the clock starts."""
 Feed = dict[str, np.ndarray]
 
 
@@ -54,24 +56,15 @@ def pressed_skins(skin: SkinMesh, count: int) -> list[np.ndarray]:
     ]
 
 
-def spread(samples_s: list[float]) -> dict[str, float]:
-    """Return the quantiles that the table shows."""
-    quantiles = 1e3 * np.percentile(samples_s, [5, 50, 95])
-    return {
-        name: round(float(value), 2)
-        for name, value in zip(("p5_ms", "p50_ms", "p95_ms"), quantiles, strict=True)
-    }
-
-
 def timed(run: Callable[[], Any], count: int) -> dict[str, float]:
-    """Return the spread of a call's wall-clock time, after a few that do not count."""
+    """Return percentiles of a call's wall-clock time, after a few that do not count."""
     samples = []
-    for number in range(count + 5):
+    for number in range(-WARM_CALLS, count):
         start = time.perf_counter()
         run()
-        if number >= 5:
+        if number >= 0:
             samples.append(time.perf_counter() - start)
-    return spread(samples)
+    return percentiles_ms(samples, PERCENTS)
 
 
 def whole_optics(
@@ -105,7 +98,7 @@ def whole_optics(
     )
     parts: dict[str, list[float]] = {}
     clock = time.perf_counter
-    for number, position in enumerate(pressed_skins(skin, count + 5)):
+    for number, position in enumerate(pressed_skins(skin, count + WARM_CALLS)):
         marks = [clock()]
         view = renderer.render(position)
         marks.append(clock())
@@ -115,7 +108,7 @@ def whole_optics(
         marks.append(clock())
         cv2.add(warped, added, dtype=cv2.CV_8U)
         marks.append(clock())
-        if number < 5:
+        if number < WARM_CALLS:
             continue
         spent = [*np.diff(marks), marks[-1] - marks[0]]
         for name, value in zip(("depth", "carry", "residual", "add", "whole"), spent, strict=True):
@@ -123,7 +116,7 @@ def whole_optics(
     frame = given.frame(view.depth_m, view.normal, warped)
     image = given.image(warped)
     feed = {"frame": frame[None], "rest": given.rest[None], "image": image[None]}
-    return {name: spread(samples) for name, samples in parts.items()}, feed
+    return {name: percentiles_ms(samples, PERCENTS) for name, samples in parts.items()}, feed
 
 
 def onnx_runtime(graph: Path, feed: Feed, threads: int, count: int) -> dict[str, float]:
@@ -164,62 +157,42 @@ def published_network(threads: int, count: int) -> dict[str, float]:
             start = time.perf_counter()
             network(frame, frame, frame)
             samples.append(time.perf_counter() - start)
-    return spread(samples)
+    return percentiles_ms(samples, PERCENTS)
 
 
-def measure(sensor: SensorSpecification, count: int, published: int) -> dict[str, Any]:
-    """Return all times."""
-    directory = given_path(sensor.camera.residual)
-    result: dict[str, Any] = {"optics": {}, "network": {}}
-    for threads in THREADS:
-        result["optics"][f"{threads} threads"], feed = whole_optics(
-            sensor, directory, count, threads
-        )
-        result["network"][f"ONNX Runtime, {threads} threads"] = onnx_runtime(
-            directory / GRAPH, feed, threads, count
-        )
-        try:
-            result["network"][f"OpenVINO, {threads} threads"] = open_vino(
-                directory / GRAPH, feed, threads, count
-            )
-        except ModuleNotFoundError:
-            print("OpenVINO is not installed")
-    if published:
-        result["published"] = published_network(max(THREADS), published)
-    result["provenance"] = provenance()
-    return result
+def optics_network(
+    *,
+    sensor: str = "sensor_a",
+    network: str | None = None,
+    frames: int = 200,
+    published: int = 3,
+) -> dict[str, Any]:
+    """Run time of the learned image: each part of a frame, and the network by two runtimes.
 
-
-def main() -> None:
-    """Print the table, and write it as JSON where asked."""
-    parser = argparse.ArgumentParser(
-        description="Time the learned image.",
-        epilog="example: python benchmarks/optics_network.py --frames 300 --json times.json",
-    )
-    parser.add_argument("--sensor", default="sensor_a", help="name or YAML file of the sensor")
-    parser.add_argument("--network", help="folder of the network (the sensor's)")
-    parser.add_argument("--frames", type=int, default=200, help="frames to render")
-    parser.add_argument("--published", type=int, default=0, help="runs of the published network")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    sensor = load_sensor(arguments.sensor)
-    if arguments.network:
-        sensor = replace(sensor, camera=replace(sensor.camera, residual=arguments.network))
-    if not sensor.camera.residual:
-        parser.error(f"sensor {sensor.name!r} has no network; name one by --network")
+    Args:
+        sensor: name or file.
+        network: its folder; the sensor's own where none is given.
+        frames: to render.
+        published: runs of DeepLabV3-ResNet50; 0 for none.
+    """
+    expect_positive(frames=frames)
+    specification = load_sensor(sensor)
+    if network is not None:
+        camera = replace(specification.camera, residual=network)
+        specification = replace(specification, camera=camera)
+    if not specification.camera.residual:
+        raise ValueError(f"sensor {specification.name!r} has no network; name one by --network")
     cv2.setNumThreads(1)
-    result = measure(sensor, arguments.frames, arguments.published)
-    print(f"{'part':<28}{'p5':>9}{'p50':>9}{'p95':>9}  ms")
-    for title, parts in (*result["optics"].items(), ("network alone", result["network"])):
-        print(title)
-        for name, part in parts.items():
-            print(f"  {name:<26}" + "".join(f"{value:9.2f}" for value in part.values()))
-    if "published" in result:
-        values = "".join(f"{value:9.2f}" for value in result["published"].values())
-        print(f"{'DeepLabV3-ResNet50, torch':<28}{values}")
-    if arguments.json:
-        write_json(arguments.json, result)
-
-
-if __name__ == "__main__":
-    main()
+    directory = given_path(specification.camera.residual)
+    runtimes = {"ONNX Runtime": onnx_runtime}
+    if importlib.util.find_spec("openvino") is not None:
+        runtimes["OpenVINO"] = open_vino
+    optics, alone = {}, {}
+    for threads in THREADS:
+        optics[f"{threads} threads"], feed = whole_optics(specification, directory, frames, threads)
+        for name, runtime in runtimes.items():
+            alone[f"{name}, {threads} threads"] = runtime(directory / GRAPH, feed, threads, frames)
+    found: dict[str, Any] = {"optics": optics, "network": alone}
+    if published:
+        found["published"] = published_network(max(THREADS), published)
+    return found

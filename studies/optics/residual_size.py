@@ -3,8 +3,6 @@
 
 """The most that a network of small images could reach: the ideal completion at its size.
 
-    python benchmarks/residual_size.py --data DIR --indenters 1_sphere 3_lying_cylinder
-
 A network whose images have fewer pixels than the sensor's adds a completion that is enlarged to the
 sensor's size. Here the completion is the measured image less the mean idle image, reduced to each
 size and enlarged again as the networks' is, so that no training enters: no network of that size
@@ -14,60 +12,52 @@ frame.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from dotsim_ros.files import write_json
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.trajectory import iterate_images
 from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.optics.network.input import resized
-from dotsim_ros.provenance import provenance
+from studies.data import SENSOR_A
+from studies.run import expect_positive
 
 
-def main() -> None:
-    """Read the images and print a line for each size."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--data", type=Path, required=True, help="folder of a data set")
-    parser.add_argument("--indenters", nargs="*", default=[], help="judged alone (all)")
-    parser.add_argument("--widths", type=int, nargs="+", default=[64, 160], help="pixels")
-    parser.add_argument("--topic", default="/tactile/image_raw/compressed", help="of the images")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    data = read_data_set(arguments.data)
-    idle = read_idle_images(data.idle_images()).astype(np.float64).mean(axis=0)
+def residual_size(
+    *,
+    data: Path = SENSOR_A,
+    indenters: tuple[str, ...] = ("1_sphere", "3_lying_cylinder"),
+    widths: tuple[int, ...] = (64, 160, 240),
+    topic: str = "/tactile/image_raw/compressed",
+) -> dict[str, Any]:
+    """The most that a network of small images could reach: the ideal completion at its size.
+
+    Args:
+        data: folder of a data set.
+        indenters: that are judged; all where none is given.
+        widths: of the images in pixels.
+        topic: of the images.
+    """
+    expect_positive(smallest_width=min(widths))
+    measured_set = read_data_set(data)
+    idle = read_idle_images(measured_set.idle_images()).astype(np.float64).mean(axis=0)
     height, width = idle.shape[:2]
-    scores: dict[str, list[float]] = {"idle": [], **{str(w): [] for w in arguments.widths}}
-    judged = [
-        entry
-        for entry in data.entries
-        if entry.has_images and (not arguments.indenters or entry.indenter in arguments.indenters)
-    ]
+    scores: dict[str, list[float]] = {"idle": [], **{str(small): [] for small in widths}}
+    entries = [entry for entry in measured_set.entries if entry.has_images]
+    judged = [entry for entry in entries if not indenters or entry.indenter in indenters]
     if not judged:
-        known = ", ".join(sorted({entry.indenter for entry in data.entries}))
-        parser.error(f"no images of {' '.join(arguments.indenters)}; the data set holds {known}")
+        known = ", ".join(sorted({entry.indenter for entry in entries}))
+        raise ValueError(f"no images of {' '.join(indenters)}; the data set has {known}")
     for entry in judged:
-        for _, measured in iterate_images(entry.bag, arguments.topic):
+        for _, measured in iterate_images(entry.bag, topic):
             completion = measured - idle
             scores["idle"].append(image_psnr_db(measured, np.rint(idle).astype(np.uint8)))
-            for small in arguments.widths:
+            for small in widths:
                 size = (small, round(small * height / width))
                 image = idle + resized(resized(completion, size), (width, height))
                 shown = np.clip(np.rint(image), 0, 255).astype(np.uint8)
                 scores[str(small)].append(image_psnr_db(measured, shown))
-    means: dict[str, Any] = {name: float(np.mean(values)) for name, values in scores.items()}
-    for name, psnr_db in means.items():
-        title = name if name == "idle" else f"completion {name} px wide"
-        print(f"{title:<24} {psnr_db:6.2f} dB  ({len(scores[name])} frames)")
-    if arguments.json is not None:
-        write_json(arguments.json, {"psnr_db": means, "provenance": provenance()})
-
-
-if __name__ == "__main__":
-    main()
+    return {"psnr_db": {name: float(np.mean(values)) for name, values in scores.items()}}

@@ -3,20 +3,15 @@
 
 """The gel against CalculiX: every kind of indenter at 0 to 40 degrees, two laws, and a drag.
 
-python benchmarks/reference.py --out out/reference --json docs/results/reference.json
-
 Solves the presses of `cases` that OUT does not hold yet (one to five minutes of one core each;
 needs CalculiX: apt-get install calculix-ccx), then presses the gel the same way with the same
 constants. With `--minutes` no press is begun after so long: the next run resumes from there, and
-the page names what it lacks.
-With `--solved-only` nothing is solved and the presses that OUT holds are compared, those that
-`dotsim_ros reference` wrote too. Beside the JSON file the table is written as Markdown.
+the failures name what it lacks. With `--solved-only` nothing is solved and the presses that OUT
+holds are compared.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.files import write_json
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import (
     Indenter,
@@ -38,7 +32,6 @@ from dotsim_ros.geometry.indenter import (
 )
 from dotsim_ros.geometry.surface import indenter_surface
 from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import (
     ContactSpecification,
     MaterialSpecification,
@@ -301,31 +294,6 @@ def _own_error(coarse: SolvedPress, fine: SolvedPress) -> list[dict[str, Any]]:
     return rows
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the rows as a Markdown table; misses of a target are marked."""
-    lines = [
-        "| indenter | law | tilt | depth mm | drag mm | mesh | CalculiX N | normal | across | "
-        "whole force | skin RMS mm | max mm | contact RMS mm |",
-        "| --- | --- | ---: | ---: | ---: | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    for row in rows:
-        mesh = "2D" if row["trajectory"].endswith("_axisymmetric") else "3D"
-        mesh += f", {row['trajectory'].split('_spacing')[1].split('_')[0]} mm"
-        force = f"{100 * row['force_error']:.1f} %"
-        skin = f"{row['skin_rms_mm']:.3f}"
-        if row["force_error"] > TARGET_FORCE_ERROR:
-            force = f"**{force}**"
-        if row["skin_rms_mm"] > TARGET_SKIN_RMS_MM:
-            skin = f"**{skin}**"
-        lines.append(
-            f"| {row['indenter']} | {row['law']} | {row['tilt_deg']:g} | {row['depth_mm']:g} | "
-            f"{row['drag_mm']:g} | {mesh} | {row['normal_n']:.3f} | "
-            f"{100 * row['normal_error']:+.1f} % | {100 * row['tangential_error']:.1f} % | "
-            f"{force} | {skin} | {row['skin_max_mm']:.3f} | {row['contact_rms_mm']:.3f} |"
-        )
-    return "\n".join(lines)
-
-
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, float]:
     """Return how many frames meet the targets, and the worst ones."""
     force = np.array([row["force_error"] for row in rows])
@@ -354,84 +322,40 @@ def totals(
     }
 
 
-def page(figures: dict[str, Any]) -> str:
-    """Return the Markdown page of the figures."""
-    origin, own = figures["origin"], figures["own_errors"]
-    parts = [
-        "# The gel against CalculiX",
-        f"`{origin['command']}`, commit {origin['commit']}, {origin['date']}, {origin['machine']}.",
-        "Errors are ours minus CalculiX's, as shares of its force; the skin's are distances of "
-        f"corresponding points. Targets: skin RMS {TARGET_SKIN_RMS_MM} mm over the dome, whole "
-        f"force {100 * TARGET_FORCE_ERROR:.0f} %; misses are bold.",
-    ]
-    for name, found in figures["summary"].items():
-        rows = [row for row in figures["rows"] if row["method"] == name]
-        parts += [
-            f"## Grid of {name}",
-            f"Force within its target in {found['force_met']} of {found['frames']} frames (median "
-            f"{100 * found['force_error_median']:.1f} %, worst "
-            f"{100 * found['force_error_worst']:.1f} %), skin in {found['skin_met']} (worst "
-            f"{found['skin_rms_worst_mm']:.3f} mm).",
-            table(rows),
-        ]
-    lines = [
-        "| coarse | fine | frame | force | skin RMS mm | max mm |",
-        "|---|---|--:|--:|--:|--:|",
-    ]
-    lines += [
-        f"| {row['coarse']} | {row['fine']} | {row['frame']} | "
-        f"{100 * row['signed_error']:+.1f} % | {row['skin_rms_mm']:.3f} | "
-        f"{row['skin_max_mm']:.3f} |"
-        for row in own
-    ]
-    parts += ["## The reference's own error: the same press on two meshes", "\n".join(lines)]
-    if figures["failures"]:
-        parts += ["## Not solved to the end", "\n".join(f"- {f}" for f in figures["failures"])]
-    return "\n\n".join(parts) + "\n"
+def reference(
+    *,
+    out: Path = Path("out/reference"),
+    minutes: float = float("inf"),
+    solved_only: bool = False,
+    resolutions: tuple[str, ...] = (),
+) -> dict[str, Any]:
+    """The gel against CalculiX: every kind of indenter at 0 to 40 degrees, two laws, and a drag.
 
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("out/reference"), help="the references")
-    parser.add_argument("--json", type=Path, help="write the figures here, and a page beside them")
-    chosen = parser.add_mutually_exclusive_group()
-    chosen.add_argument("--solved-only", action="store_true", help="run no CalculiX")
-    chosen.add_argument(
-        "--minutes", type=float, default=float("inf"), help="begin no press after so long (no end)"
-    )
-    parser.add_argument(
-        "--resolutions",
-        nargs="*",
-        default=[],
-        metavar="NAME",
-        help="part of the names of trajectories that are compared at other resolutions as well",
-    )
-    arguments = parser.parse_args()
+    Args:
+        out: folder of the solved presses.
+        minutes: begin no press after so long.
+        solved_only: run no CalculiX.
+        resolutions: parts of the names of trajectories that are compared at other resolutions too.
+    """
     failures: list[str] = []
-    if not arguments.solved_only:
-        failures = solve_missing(arguments.out, cases(), longest_s=60.0 * arguments.minutes)
-    _, presses = read_solved_presses(arguments.out)
-    if arguments.solved_only:
+    if not solved_only:
+        failures = solve_missing(out, cases(), longest_s=60.0 * minutes)
+    _, presses = read_solved_presses(out)
+    if solved_only:
         stopped = {p.trajectory.name: p.notes["failure"] for p in presses if "failure" in p.notes}
         missing = {p.name for p in cases()} - {p.trajectory.name for p in presses}
         failures = [f"{name}: {failure}" for name, failure in stopped.items()]
         failures += [f"{name}: not solved" for name in sorted(missing)]
-    rows: list[dict[str, Any]] = []
-    for method in (DEFAULT, *OTHERS):
-        for press in finest(presses):
-            name = press.trajectory.name
-            if method is not DEFAULT and not any(part in name for part in arguments.resolutions):
-                continue
-            rows += rows_of(press, method)
-            last = rows[-1]
-            print(
-                f"{method.name}: {name}: force {last['force_error']:.1%}, skin RMS "
-                f"{last['skin_rms_mm']:.3f} mm at the end",
-                flush=True,
-            )
+    rows = [
+        row
+        for method in (DEFAULT, *OTHERS)
+        for press in finest(presses)
+        if method is DEFAULT or any(part in press.trajectory.name for part in resolutions)
+        for row in rows_of(press, method)
+    ]
     methods = dict.fromkeys(row["method"] for row in rows)
-    figures = {
-        "origin": provenance() | {"calculix": calculix_version()},
+    return {
+        "calculix": calculix_version(),
         "targets": {"skin_rms_mm": TARGET_SKIN_RMS_MM, "force_error": TARGET_FORCE_ERROR},
         "summary": {name: summary([r for r in rows if r["method"] == name]) for name in methods},
         **totals([row for row in rows if row["method"] == DEFAULT.name], presses),
@@ -439,14 +363,3 @@ def main() -> None:
         "own_errors": own_errors(presses),
         "failures": failures,
     }
-    print(page(figures))
-    if arguments.json is not None:
-        write_json(arguments.json, figures)
-        beside = arguments.json.with_suffix(".md")
-        part = beside.with_name(beside.name + ".part")
-        part.write_text(page(figures), encoding="utf-8")
-        os.replace(part, beside)
-
-
-if __name__ == "__main__":
-    main()

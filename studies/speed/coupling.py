@@ -3,8 +3,6 @@
 
 """Which way of coupling gel and bodies is stable, keeps energy, and what it costs.
 
-python benchmarks/coupling.py --json docs/results/coupling.json
-
 Three schemes between two solutions of the gel:
 - held: the wrench of the last solution, constant (plain staggered);
 - tangent: the wrench of the last solution and its tangent, as `MujocoCoupling` has it;
@@ -18,11 +16,9 @@ energy of the swing, what is left after ten periods.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from unittest import mock
 
@@ -30,13 +26,12 @@ import mujoco
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.files import write_json
 from dotsim_ros.gel.make import GelFrame, SingleImplicitGel
-from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SolverSpecification, load_sensor
 from dotsim_ros.tasks.environments import coupling as coupling_module
 from dotsim_ros.tasks.environments.coupling import CoupledFinger, MujocoCoupling
+from studies.run import expect_known, expect_positive
 
 GRAVITY_M_S2 = 9.81
 STEP_S = 0.5e-3
@@ -205,41 +200,39 @@ def finite(share: float) -> float | None:
     return round(share, 3) if np.isfinite(share) else None
 
 
-def main() -> None:
-    """Measure, print, and write JSON where asked."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--schemes", nargs="+", choices=SCHEMES, default=list(SCHEMES))
-    parser.add_argument("--periods-ms", nargs="+", type=float, default=[5.0, 10.0, 20.0])
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
+def coupling(
+    *,
+    schemes: tuple[str, ...] = tuple(SCHEMES),
+    periods_ms: tuple[float, ...] = (5.0, 10.0, 20.0),
+) -> dict[str, Any]:
+    """Which way of coupling gel and bodies is stable, keeps energy, and what it costs.
+
+    Args:
+        schemes: of held, tangent, iterated.
+        periods_ms: coupling times.
+    """
+    expect_known("scheme", schemes, SCHEMES)
+    expect_positive(shortest_period_ms=min(periods_ms))
     solver = SolverSpecification(grid_spacing_m=3.6e-3, refined=False)
     sensor = TactileSensor.load(replace(load_sensor("densetact2"), solver=solver))
-    figures: dict[str, Any] = {}
-    for scheme in arguments.schemes:
-        for period_ms in arguments.periods_ms:
-            period_s = 1e-3 * period_ms
-            rows = {f"{mass:g}": settle(scheme, sensor, mass, period_s) for mass in MASSES_KG}
-            lightest = None
-            for mass in sorted(MASSES_KG, reverse=True):
-                if not rows[f"{mass:g}"]["stable"]:
-                    break
-                lightest = mass
-            row = {
-                "lightest_stable_kg": lightest,
-                "energy_left": finite(energy_left(scheme, sensor, period_s)),
-                "masses": rows,
-            }
-            figures[f"{scheme}_{period_ms:g}_ms"] = row
-            at = rows["0.1"]
-            print(
-                f"{scheme:>8} {period_ms:4g} ms: stable from {lightest} kg, energy left "
-                f"{row['energy_left']}, for 0.1 kg {at.get('solutions_per_second', 0):.0f} "
-                f"solutions and {at.get('cpu_s_per_second', 0):.1f} s of CPU a second",
-                flush=True,
-            )
-    if arguments.json is not None:
-        write_json(arguments.json, {**provenance(), "schemes": figures})
+    return {
+        "schemes": {
+            f"{scheme}_{period_ms:g}_ms": _measured(scheme, sensor, 1e-3 * period_ms)
+            for scheme in schemes
+            for period_ms in periods_ms
+        }
+    }
 
 
-if __name__ == "__main__":
-    main()
+def _measured(scheme: str, sensor: TactileSensor, period_s: float) -> dict[str, Any]:
+    masses = {mass_kg: settle(scheme, sensor, mass_kg, period_s) for mass_kg in MASSES_KG}
+    lightest = None
+    for mass_kg in sorted(MASSES_KG, reverse=True):
+        if not masses[mass_kg]["stable"]:
+            break
+        lightest = mass_kg
+    return {
+        "lightest_stable_kg": lightest,
+        "energy_left": finite(energy_left(scheme, sensor, period_s)),
+        "masses": {f"{mass_kg:g}": row for mass_kg, row in masses.items()},
+    }

@@ -3,33 +3,26 @@
 
 """Does a device compute what the CPU computes? Every kernel that can run there, in one command.
 
-    python benchmarks/device_check.py --device cuda:0 --timed 20 --json device_check.json
-
 The shipped sensor and a coarse one whose gel relaxes press and slide, their images are drawn, the
 loss of a press is differentiated, and a few frames of the explicit method are run, on the CPU and
-on the device. The largest difference of each result is printed as a share of its own range. A
+on the device. The largest difference of each result is a share of its own range. A
 result of a single precision sum may differ in another order of its terms, and a few colours be
 rounded to the next grey level; more is a fault. Kernels of the package that the device did not run
 are listed: some work on a CPU by design.
-`--timed` also times frames of the shipped sensor and of the explicit method, on both, in one run.
+Frames of the shipped sensor and of the explicit method are timed on both, in one run.
 """
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
-from dotsim_ros.files import write_json
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
@@ -45,9 +38,10 @@ from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.warp_runtime import wp
+from studies.run import FAILED, expect_known
 
 TOLERANCE = 2e-3
 RADIUS_M, SPACING_M, SKIN_M = 0.01575, 4.8e-3, 1.0e-3
@@ -190,7 +184,7 @@ def difference(found: NDArray[Any], expected: NDArray[Any]) -> float:
 
 
 def is_same(result: str, found: NDArray[Any], expected: NDArray[Any]) -> bool:
-    """Tell whether a result is the CPU's; a few colours of an image may be a grey level off."""
+    """Return whether a result is the CPU's; a few colours of an image may be a grey level off."""
     share = difference(found, expected)
     if result != "image" or not np.isfinite(share):
         return share <= TOLERANCE
@@ -198,71 +192,54 @@ def is_same(result: str, found: NDArray[Any], expected: NDArray[Any]) -> bool:
     return bool(off.max() <= 1.0 and off.mean() <= TOLERANCE * expected.max())
 
 
-def main() -> int:
-    """Compare, print, write; return 1 where something differs."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--device", default="cuda:0", help="to check against the CPU (cuda:0)")
-    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), help="which")
-    parser.add_argument(
-        "--timed", type=int, default=0, help="frames to time on the CPU and on the device (none)"
-    )
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    known = [str(device) for device in wp.get_devices()]
-    if arguments.device not in known:
-        print(
-            f"there is no device {arguments.device} here; choose from {', '.join(known)}",
-            file=sys.stderr,
-        )
-        return 2
+def device_check(
+    *, device: str = "cuda:0", cases: tuple[str, ...] = tuple(CASES), timed: int = 20
+) -> dict[str, Any]:
+    """Whether a device computes what the CPU computes, and how fast.
+
+    Args:
+        device: to check against the CPU, by its name in Warp.
+        cases: of sensor, shipped, adjoint, explicit.
+        timed: frames to time on both; 0 for none.
+    """
+    expect_known("device", [device], map(str, wp.get_devices()))
+    expect_known("case", cases, CASES)
     rows: list[dict[str, Any]] = []
     on_cpu: set[str] = set()
     ran: set[str] = set()
-    for case in arguments.cases:
+    for case in cases:
         with noted_launches(on_cpu, "cpu"):
             expected = CASES[case]("cpu")
-        begun_s = time.perf_counter()
         try:
-            with noted_launches(ran, arguments.device):
-                found = CASES[case](arguments.device)
+            with noted_launches(ran, device):
+                found = CASES[case](device)
         except Exception as error:
             rows.append({"case": case, "failed": f"{type(error).__name__}: {error}"})
-            print(f"{case}: FAILED: {rows[-1]['failed']}")
             continue
-        seconds = time.perf_counter() - begun_s
-        for name, values in expected.items():
-            share = difference(found[name], values)
-            is_right = is_same(name, found[name], values)
-            rows.append({"case": case, "result": name, "difference": share, "is_right": is_right})
-            verdict = "" if is_right else "  DIFFERS"
-            print(f"{case}: {name:<16} differs by {share:.1e} of its range{verdict}")
-        print(f"{case}: {seconds:.1f} s on {arguments.device}")
-    missing = sorted(on_cpu - ran)
-    print(f"{len(ran)} kernels ran on {arguments.device}: {', '.join(sorted(ran))}")
-    print(f"{len(missing)} ran on the CPU alone: {', '.join(missing) or 'none'}")
-    times_ms: dict[str, dict[str, float]] = {}
-    failed = {row["case"] for row in rows if "failed" in row}
-    for case in sorted(TIMED.keys() & set(arguments.cases) - failed) if arguments.timed > 0 else ():
-        times_ms[case] = {
-            name: TIMED[case](name, arguments.timed) for name in ("cpu", arguments.device)
-        }
-        cpu_ms, device_ms = times_ms[case]["cpu"], times_ms[case][arguments.device]
-        print(
-            f"{case}: a frame takes {cpu_ms:.1f} ms on the CPU and {device_ms:.1f} ms on "
-            f"{arguments.device}: {cpu_ms / device_ms:.2f} times as fast"
-        )
-    if arguments.json is not None:
-        figures = {
-            "device": arguments.device,
-            "device_name": wp.get_device(arguments.device).name,
-            "rows": rows,
-            "ran": sorted(ran),
-            "not_run": missing,
-            "frame_ms": times_ms,
-        }
-        write_json(arguments.json, figures | {"provenance": provenance()})
-    return 0 if rows and all(row.get("is_right", False) for row in rows) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+        rows += [
+            {
+                "case": case,
+                "result": name,
+                "difference": difference(found[name], values),
+                "is_right": is_same(name, found[name], values),
+            }
+            for name, values in expected.items()
+        ]
+    broken = {row["case"] for row in rows if "failed" in row}
+    return {
+        "device": device,
+        "device_name": wp.get_device(device).name,
+        "rows": rows,
+        "ran": sorted(ran),
+        "not_run": sorted(on_cpu - ran),
+        "frame_ms": {
+            case: {name: TIMED[case](name, timed) for name in ("cpu", device)}
+            for case in sorted(TIMED.keys() & set(cases) - broken)
+            if timed > 0
+        },
+        FAILED: [
+            row.get("failed", f"{row['case']}: {row.get('result')} differs")
+            for row in rows
+            if not row.get("is_right", False)
+        ],
+    }

@@ -3,9 +3,6 @@
 
 """Whether programs written for drivers of real DenseTact sensors run on the simulated one.
 
-    python benchmarks/drop_in.py --seconds 60 --json drop_in.json
-    python benchmarks/drop_in.py --seconds 5 --interfaces run_camera
-
 For each interface below params/drivers the sensors are started by the command that the file names,
 and a reader that is written as users of that driver write theirs subscribes to its topics, by their
 names, with their QoS, and without anything of this package: it decodes every message and ends with
@@ -15,31 +12,26 @@ in two seconds. A rate is of messages that arrived, from the first to the last o
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
-from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import rclpy
-from geometry_msgs.msg import PoseStamped, WrenchStamped
+from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from std_msgs.msg import Bool
 
-from dotsim_ros.files import write_json
-from dotsim_ros.nodes.common.processes import NodeProcess
-from dotsim_ros.nodes.common.transport import stay_local
-from dotsim_ros.provenance import provenance
+from dotsim_ros.geometry.pose import Pose
+from studies.run import FAILED, expect_known, expect_positive
+from studies.speed.running_node import PosePublisher, running_sensors
 
-START_TIMEOUT_S = 300.0
 PATIENCE_S = 60.0
 POSE_HZ = 50.0
 PERIOD_S = 2.0
@@ -265,20 +257,17 @@ class Press:
 
     Args:
         node: publishes the poses.
-        sensors: namespace and base frame of each.
+        namespaces: of the sensors.
     """
 
-    def __init__(self, node: Node, sensors: Sequence[tuple[str, str]]) -> None:
+    def __init__(self, node: Node, namespaces: tuple[str, ...]) -> None:
         self._node = node
-        self._sent = [
-            (node.create_publisher(PoseStamped, f"{namespace}/indenter/pose", 10), frame)
-            for namespace, frame in sensors
-        ]
+        self._publishers = [PosePublisher(node, namespace=name, quality=10) for name in namespaces]
         node.create_timer(1.0 / POSE_HZ, self._send)
 
-    def is_heard(self) -> bool:
+    def has_readers(self) -> bool:
         """Return whether every sensor reads its poses."""
-        return all(publisher.get_subscription_count() > 0 for publisher, _ in self._sent)
+        return all(publisher.has_reader() for publisher in self._publishers)
 
     @staticmethod
     def depth_m(time_s: float) -> tuple[float, float]:
@@ -295,13 +284,8 @@ class Press:
 
     def _send(self) -> None:
         depth_m, _ = self.depth_m(time_s(self._node.get_clock().now().to_msg()))
-        message = PoseStamped()
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        message.pose.position.z = APEX_M - depth_m
-        message.pose.orientation.w = 1.0
-        for publisher, frame in self._sent:
-            message.header.frame_id = frame
-            publisher.publish(message)
+        for publisher in self._publishers:
+            publisher.send(Pose(np.array([0.0, 0.0, APEX_M - depth_m])))
 
 
 def measure(name: str, seconds: float) -> dict[str, Any]:
@@ -315,51 +299,46 @@ def measure(name: str, seconds: float) -> dict[str, Any]:
         OSError: a sensor does not start.
     """
     interface = INTERFACES[name]
-    sensors = [(f"/{each}" if each else "", each) for each in interface.namespaces]
-    errors: list[str] = []
-    with ExitStack() as stack:
-        processes = []
-        for namespace, _ in sensors:
-            own = ["-r", f"__ns:={namespace}"] if namespace else []
-            process = NodeProcess(
-                "tactile_sim", {}, arguments=["--params-file", f"drivers/{name}.yaml", *own]
-            )
-            stack.callback(process.stop)
-            processes.append(process)
-        for process in processes:
-            process.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
+    file = ["--params-file", f"drivers/{name}.yaml"]
+    with running_sensors(namespaces=interface.namespaces, arguments=file):
         rclpy.init()
-        stack.callback(rclpy.try_shutdown)
-        reader = interface.reader()
-        frames = [f"{side}_densetact_base" if side else "densetact_base" for _, side in sensors]
-        press = Press(reader, [(ns, frame) for (ns, _), frame in zip(sensors, frames, strict=True)])
-        reader.held_m = press.held_m
-        executor = SingleThreadedExecutor()
-        executor.add_node(reader)
-        patience_s = time.monotonic() + PATIENCE_S
-        while not (press.is_heard() and all(reader.arrived_s.values())):
-            _spin(executor, errors)
-            if time.monotonic() > patience_s or len(errors) > 3:
-                missing = [topic for topic, arrived in reader.arrived_s.items() if not arrived]
-                errors.append(f"nothing came on {', '.join(missing) or 'indenter/pose'}")
-                break
-        for arrived_s in reader.arrived_s.values():
-            del arrived_s[:]
-        middle_s, end_s = time.monotonic() + 0.5 * seconds, time.monotonic() + seconds
-        has_begun = bool(errors)
-        while time.monotonic() < end_s and not errors:
-            now_s = time_s(reader.get_clock().now().to_msg())
-            if not has_begun and time.monotonic() > middle_s and press.held_m(now_s) > 0.0:
-                has_begun = True
-                reader.begin_episode()
-            _spin(executor, errors)
-        if not errors:
-            try:
-                reader.check()
-            except ValueError as error:
-                errors.append(str(error))
-        topics = {topic: _row(reader, topic) for topic in reader.arrived_s}
-        reader.destroy_node()
+        try:
+            return _read(interface, seconds)
+        finally:
+            rclpy.try_shutdown()
+
+
+def _read(interface: Interface, seconds: float) -> dict[str, Any]:
+    errors: list[str] = []
+    reader = interface.reader()
+    press = Press(reader, interface.namespaces)
+    reader.held_m = press.held_m
+    executor = SingleThreadedExecutor()
+    executor.add_node(reader)
+    patience_s = time.monotonic() + PATIENCE_S
+    while not (press.has_readers() and all(reader.arrived_s.values())):
+        _spin(executor, errors)
+        if time.monotonic() > patience_s or len(errors) > 3:
+            missing = [topic for topic, arrived in reader.arrived_s.items() if not arrived]
+            errors.append(f"nothing came on {', '.join(missing) or 'indenter/pose'}")
+            break
+    for arrived_s in reader.arrived_s.values():
+        del arrived_s[:]
+    middle_s, end_s = time.monotonic() + 0.5 * seconds, time.monotonic() + seconds
+    has_begun = bool(errors)
+    while time.monotonic() < end_s and not errors:
+        now_s = time_s(reader.get_clock().now().to_msg())
+        if not has_begun and time.monotonic() > middle_s and press.held_m(now_s) > 0.0:
+            has_begun = True
+            reader.begin_episode()
+        _spin(executor, errors)
+    if not errors:
+        try:
+            reader.check()
+        except ValueError as error:
+            errors.append(str(error))
+    topics = {topic: _row(reader, topic) for topic in reader.arrived_s}
+    reader.destroy_node()
     return {"rate_hz": interface.rate_hz, "topics": topics, "errors": errors}
 
 
@@ -382,38 +361,20 @@ def _row(reader: Reader, topic: str) -> dict[str, Any]:
     }
 
 
-def main() -> int:
-    """Measure, print the table, and write it as JSON where asked; return the exit status."""
-    parser = argparse.ArgumentParser(
-        description="Programs written for drivers of real sensors, reading the simulated one.",
-        epilog="example: python benchmarks/drop_in.py --seconds 60 --json drop_in.json",
-    )
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each interface (60)")
-    parser.add_argument(
-        "--interfaces", nargs="+", choices=INTERFACES, default=list(INTERFACES), help="which (all)"
-    )
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    stay_local()
-    interfaces = {name: measure(name, arguments.seconds) for name in arguments.interfaces}
-    figures = {
-        "seconds": arguments.seconds,
-        "interfaces": interfaces,
-        "provenance": provenance(),
+def drop_in(
+    *, seconds: float = 60.0, interfaces: tuple[str, ...] = tuple(INTERFACES)
+) -> dict[str, Any]:
+    """Whether programs written for drivers of real sensors run on the simulated one.
+
+    Args:
+        seconds: of each interface.
+        interfaces: of run_camera, dual_compressed, dual_difference, dual_raw.
+    """
+    expect_positive(seconds=seconds)
+    expect_known("interface", interfaces, INTERFACES)
+    found = {name: measure(name, seconds) for name in interfaces}
+    return {
+        "seconds": seconds,
+        "interfaces": found,
+        FAILED: [f"{name}: {error}" for name in found for error in found[name]["errors"]],
     }
-    print(f"\n{figures['provenance']['machine']}, commit {figures['provenance']['commit']}")
-    for name, found in interfaces.items():
-        print(f"{name}, {found['rate_hz']:g} Hz, errors: {'; '.join(found['errors']) or 'none'}")
-        for topic, row in found["topics"].items():
-            size = f", {row['width']} x {row['height']}" if "width" in row else ""
-            print(
-                f"  {topic}: {row.get('form', 'nothing')}{size}, {row['messages']} messages, "
-                f"{row['messages_per_second']:.2f}/s, longest gap {row['longest_gap_ms']:.0f} ms"
-            )
-    if arguments.json:
-        write_json(arguments.json, figures)
-    return int(any(found["errors"] for found in interfaces.values()))
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -17,6 +17,7 @@ import numpy as np
 
 import dotsim_ros.tasks.environments  # noqa: F401
 from dotsim_ros.cores import available_core_count
+from studies.run import expect_positive
 
 NAME = "DenseTactBoxYaw-v0"
 
@@ -32,7 +33,8 @@ def steps_per_second(count: int, step_count: int) -> float:
     )
     random = np.random.default_rng(0)
     try:
-        worlds.reset(seed=list(range(count)))
+        # Gymnasium gives world k this seed plus k.
+        worlds.reset(seed=0)
         worlds.step(np.zeros(count, dtype=np.int64))
         begun_s = time.perf_counter()
         for _ in range(step_count):
@@ -48,6 +50,7 @@ def environments(*, steps: int = 200) -> dict[str, Any]:
     Args:
         steps: of each world.
     """
+    expect_positive(steps=steps)
     cores = available_core_count()
     figures: dict[str, Any] = {"cores": cores, "steps": steps}
     for count in dict.fromkeys((1, cores, 2 * cores)):

@@ -3,13 +3,13 @@
 
 """In how many frames an indenter that follows a force is there: `control: force` of `tactile_sim`.
 
-    python benchmarks/force_control.py
-
 For each sensor and indenter, in the middle of the skin, solved exactly: the frames until a step of
 force stays within 5 % and within 1 %, and the largest force on the way over the one asked for.
 """
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -24,41 +24,51 @@ SENSORS = {"densetact2": (0.3, 1.0), "gelsight_mini": (1.0, 5.0)}
 FRAME_COUNT = 8
 
 
-def step_of(sensor: TactileSensor, drive: ForceDrive, above: Pose, asked_n: float) -> str:
-    """Follow one step of force and return how, in words."""
-    forces_n = []
-    for _ in range(FRAME_COUNT):
-        pose = drive.pose(above)
-        force_n = sensor.press(pose).wrench.force_n
-        drive.answer(pose, force_n)
-        forces_n.append(float(force_n[2]))
-    share = np.array(forces_n) / asked_n
-    counts = [_frames_until(np.abs(share - 1.0) <= limit) for limit in (0.05, 0.01)]
-    return f"{asked_n} N: {counts[0]}, {counts[1]}, {share.max():.2f}"
+def followed(sensor: TactileSensor, steps_n: tuple[float, ...]) -> list[dict[str, Any]]:
+    """Return how an indenter follows steps of force, one after the other."""
+    above = Pose(sensor.skin.apex_m + np.array([0.0, 0.0, 0.003]))
+    asked_n = steps_n[0]
+    drive = ForceDrive(sensor, lambda _: asked_n)
+    rows = []
+    for asked_n in steps_n:
+        shares = []
+        for _ in range(FRAME_COUNT):
+            pose = drive.pose(above)
+            force_n = sensor.press(pose).wrench.force_n
+            drive.answer(pose, force_n)
+            shares.append(float(force_n[2]) / asked_n)
+        error = np.abs(np.array(shares) - 1.0)
+        rows.append(
+            {
+                "asked_n": asked_n,
+                "frames_to_5_percent": _frames_until(error <= 0.05),
+                "frames_to_1_percent": _frames_until(error <= 0.01),
+                "largest_share": round(max(shares), 3),
+            }
+        )
+    return rows
 
 
-def _frames_until(is_near: np.ndarray) -> str:
-    """Return after which frame all are near."""
+def _frames_until(is_near: np.ndarray) -> int | None:
+    """Return after which frame all are near; None where the last one is not."""
     far = np.flatnonzero(~is_near)
     count = 1 if len(far) == 0 else int(far[-1]) + 2
-    return str(count) if count <= len(is_near) else f"more than {len(is_near)}"
+    return count if count <= len(is_near) else None
 
 
-def main() -> None:
-    """Print a line for each sensor and indenter."""
-    print("sensor, indenter: step: frames to 5 %, to 1 %, largest share of the force")
+def force_control(*, indenters: tuple[str, ...] = INDENTERS) -> dict[str, Any]:
+    """In how many frames an indenter that follows a force is there.
+
+    Args:
+        indenters: names or files.
+    """
+    rows = []
     for name, (low_n, high_n) in SENSORS.items():
         sensor = TactileSensor.load(name)
-        above = Pose(sensor.skin.apex_m + np.array([0.0, 0.0, 0.003]))
-        for indenter in INDENTERS:
+        for indenter in indenters:
             sensor.set_indenter(load_indenter(indenter))
-            asked = [low_n]
-            drive = ForceDrive(sensor, lambda _, asked=asked: asked[0])
-            found = []
-            for asked[0] in (low_n, high_n, low_n):
-                found.append(step_of(sensor, drive, above, asked[0]))
-            print(f"{name}, {indenter}: {'; '.join(found)}", flush=True)
-
-
-if __name__ == "__main__":
-    main()
+            rows += [
+                {"sensor": name, "indenter": indenter, **row}
+                for row in followed(sensor, (low_n, high_n, low_n))
+            ]
+    return {"rows": rows}

@@ -3,8 +3,6 @@
 
 """From the mouse to the skin: how long the live page takes to show what a drag has moved.
 
-python benchmarks/live.py --json FILE
-
 Starts `dotsim_ros live`, opens its page in headless Chromium without a graphics card, drags the
 indenter 2 mm into the apex and along the skin, and asks the page for the times from each event of
 the mouse to the drawing of the first skin that shows it. Browser, sensor and rendering share the
@@ -14,7 +12,6 @@ sends the same motion, a pose after the answer to the last: what the sensor and 
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import re
@@ -27,16 +24,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, ViewportSize, sync_playwright
 from websockets.sync.client import ClientConnection, connect
 
 from dotsim_ros.cores import available_core_count
-from dotsim_ros.files import write_json
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
+from studies.run import expect_positive
+from studies.timing import percentiles_ms
 
 BROWSERS = ("chromium", "google-chrome")
-WINDOW = {"width": 1280, "height": 800}
+WINDOW = ViewportSize(width=1280, height=800)
 START_S = 300.0
 MOVE_S = 1.0 / 60.0
 DEEP_MM = 2.0
@@ -66,9 +63,9 @@ def received(socket: ClientConnection) -> dict[str, Any]:
 
 
 def answered(address: str, seconds: float) -> list[float]:
-    """Return the times in milliseconds from a pose to the skin that shows it, without a browser."""
+    """Return the times in seconds from a pose to the skin that shows it, without a browser."""
     apex_m = load_sensor("densetact2").gel.bounds_m[1][2]
-    lags_ms: list[float] = []
+    lags_s: list[float] = []
     with connect(f"{address.replace('http', 'ws', 1).rstrip('/')}/socket") as socket:
         while (state := received(socket))["kind"] != "state" or state["busy"]:
             pass
@@ -83,9 +80,9 @@ def answered(address: str, seconds: float) -> list[float]:
             socket.send(json.dumps({"do": "pose", "number": number, **place}))
             while (skin := received(socket))["kind"] != "skin" or skin["number"] != number:
                 pass
-            lags_ms.append(1e3 * (time.perf_counter() - begun_s))
+            lags_s.append(time.perf_counter() - begun_s)
         socket.send(json.dumps({"do": "reset"}))
-    return lags_ms
+    return lags_s
 
 
 def taken(page: Page) -> tuple[float, float]:
@@ -118,16 +115,17 @@ def drag(page: Page, seconds: float) -> tuple[float, list[float]]:
     return rate, page.evaluate("lagsMs")
 
 
-def main() -> None:
-    """Measure, print, and write JSON where asked."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seconds", type=float, default=20.0, help="of the drag (20)")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    parser.add_argument("--screenshot", type=Path, help="file for a picture of the page")
-    arguments = parser.parse_args()
+def live(*, seconds: float = 15.0, screenshot: Path | None = None) -> dict[str, Any]:
+    """From the mouse to the skin: how long the live page takes to show what a drag has moved.
+
+    Args:
+        seconds: of the drag.
+        screenshot: file for a picture of the page.
+    """
+    expect_positive(seconds=seconds)
     browser = next(filter(None, map(shutil.which, BROWSERS)), None)
     if browser is None:
-        parser.error(f"none of {', '.join(BROWSERS)} is installed")
+        raise ValueError(f"none of {', '.join(BROWSERS)} is installed; install one of them")
     with tempfile.TemporaryDirectory() as recordings:
         server = subprocess.Popen(
             [
@@ -139,34 +137,25 @@ def main() -> None:
         )
         try:
             address = opened_address(server)
-            alone_ms = float(np.median(answered(address, arguments.seconds)))
-            rate, lags_ms = _measured(address, browser, arguments)
+            alone_s = answered(address, seconds)
+            rate, lags_ms = _dragged(address, browser, seconds, screenshot)
         finally:
             server.terminate()
             server.wait()
-    p50, p95, p99 = (float(np.percentile(lags_ms, share)) for share in (50, 95, 99))
-    print(
-        f"drag to skin: {p50:.0f} ms at the median, {p95:.0f} at the 95th percentile, {p99:.0f} at "
-        f"the 99th (goal {GOAL_MS:.0f}), {len(lags_ms)} drags, {rate:.1f} frames/s; without a "
-        f"browser {alone_ms:.0f} ms"
-    )
-    if arguments.json is not None:
-        figures: dict[str, Any] = {
-            "cores": available_core_count(),
-            "seconds": arguments.seconds,
-            "drags": len(lags_ms),
-            "frames_per_second": rate,
-            "drag_to_skin_p50_ms": round(p50, 1),
-            "drag_to_skin_p95_ms": round(p95, 1),
-            "drag_to_skin_p99_ms": round(p99, 1),
-            "without_a_browser_p50_ms": round(alone_ms, 1),
-            "goal_ms": GOAL_MS,
-        }
-        write_json(arguments.json, {**provenance(), **figures})
+    lags = percentiles_ms(1e-3 * np.array(lags_ms))
+    return {
+        "cores": available_core_count(),
+        "seconds": seconds,
+        "drags": len(lags_ms),
+        "frames_per_second": rate,
+        **{f"drag_to_skin_{name}": value for name, value in lags.items()},
+        "without_a_browser_p50_ms": percentiles_ms(alone_s)["p50_ms"],
+        "goal_ms": GOAL_MS,
+    }
 
 
-def _measured(
-    address: str, browser: str, arguments: argparse.Namespace
+def _dragged(
+    address: str, browser: str, seconds: float, screenshot: Path | None
 ) -> tuple[float, list[float]]:
     with sync_playwright() as playwright:
         opened = playwright.chromium.launch(
@@ -178,13 +167,9 @@ def _measured(
         page = opened.new_page(viewport=WINDOW)
         page.goto(address)
         page.locator("#indenter:enabled").wait_for(timeout=1e3 * START_S)
-        figures = drag(page, arguments.seconds)
-        if arguments.screenshot is not None:
+        figures = drag(page, seconds)
+        if screenshot is not None:
             page.wait_for_timeout(1000)
-            page.screenshot(path=arguments.screenshot)
+            page.screenshot(path=screenshot)
         opened.close()
         return figures
-
-
-if __name__ == "__main__":
-    main()

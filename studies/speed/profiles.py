@@ -3,8 +3,6 @@
 
 """Error and time of a frame under each profile of `tactile_sim`, against `exact`, in one run.
 
-    python benchmarks/profiles.py --json docs/results/profiles.json
-
 Each indenter is pressed to a fifth of the gel's thickness, 0.2 mm a frame, lifted by a quarter of
 that, and slid there and back over 3.2 mm, 0.4 mm a frame: 5 and 10 mm/s at 25 Hz. Each pose is
 solved with every profile, one after the other, so that what else the machine does slows all alike.
@@ -13,8 +11,8 @@ of each frame the median and the 99th percentile over the frames, and the larges
 error is a share of the motion's largest force.
 
 In the slide each gel then hands its state to the one of the next profile, there and back, as `auto`
-does: how far the skin jumps, and how long it takes. Beside it, how far it would jump if the other
-gel were pressed anew at the same pose.
+does: how far the skin jumps, and how long it takes. Next to it: how far it would jump if the other
+gel were pressed again at the same pose.
 
 The ball is pressed and slid once more twice as deep, which is beyond what is documented: there a
 frame of two iterations may be far from the equilibrium, and is marked as not converged.
@@ -24,30 +22,28 @@ At last the profiles are made side by side in a process of their own: time and m
 
 from __future__ import annotations
 
-import argparse
-import json
 import resource
-import subprocess
-import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.files import write_json
 from dotsim_ros.gel.implicit.handover import SkinJumpError
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import AUTO, EXACT, PROFILES
-from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, load_sensor
+from studies.run import FAILED
+from studies.timing import percentiles_ms
 
 SENSORS = ("densetact2", "sensor_a", "flat_pad")
 INDENTERS = ("sphere_4mm", "box_edge", "flat_punch")
@@ -109,8 +105,10 @@ def errors(
             "force_mean_percent": round(100.0 * float(share.mean()), 2),
             "force_max_percent": round(100.0 * float(share.max()), 2),
             "time_ratio": round(sum(spent_s[name]) / whole_s, 3),
-            "gel_p50_ms": round(1e3 * float(np.percentile(spent_s[name], 50)), 1),
-            "gel_p95_ms": round(1e3 * float(np.percentile(spent_s[name], 95)), 1),
+            **{
+                f"gel_{key}": value
+                for key, value in percentiles_ms(spent_s[name], (50, 95)).items()
+            },
             "unconverged_frames": unconverged[name],
             "grid_spacing_mm": round(1e3 * rungs[name].solver.grid_spacing_m, 3),
         }
@@ -126,7 +124,7 @@ def errors(
 
 def handovers(sensor: SensorSpecification, indenter: str) -> list[dict[str, Any]]:
     """Return how far the skin jumps where one profile follows another during the slide, and how far
-    it would if the second one were pressed anew at the same pose."""
+    it would if the second one were pressed again at the same pose."""
     rungs = ladder_of(AUTO, sensor)
     shape = load_indenter(indenter)
     live = TactileSensor(_with(sensor, rungs[0].solver), indenter=shape)
@@ -168,20 +166,9 @@ def handovers(sensor: SensorSpecification, indenter: str) -> list[dict[str, Any]
     return rows
 
 
-def start_cost(sensor: str) -> dict[str, float]:
+def start_cost(name: str) -> dict[str, float]:
     """Return time and memory of making one profile, and of making all after it, with the tables on
-    disk."""
-    answer = subprocess.run(
-        [sys.executable, __file__, "--start-cost-of", sensor],
-        check=True,
-        capture_output=True,
-        text=True,
-    )
-    figures: dict[str, float] = json.loads(answer.stdout.splitlines()[-1])
-    return figures
-
-
-def _print_start_cost(name: str) -> None:
+    disk. Memory is that of the process, which must be a new one."""
     sensor = load_sensor(name)
     rungs = ladder_of(AUTO, sensor)
     made: list[tuple[float, float]] = [(time.monotonic(), _memory_mb())]
@@ -191,13 +178,12 @@ def _print_start_cost(name: str) -> None:
     for rung in rungs:
         live.prepare_solver(rung.solver)
     made.append((time.monotonic(), _memory_mb()))
-    figures = {
+    return {
         "one_s": round(made[1][0] - made[0][0], 2),
         "one_mb": round(made[1][1] - made[0][1]),
         "others_s": round(made[2][0] - made[1][0], 2),
         "others_mb": round(made[2][1] - made[1][1]),
     }
-    print(json.dumps(figures))
 
 
 def _memory_mb() -> float:
@@ -228,73 +214,36 @@ def summary(cases: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-def main() -> int:
-    """Measure, print, write; return 1 where an error is larger than documented."""
-    parser = argparse.ArgumentParser(
-        description="Error and time of each profile of tactile_sim against exact.",
-        epilog="example: python benchmarks/profiles.py --json docs/results/profiles.json",
-    )
-    parser.add_argument("--sensors", nargs="+", default=SENSORS, help="names or files")
-    parser.add_argument("--indenters", nargs="+", default=INDENTERS, help="names or files")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    parser.add_argument("--start-cost-of", help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
-    if arguments.start_cost_of:
-        _print_start_cost(arguments.start_cost_of)
-        return 0
-    cases, deep = [], []
-    for name in arguments.sensors:
+def profiles(
+    *, sensors: tuple[str, ...] = SENSORS, indenters: tuple[str, ...] = INDENTERS
+) -> dict[str, Any]:
+    """Error and time of a frame under each profile of `tactile_sim`, against `exact`.
+
+    Args:
+        sensors: names or files.
+        indenters: names or files.
+    """
+    cases: list[dict[str, Any]] = []
+    deep: list[dict[str, Any]] = []
+    start: dict[str, dict[str, float]] = {}
+    for name in sensors:
         sensor = load_sensor(name)
-        for indenter in arguments.indenters:
-            case = errors(sensor, indenter)
-            case["handovers"] = handovers(sensor, indenter)
-            print_case(case)
-            cases.append(case)
+        cases += [
+            {**errors(sensor, indenter), "handovers": handovers(sensor, indenter)}
+            for indenter in indenters
+        ]
         deep.append(errors(sensor, DEEP_INDENTER, DEEP_SHARE))
-        print_case(deep[-1])
-    figures = {
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:
+            start[name] = process.submit(start_cost, name).result()
+    worst = summary(cases)
+    return {
         "cases": cases,
-        "worst": summary(cases),
+        "worst": worst,
         "deep": deep,
-        "start": {name: start_cost(name) for name in arguments.sensors},
-        "provenance": provenance(),
+        "start": start,
+        FAILED: [
+            f"{name} is off by {row['skin_max_mm']} mm, documented are {row['documented_mm']} mm"
+            for name, row in worst.items()
+            if row["skin_max_mm"] > row["documented_mm"]
+        ],
     }
-    for name, cost in figures["start"].items():
-        print(
-            f"{name}: one profile {cost['one_s']} s and {cost['one_mb']} MB, the others "
-            f"{cost['others_s']} s and {cost['others_mb']} MB more"
-        )
-    if arguments.json:
-        write_json(arguments.json, figures)
-    worst = figures["worst"]
-    over = [name for name, row in worst.items() if row["skin_max_mm"] > row["documented_mm"]]
-    for name in over:
-        print(f"{name} is off by more than is documented: {worst[name]}")
-    return 1 if over else 0
-
-
-def print_case(case: dict[str, Any]) -> None:
-    """Print one sensor and indenter."""
-    print(
-        f"\n{case['sensor']}, {case['indenter']}, "
-        f"{case['depth_mm']} mm deep, {case['largest_force_n']} N"
-    )
-    for name, row in case["profiles"].items():
-        print(
-            f"  {name:<9} {row['grid_spacing_mm']:.1f} mm  skin {row['skin_p50_mm']:.3f} p50 "
-            f"{row['skin_p99_mm']:.3f} p99 {row['skin_max_mm']:.3f} mm max  force "
-            f"{row['force_mean_percent']:.2f} % mean {row['force_max_percent']:.2f} % max  time "
-            f"{row['time_ratio']:.2f} of exact ({row['gel_p50_ms']} ms p50, {row['gel_p95_ms']} "
-            f"p95)  unconverged {row['unconverged_frames']}"
-        )
-    for row in case.get("handovers", ()):
-        print(
-            f"  {row['from']} -> {row['to']}: the skin jumps {row['largest_jump_mm']:.3f} mm at "
-            f"most (pressed anew {row['largest_jump_if_pressed_anew_mm']:.3f}), "
-            f"{row['longest_ms']} ms at most, {row['refused']} of {row['tried']} refused",
-            flush=True,
-        )
-
-
-if __name__ == "__main__":
-    sys.exit(main())

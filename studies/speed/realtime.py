@@ -3,8 +3,6 @@
 
 """Frame rate and latency of the running node over DDS, and where a frame's time goes.
 
-python benchmarks/realtime.py --seconds 60 --json realtime.json
-
 Four parts, one after the other, so that none disturbs another:
 1. Starts of the node, from the command to "ready": cold, with no compiled kernel and no computed
    table on disk, and warm, with those that the cold start left. Files of the system may be in
@@ -37,7 +35,6 @@ sent before the frame's stamp.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 import threading
 import time
@@ -47,18 +44,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
-from reference import two_bumps
+from rclpy.node import Node
+from sensor_msgs.msg import Image
 
-from dotsim_ros.files import write_json
+import msg_adapters
+from dotsim_ros.gel.batch import GelBatch
+from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.measured.motion import Motion
 from dotsim_ros.measured.scripted import Site, in_sequence, press_hold_release, slide
-from dotsim_ros.provenance import provenance
+from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
+from studies.reference.study import two_bumps
+from studies.run import expect_positive
+from studies.speed.device_check import explicit_ms
+from studies.speed.running_node import PosePublisher, observing_node, running_sensors
+from studies.timing import percentiles_ms
 
 POSE_RATE_HZ = 100.0
-START_TIMEOUT_S = 300.0
 # Skipped at the start: caches, and a middleware that still discovers.
 SETTLE_S = 2.0
 CASES = ("sphere_4mm", "box_edge", "cone", "torus", "two_bumps", "flat_punch", "box_face")
@@ -66,15 +73,16 @@ LEARNED_SENSOR = "sensor_a"
 BATCH_SIZE = 4
 GEL_PARTS = ("contact", "solve")
 OPTICS_PARTS = ("depth", "image")
-EXPLICIT_SPACING_M = 1.2e-3
-EXPLICIT_SUBSTEPS = 100
 EXPLICIT_FRAMES = 2
+FRAME_RATE_HZ = 25.0
+WARM_FRAMES = 10
+"""Before the clock starts: kernels and caches."""
 CACHE_VARIABLES = ("DOTSIM_ROS_CACHE", "WARP_CACHE_PATH")
 
 Point = tuple[float, float, float]
 
 
-def benchmark_motion() -> Motion:
+def motion_under_load() -> Motion:
     """Return the press at 5 mm/s and the slide at 10 mm/s, with the ways between them."""
     press = press_hold_release(Site(), depth_m=0.002, hold_s=0.0, speed_m_s=0.005)
     across = slide(
@@ -86,12 +94,6 @@ def benchmark_motion() -> Motion:
         slide_speed_m_s=0.01,
     )
     return in_sequence([press, across])
-
-
-def quantiles_ms(seconds: list[float]) -> dict[str, float]:
-    """Return the quantiles of times in seconds as milliseconds."""
-    values = np.percentile(1e3 * np.asarray(seconds), [50, 95, 99])
-    return dict(zip(("p50_ms", "p95_ms", "p99_ms"), values.round(2).tolist(), strict=True))
 
 
 @dataclass(frozen=True)
@@ -175,17 +177,11 @@ def ages_at_hand_s(latency_s: list[float], arrived_s: list[float]) -> list[float
 class PosePlayer(threading.Thread):
     """Publishes the motion over and over, and remembers when it sent which pose."""
 
-    def __init__(self, node: Any, *, seconds: float) -> None:
+    def __init__(self, node: Node, *, seconds: float) -> None:
         super().__init__(daemon=True)
-        from geometry_msgs.msg import PoseStamped
-
-        self._node, self._seconds = node, seconds
-        self._publisher = node.create_publisher(PoseStamped, "indenter/pose", 1)
+        self._seconds = seconds
+        self.publisher = PosePublisher(node)
         self._sent: list[tuple[NDArray[np.float64], float, int]] = []
-
-    def is_heard(self) -> bool:
-        """Return whether somebody reads the poses."""
-        return bool(self._publisher.get_subscription_count() > 0)
 
     def sent(self) -> SentPath:
         """Return what was sent, once the player is done."""
@@ -193,9 +189,7 @@ class PosePlayer(threading.Thread):
         return SentPath(np.array(position_m), np.array(sent_s), np.array(stamp_ns))
 
     def run(self) -> None:
-        import msg_adapters
-
-        motion = benchmark_motion()
+        motion = motion_under_load()
         begun_s = time.monotonic()
         for index in range(int(self._seconds * POSE_RATE_HZ)):
             pose = motion.at(index / POSE_RATE_HZ % motion.duration_s)
@@ -204,15 +198,9 @@ class PosePlayer(threading.Thread):
             wait_s = begun_s + index / POSE_RATE_HZ - time.monotonic()
             if wait_s > 0.0:
                 time.sleep(wait_s)
-            stamp_ns = self._node.get_clock().now().nanoseconds
-            message = msg_adapters.encode_pose_stamped(
-                position,
-                pose.quaternion_xyzw,
-                stamp_ns=stamp_ns,
-                frame_id="densetact_base",
-            )
-            self._sent.append((position, time.monotonic(), stamp_ns))
-            self._publisher.publish(message)
+            sent_s = time.monotonic()
+            stamp_ns = self.publisher.send(Pose(position, pose.quaternion_xyzw))
+            self._sent.append((position, sent_s, stamp_ns))
 
 
 def measure_start_up() -> dict[str, float]:
@@ -221,19 +209,13 @@ def measure_start_up() -> dict[str, float]:
     Raises:
         OSError: the node does not start.
     """
-    from dotsim_ros.nodes.common.processes import NodeProcess
-
     figures = {}
     with tempfile.TemporaryDirectory(prefix="dotsim_ros_cold_") as folder:
         environment = {name: str(Path(folder) / name.lower()) for name in CACHE_VARIABLES}
         for name in ("cold_s", "warm_s"):
             begun_s = time.monotonic()
-            process = NodeProcess("tactile_sim", {}, environment=environment)
-            try:
-                process.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
+            with running_sensors(environment=environment):
                 figures[name] = round(time.monotonic() - begun_s, 2)
-            finally:
-                process.stop()
     return figures
 
 
@@ -250,24 +232,12 @@ def measure_node(
         OSError: the node does not start.
         RuntimeError: no frames come.
     """
-    import rclpy
-    from diagnostic_msgs.msg import DiagnosticArray
-    from geometry_msgs.msg import PoseStamped
-    from rclpy.executors import SingleThreadedExecutor
-    from sensor_msgs.msg import Image
-
-    import msg_adapters
-    from dotsim_ros.nodes.common.processes import NodeProcess
-
     begun_s = time.monotonic()
-    process = NodeProcess(
-        "tactile_sim", {"rate_hz": rate_hz, "sensor": sensor, **(parameters or {})}
-    )
-    try:
-        process.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
+    with (
+        running_sensors({"rate_hz": rate_hz, "sensor": sensor, **(parameters or {})}) as (process,),
+        observing_node("realtime") as (node, executor),
+    ):
         start_up_s = time.monotonic() - begun_s
-        rclpy.init()
-        node = rclpy.create_node("realtime_benchmark")
         arrived_s: dict[int, float] = {}
         shown_m: dict[int, Point] = {}
         figures: dict[str, str] = {}
@@ -288,17 +258,11 @@ def measure_node(
         node.create_subscription(PoseStamped, "indenter/state", on_state, 50)
         node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
         player = PosePlayer(node, seconds=seconds + SETTLE_S)
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
-        while not player.is_heard():
+        while not player.publisher.has_reader():
             executor.spin_once(timeout_sec=0.1)
         player.start()
         while player.is_alive():
             executor.spin_once(timeout_sec=0.1)
-        node.destroy_node()
-        rclpy.try_shutdown()
-    finally:
-        status = process.stop()
     sent = player.sent()
     first_s = sent.sent_s[0] + SETTLE_S
     stamps = [stamp for stamp in sorted(arrived_s) if arrived_s[stamp] >= first_s]
@@ -316,10 +280,10 @@ def measure_node(
         "frames": len(stamps),
         "frames_per_second": round((len(stamps) - 1) / span_s, 3),
         "latency_s": latency_s,
-        "age_at_hand": quantiles_ms(
+        "age_at_hand": percentiles_ms(
             ages_at_hand_s(latency_s, [arrived_s[stamp] for stamp in known])
         ),
-        "latency_of_exact_frames": quantiles_ms(exact_s),
+        "latency_of_exact_frames": percentiles_ms(exact_s),
         "frames_without_pose": len(stamps) - len(latency_s),
         "lagging_share": round(len(lag_m) / len(latency_s), 4),
         "largest_lag_mm": round(1e3 * max(lag_m, default=0.0), 3),
@@ -327,7 +291,7 @@ def measure_node(
             1e3 * max(np.diff([arrived_s[stamp] for stamp in stamps])).item(), 1
         ),
         "start_up_s": round(start_up_s, 2),
-        "exit_status": status,
+        "exit_status": process.stop(),
         "node": figures,
     }
 
@@ -337,42 +301,36 @@ def shape_of(name: str) -> Indenter:
     return two_bumps() if name == "two_bumps" else load_indenter(name)
 
 
-def measure_sensor(
-    name: str, indenter: str, frame_rate_hz: float, frame_count: int
-) -> dict[str, Any]:
+def measure_sensor(name: str, indenter: str, frame_count: int) -> dict[str, Any]:
     """Return the times of a sensor's parts under the motion, for one indenter."""
-    from dotsim_ros.sensor import TactileSensor
-
     sensor = TactileSensor(load_sensor(name), indenter=shape_of(indenter))
-    motion = benchmark_motion()
+    motion = motion_under_load()
     spent: list[dict[str, float]] = []
     total_s: list[float] = []
     unconverged = 0
     penetration_m = 0.0
-    # The first round of frames warms up kernels and caches.
-    for index in range(-10, frame_count):
-        pose = motion.at(max(index, 0) / frame_rate_hz % motion.duration_s)
+    for index in range(-WARM_FRAMES, frame_count):
+        pose = motion.at(max(index, 0) / FRAME_RATE_HZ % motion.duration_s)
         begun_s = time.perf_counter()
-        frame = sensor.step(pose, 1.0 / frame_rate_hz)
+        frame = sensor.step(pose, 1.0 / FRAME_RATE_HZ)
         if index >= 0:
             total_s.append(time.perf_counter() - begun_s)
             spent.append(frame.timings_s)
             unconverged += not frame.converged
             penetration_m = max(penetration_m, frame.max_penetration_m)
-    gel = quantiles_ms([sum(parts[name] for name in GEL_PARTS) for parts in spent])
+    gel_s = [sum(parts[name] for name in GEL_PARTS) for parts in spent]
+    gel = percentiles_ms(gel_s)
     return {
         "indenter": indenter,
         "frames": frame_count,
         "gel_p50_ms": gel["p50_ms"],
         "gel_p95_ms": gel["p95_ms"],
         "gel": gel,
-        "optics": quantiles_ms([sum(parts[name] for name in OPTICS_PARTS) for parts in spent]),
-        "total": quantiles_ms(total_s),
-        "gel_mean_ms": round(
-            1e3 * float(np.mean([sum(parts[name] for name in GEL_PARTS) for parts in spent])), 2
-        ),
+        "optics": percentiles_ms([sum(parts[name] for name in OPTICS_PARTS) for parts in spent]),
+        "total": percentiles_ms(total_s),
+        "gel_mean_ms": round(1e3 * float(np.mean(gel_s)), 2),
         **{
-            name: quantiles_ms([parts[name] for parts in spent])
+            name: percentiles_ms([parts[name] for parts in spent])
             for name in (*GEL_PARTS, *OPTICS_PARTS)
         },
         "frames_per_second": round(1.0 / float(np.mean(total_s)), 2),
@@ -381,34 +339,29 @@ def measure_sensor(
     }
 
 
-def measure_batch(
-    name: str, indenter: str, frame_rate_hz: float, frame_count: int
-) -> dict[str, Any]:
+def measure_batch(name: str, indenter: str, frame_count: int) -> dict[str, Any]:
     """Return the time of a batch of gels, for each environment and frame, and that of a gel alone.
 
     Every environment makes the same motion, each a part of it ahead of the one before. The gel
     alone makes it by turns with the batch, so that both meet the same machine.
     """
-    from dotsim_ros.gel.batch import GelBatch
-    from dotsim_ros.gel.make import make_gel_batch
-
     specification, shape = load_sensor(name), load_indenter(indenter)
     alone = make_gel_batch(specification, indenter=shape, environment_count=1)
-    motion = benchmark_motion()
+    motion = motion_under_load()
     spent_s: list[float] = []
     alone_s: list[float] = []
     unconverged = 0
     with GelBatch(specification, indenter=shape, environment_count=BATCH_SIZE) as gel:
-        for index in range(-10, frame_count):
-            time_s = max(index, 0) / frame_rate_hz
+        for index in range(-WARM_FRAMES, frame_count):
+            time_s = max(index, 0) / FRAME_RATE_HZ
             poses = [
                 motion.at((time_s + part * motion.duration_s / BATCH_SIZE) % motion.duration_s)
                 for part in range(BATCH_SIZE)
             ]
             begun_s = time.perf_counter()
-            states = gel.step(poses, 1.0 / frame_rate_hz)
+            states = gel.step(poses, 1.0 / FRAME_RATE_HZ)
             between_s = time.perf_counter()
-            alone.step(poses[:1], 1.0 / frame_rate_hz)
+            alone.step(poses[:1], 1.0 / FRAME_RATE_HZ)
             if index >= 0:
                 spent_s.append((between_s - begun_s) / BATCH_SIZE)
                 alone_s.append(time.perf_counter() - between_s)
@@ -417,7 +370,7 @@ def measure_batch(
         "indenter": indenter,
         "environments": BATCH_SIZE,
         "frames": frame_count,
-        "gel_per_environment": quantiles_ms(spent_s),
+        "gel_per_environment": percentiles_ms(spent_s),
         "mean_ms": round(1e3 * float(np.mean(spent_s)), 2),
         "alone_mean_ms": round(1e3 * float(np.mean(alone_s)), 2),
         "cost_ratio": round(float(np.mean(spent_s) / np.mean(alone_s)), 3),
@@ -425,43 +378,46 @@ def measure_batch(
     }
 
 
-def main() -> None:
-    """Measure, print the table, and write it as JSON where asked."""
-    parser = argparse.ArgumentParser(
-        description="Frame rate and latency of the running node, and where a frame's time goes.",
-        epilog="example: python benchmarks/realtime.py --seconds 60 --json realtime.json",
-    )
-    parser.add_argument("--seconds", type=float, default=60.0, help="time under load (60)")
-    parser.add_argument("--rate-hz", type=float, default=25.0, help="rate of the node (25)")
-    parser.add_argument(
-        "--sensor", default="densetact2", help="sensor_a has a learned image (densetact2)"
-    )
-    parser.add_argument("--case-frames", type=int, default=200, help="frames an indenter (200)")
-    parser.add_argument(
-        "--skip-cold-start", action="store_true", help="leave out the starts, some minutes"
-    )
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
+def headroom(sensor_figures: Mapping[str, Any], rate_hz: float) -> float:
+    """Return the share of a frame's time that a sensor leaves at the median."""
+    return round(1.0 - 1e-3 * float(sensor_figures["total"]["p50_ms"]) * rate_hz, 3)
 
-    from dotsim_ros.gel.explicit.gel import explicit_seconds_per_frame
 
-    start_up = {} if arguments.skip_cold_start else measure_start_up()
-    node = measure_node(arguments.seconds, arguments.rate_hz, arguments.sensor)
-    latency_s = node.pop("latency_s")
-    cases = {
-        name: measure_sensor(arguments.sensor, name, 25.0, arguments.case_frames) for name in CASES
-    }
-    learned = measure_sensor(LEARNED_SENSOR, CASES[0], 25.0, arguments.case_frames)
-    batch = measure_batch(arguments.sensor, CASES[0], 25.0, arguments.case_frames)
-    explicit_s = explicit_seconds_per_frame(
-        spacing_m=EXPLICIT_SPACING_M,
-        substeps_per_frame=EXPLICIT_SUBSTEPS,
-        frame_count=EXPLICIT_FRAMES,
-    )
+def speedup(case: Mapping[str, Any], explicit_frame_ms: float) -> float | None:
+    """Return how often the gel of a case fits into a frame of the explicit reference, at the 95th
+    percentile; None where so few frames were taken that none was in contact."""
+    gel_ms = float(case["gel_p95_ms"])
+    return round(explicit_frame_ms / gel_ms, 1) if gel_ms else None
+
+
+def realtime(
+    *,
+    seconds: float = 60.0,
+    rate_hz: float = FRAME_RATE_HZ,
+    sensor: str = "densetact2",
+    case_frames: int = 200,
+    start_up: bool = True,
+) -> dict[str, Any]:
+    """Frame rate and latency of the running node, and where a frame's time goes.
+
+    Args:
+        seconds: under load.
+        rate_hz: of the node.
+        sensor: name or file; sensor_a has a learned image.
+        case_frames: frames of each indenter.
+        start_up: time the starts too, which takes some minutes.
+    """
+    expect_positive(seconds=seconds, rate_hz=rate_hz, case_frames=case_frames)
+    starts = measure_start_up() if start_up else {}
+    node = measure_node(seconds, rate_hz, sensor)
+    latency = percentiles_ms(node.pop("latency_s"))
+    cases = {name: measure_sensor(sensor, name, case_frames) for name in CASES}
+    learned = measure_sensor(LEARNED_SENSOR, CASES[0], case_frames)
+    batch = measure_batch(sensor, CASES[0], case_frames)
+    explicit_frame_ms = explicit_ms("cpu", EXPLICIT_FRAMES)
     for case in cases.values():
-        case["gel_p95_speedup"] = round(1e3 * explicit_s / case["gel_p95_ms"], 1)
-    latency = quantiles_ms(latency_s)
-    figures = {
+        case["gel_p95_speedup"] = speedup(case, explicit_frame_ms)
+    return {
         "frames_per_second": node["frames_per_second"],
         "latency_p50_ms": latency["p50_ms"],
         "latency_p99_ms": latency["p99_ms"],
@@ -469,76 +425,13 @@ def main() -> None:
         "largest_lag_mm": node["largest_lag_mm"],
         "gel_p95_ms": float(node["node"].get("gel_p95_ms", "nan")),
         "optics_p95_ms": float(node["node"].get("optics_p95_ms", "nan")),
-        "explicit_ratio": round(explicit_s * cases[CASES[0]]["frames_per_second"], 1),
-        "explicit_frames_per_second": round(1.0 / explicit_s, 3),
+        "explicit_ratio": round(1e-3 * explicit_frame_ms * cases[CASES[0]]["frames_per_second"], 1),
+        "explicit_frames_per_second": round(1e3 / explicit_frame_ms, 3),
         "batch_cost_ratio": batch["cost_ratio"],
-        "headroom": round(1.0 - 1e-3 * learned["total"]["p50_ms"] * arguments.rate_hz, 3),
-        "start_up": start_up,
+        "headroom": headroom(learned, rate_hz),
+        "start_up": starts,
         "node": node,
         "cases": cases,
         "learned": learned,
         "batch": batch,
-        "provenance": provenance(),
     }
-    print_table(figures)
-    if arguments.json:
-        write_json(arguments.json, figures)
-
-
-def print_table(figures: dict[str, Any]) -> None:
-    """Print what was measured."""
-    node = figures["node"]
-    print(f"\n{figures['provenance']['machine']}, commit {figures['provenance']['commit']}")
-    for name, seconds in figures["start_up"].items():
-        print(f"{name.removesuffix('_s')} start: ready after {seconds:.1f} s")
-    print(
-        f"node over DDS: {figures['frames_per_second']:.2f} frames/s at {node['rate_hz']:g} Hz, "
-        f"latency {figures['latency_p50_ms']:.1f} ms median, {figures['latency_p99_ms']:.1f} ms "
-        f"p99, age at hand {node['age_at_hand']['p50_ms']:.1f} ms median, "
-        f"{node['age_at_hand']['p99_ms']:.1f} ms p99"
-    )
-    print(
-        f"{node['node'].get('dropped', '?')} dropped, longest gap {node['longest_gap_ms']} ms, "
-        f"ready after {node['start_up_s']} s"
-    )
-    print(
-        f"lagging behind the newest pose: {100.0 * figures['lagging_share']:.1f} % of frames, by "
-        f"{figures['largest_lag_mm']:.2f} mm at most; latency of the others "
-        f"{node['latency_of_exact_frames']['p99_ms']:.1f} ms p99"
-    )
-    if node["frames_without_pose"]:
-        print(f"{node['frames_without_pose']} frames came without their pose: not in the latency")
-    parts = ("contact", "solve", "depth", "image", "publish", "gel", "optics")
-    shares = ", ".join(f"{part} {node['node'].get(part + '_p95_ms', '?')}" for part in parts)
-    print(f"in the node, p95 ms: {shares}")
-    print(
-        f"{'sensor alone':<14}{'gel p50':>9}{'p95':>8}{'optics p50':>12}{'p95':>8}{'frames/s':>10}"
-        f"{'explicit/gel p95':>18}"
-    )
-    for name, case in figures["cases"].items():
-        print(
-            f"{name:<14}{case['gel']['p50_ms']:9.1f}{case['gel']['p95_ms']:8.1f}"
-            f"{case['optics']['p50_ms']:12.1f}{case['optics']['p95_ms']:8.1f}"
-            f"{case['frames_per_second']:10.1f}"
-            f"{case['gel_p95_speedup']:12.1f}"
-        )
-    learned = figures["learned"]["total"]
-    print(
-        f"{LEARNED_SENSOR}, with a learned image: a frame takes {learned['p50_ms']:.1f} ms at the "
-        f"median, {learned['p95_ms']:.1f} p95; {100.0 * figures['headroom']:.0f} % of it is left"
-    )
-    batch = figures["batch"]
-    print(
-        f"{batch['environments']} environments of {batch['indenter']}: gel per environment and "
-        f"frame {batch['mean_ms']:.1f} ms on average, {batch['gel_per_environment']['p50_ms']:.1f} "
-        f"p50, {batch['gel_per_environment']['p95_ms']:.1f} p95; alone "
-        f"{batch['alone_mean_ms']:.1f} ms on average: {batch['cost_ratio']:.2f} times"
-    )
-    print(
-        f"explicit reference: {figures['explicit_frames_per_second']:.2f} frames/s; the sensor "
-        f"makes {figures['explicit_ratio']:.1f} times as many"
-    )
-
-
-if __name__ == "__main__":
-    main()

@@ -1,9 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Presses a second against workers, as processes and on Ray, and what a task costs beside its work.
-
-    python benchmarks/scale_out.py --json docs/results/scale_out.json
+"""Presses a second against workers, as processes and on Ray, and what a task costs by itself.
 
 Each task presses a ball, as a mesh, into the gel of the sensor at its own grid, as the gap finder
 and the calibration do. Before the clock starts every worker has its gel. All workers are of this
@@ -12,12 +10,10 @@ machine: more of them than it has cores show what is lost to crowding, not what 
 
 from __future__ import annotations
 
-import argparse
 import os
 import pickle
 import time
 from concurrent.futures import Executor, as_completed
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,18 +21,17 @@ import trimesh
 
 from dotsim_ros.cache import content_key
 from dotsim_ros.cores import available_core_count
-from dotsim_ros.files import write_json
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind, IndenterMesh
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.twin import solver
 from dotsim_ros.twin.solver import SolveRequest
 from dotsim_ros.worker_pool.pool import Crew, RayWorkers, open_pool, worker_count
 from dotsim_ros.worker_pool.ray_cluster import connected_ray
+from studies.run import FAILED, expect_positive
 
 BALL_M = 4.0e-3
 FRAMES = 12
@@ -65,7 +60,7 @@ def requests_of(sensor_name: str, count: int) -> list[SolveRequest]:
         aside_m = random.uniform(-3.0e-3, 3.0e-3, 2)
         depths_m = np.linspace(0.0, random.uniform(0.7, 1.0) * DEEPEST_M, FRAMES)
         poses = tuple(Pose(apex_m + np.array([*aside_m, -depth_m])) for depth_m in depths_m)
-        stamps = 0.1 * np.arange(FRAMES)
+        stamps = 0.1 * np.arange(FRAMES, dtype=np.float64)
         requests.append(
             SolveRequest(f"press {number}", shape, poses, stamps, values_of(sensor), relaxation)
         )
@@ -154,49 +149,44 @@ def measured(crew: Crew, requests: list[SolveRequest], sensor_name: str) -> dict
     return figures
 
 
-def main() -> None:
-    """Measure, print, and write JSON where asked."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4], help="(1 2 4)")
-    parser.add_argument("--presses", type=int, default=48, help="timed for each number (48)")
-    parser.add_argument("--sensor", default="densetact2", help="name or file (densetact2)")
-    parser.add_argument("--ray-address", default="local", help="of a cluster (local)")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    requests = requests_of(arguments.sensor, arguments.presses)
+def scale_out(
+    *,
+    workers: tuple[int, ...] = (1, 2, 4),
+    presses: int = 32,
+    sensor: str = "densetact2",
+    ray_address: str = "local",
+) -> dict[str, Any]:
+    """Presses a second against workers, as processes and on Ray.
+
+    Args:
+        workers: numbers of them.
+        presses: timed for each number.
+        sensor: name or file.
+        ray_address: of a cluster; local for this machine.
+    """
+    expect_positive(fewest_workers=min(workers), presses=presses)
+    requests = requests_of(sensor, presses)
     # The tables of the gel are made once and kept on disk.
-    solver.begin(load_sensor(arguments.sensor), skin_of(load_sensor(arguments.sensor).gel))
+    solver.begin(load_sensor(sensor), skin_of(load_sensor(sensor).gel))
     solver.solve(requests[0])
+    load_before = os.getloadavg()[0]
     begun_s = time.perf_counter()
-    connected_ray(arguments.ray_address, max(arguments.workers))
-    figures: dict[str, Any] = {
+    connected_ray(ray_address, max(workers))
+    ray_start_s = time.perf_counter() - begun_s
+    rows = [
+        {"where": where, **measured(crew, requests, sensor)}
+        for count in workers
+        for where, crew in (("processes", count), ("Ray", RayWorkers(count, ray_address)))
+    ]
+    digests = {row.pop("digest") for row in rows}
+    return {
         "cores": available_core_count(),
-        "load_before": round(os.getloadavg()[0], 2),
-        "presses": arguments.presses,
+        "load_before": round(load_before, 2),
+        "presses": presses,
         "frames_per_press": FRAMES,
-        "ray_start_s": round(time.perf_counter() - begun_s, 2),
-        "rows": [],
+        "ray_start_s": round(ray_start_s, 2),
+        "rows": rows,
+        "answers_are_the_same": len(digests) == 1,
+        "load_after": round(os.getloadavg()[0], 2),
+        FAILED: [] if len(digests) == 1 else ["workers gave different answers"],
     }
-    for count in arguments.workers:
-        for crew in (count, RayWorkers(count, arguments.ray_address)):
-            row = measured(crew, requests, arguments.sensor)
-            where = "Ray" if isinstance(crew, RayWorkers) else "processes"
-            figures["rows"].append({"where": where, **row})
-            print(
-                f"{where}, {count} workers: {row['presses_per_s']:.2f} presses/s, "
-                f"{row['processor_s_per_press']:.3f} s of processor a press, "
-                f"{row['empty_task_ms']:.2f} ms a task without work",
-                flush=True,
-            )
-    digests = {row.pop("digest") for row in figures["rows"]}
-    figures["answers_are_the_same"] = len(digests) == 1
-    figures["load_after"] = round(os.getloadavg()[0], 2)
-    print(f"the same answers from all: {figures['answers_are_the_same']}")
-    if arguments.json is not None:
-        write_json(arguments.json, {**provenance(), **figures})
-
-
-if __name__ == "__main__":
-    main()

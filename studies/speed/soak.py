@@ -3,8 +3,6 @@
 
 """Memory and lost frames of the node over a long run in lockstep, at 25 poses a second.
 
-python benchmarks/soak.py --minutes 30 --json soak.json
-
 Every pose must come back as one Image with its stamp. Memory is the node's resident set, sampled
 once a second; its growth is the last tenth of the run against the second tenth (the first one
 fills caches).
@@ -12,32 +10,27 @@ fills caches).
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
-from geometry_msgs.msg import PoseStamped
-from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import Image
 
 import msg_adapters
-from dotsim_ros.files import write_json
 from dotsim_ros.measured.scripted import Site, press_hold_release
-from dotsim_ros.nodes.common.processes import NodeProcess
-from dotsim_ros.provenance import provenance
+from studies.run import FAILED
+from studies.speed.running_node import PosePublisher, observing_node, running_sensors
+from studies.timing import percentiles_ms
 
 RATE_HZ = 25.0
-START_TIMEOUT_S = 300.0
 DISCOVERY_TIMEOUT_S = 30.0
 LAST_FRAME_TIMEOUT_S = 10.0
 # The publisher keeps five images for a slow reader.
 MOST_IN_FLIGHT = 4
 LARGEST_GROWTH = 0.02
+SHORTEST_MINUTES = 0.1
 
 
 def resident_bytes(pid: int) -> int:
@@ -55,33 +48,36 @@ def growth(samples: list[int]) -> float:
     return float(after / before - 1.0)
 
 
-def soak(minutes: float) -> dict[str, Any]:
-    """Run the node under presses and return what was counted.
+def soak(*, minutes: float = 30.0) -> dict[str, Any]:
+    """Memory and lost frames of the node over a long run in lockstep.
 
-    Raises:
-        OSError: the node does not start, or ends.
+    Args:
+        minutes: how long.
     """
-    process = NodeProcess("tactile_sim", {"clock": "lockstep"})
-    try:
-        process.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
-        rclpy.init()
-        node = rclpy.create_node("soak")
-        waiting: dict[int, float] = {}
-        latency_s: list[float] = []
-
-        def on_image(message: Image) -> None:
-            sent_s = waiting.pop(msg_adapters.message_stamp_ns(message), None)
-            if sent_s is not None:
-                latency_s.append(time.monotonic() - sent_s)
-
-        node.create_subscription(Image, "image_raw", on_image, 5)
-        publisher = node.create_publisher(
-            PoseStamped, "indenter/pose", QoSProfile(history=HistoryPolicy.KEEP_ALL)
+    if minutes < SHORTEST_MINUTES:
+        raise ValueError(
+            f"minutes is {minutes:g}, expected {SHORTEST_MINUTES:g} or more: memory is sampled "
+            "once a second"
         )
-        executor = SingleThreadedExecutor()
-        executor.add_node(node)
+    waiting: dict[int, float] = {}
+    latency_s: list[float] = []
+    memory: list[int] = []
+    press = press_hold_release(Site(), depth_m=0.002, hold_s=0.2)
+    count = int(60.0 * minutes * RATE_HZ)
+
+    def on_image(message: Image) -> None:
+        sent_s = waiting.pop(msg_adapters.message_stamp_ns(message), None)
+        if sent_s is not None:
+            latency_s.append(time.monotonic() - sent_s)
+
+    with (
+        running_sensors({"clock": "lockstep"}) as (process,),
+        observing_node("soak") as (node, executor),
+    ):
+        node.create_subscription(Image, "image_raw", on_image, 5)
+        publisher = PosePublisher(node, quality=QoSProfile(history=HistoryPolicy.KEEP_ALL))
         given_up_s = time.monotonic() + DISCOVERY_TIMEOUT_S
-        while publisher.get_subscription_count() == 0:
+        while not publisher.has_reader():
             executor.spin_once(timeout_sec=0.1)
             if time.monotonic() > given_up_s:
                 raise OSError(
@@ -89,11 +85,7 @@ def soak(minutes: float) -> dict[str, Any]:
                     "ROS_DOMAIN_ID and the network settings of both"
                 )
         time.sleep(1.0)
-
-        press = press_hold_release(Site(), depth_m=0.002, hold_s=0.2)
-        memory: list[int] = []
         begun_s = time.monotonic()
-        count = int(60.0 * minutes * RATE_HZ)
         for index in range(count):
             due_s = begun_s + index / RATE_HZ
             given_up_s = max(due_s, time.monotonic()) + LAST_FRAME_TIMEOUT_S
@@ -101,71 +93,29 @@ def soak(minutes: float) -> dict[str, Any]:
                 executor.spin_once(timeout_sec=max(0.0, min(0.02, due_s - time.monotonic())))
                 if time.monotonic() > given_up_s:
                     break
-            pose = press.at(index / RATE_HZ % press.duration_s)
-            stamp_ns = node.get_clock().now().nanoseconds
-            waiting[stamp_ns] = time.monotonic()
-            publisher.publish(
-                msg_adapters.encode_pose_stamped(
-                    pose.position_m,
-                    pose.quaternion_xyzw,
-                    stamp_ns=stamp_ns,
-                    frame_id="densetact_base",
-                )
-            )
+            sent_s = time.monotonic()
+            waiting[publisher.send(press.at(index / RATE_HZ % press.duration_s))] = sent_s
             if index % int(RATE_HZ) == 0:
                 memory.append(resident_bytes(process.pid))
-            if index % int(60 * RATE_HZ) == 0:
-                print(
-                    f"minute {index / (60 * RATE_HZ):.0f}: {memory[-1] / 2**20:.1f} MiB, "
-                    f"{len(latency_s)} frames, {len(waiting)} waited for",
-                    flush=True,
-                )
         end_s = time.monotonic() + LAST_FRAME_TIMEOUT_S
         while waiting and time.monotonic() < end_s:
             executor.spin_once(timeout_sec=0.1)
         elapsed_s = time.monotonic() - begun_s
-        node.destroy_node()
-        rclpy.try_shutdown()
-    finally:
-        status = process.stop()
+    status, grown = process.stop(), growth(memory)
+    faults = {
+        f"{len(waiting)} frames lost": bool(waiting),
+        f"memory grew by {grown:.1%}": grown > LARGEST_GROWTH,
+        f"the node ended with status {status}": status != 0,
+    }
     return {
         "minutes": round(elapsed_s / 60.0, 2),
         "poses": count,
         "frames": len(latency_s),
         "lost": len(waiting),
         "frames_per_second": round(len(latency_s) / elapsed_s, 2),
-        "latency_p99_ms": round(1e3 * float(np.percentile(latency_s, 99)), 1),
+        "latency_p99_ms": percentiles_ms(latency_s)["p99_ms"] if latency_s else None,
         "memory_mib": [round(sample / 2**20, 1) for sample in memory[:: max(1, len(memory) // 60)]],
-        "memory_growth": round(growth(memory), 5),
+        "memory_growth": round(grown, 5),
         "exit_status": status,
-        "provenance": provenance(),
+        FAILED: [fault for fault, is_met in faults.items() if is_met],
     }
-
-
-def main() -> int:
-    """Run, print, write; return 1 where memory grew or a frame was lost."""
-    parser = argparse.ArgumentParser(
-        description="Memory and lost frames of the node over a long run in lockstep.",
-        epilog="example: python benchmarks/soak.py --minutes 30 --json soak.json",
-    )
-    parser.add_argument("--minutes", type=float, default=30.0, help="how long (30)")
-    parser.add_argument("--json", type=Path, help="file to write the figures to")
-    arguments = parser.parse_args()
-    figures = soak(arguments.minutes)
-    if arguments.json:
-        write_json(arguments.json, figures)
-    print(
-        f"{figures['frames']} of {figures['poses']} frames in {figures['minutes']} min, "
-        f"{figures['lost']} lost, memory {100 * figures['memory_growth']:+.2f} %, exit status "
-        f"{figures['exit_status']}"
-    )
-    is_good = (
-        figures["lost"] == 0
-        and figures["memory_growth"] <= LARGEST_GROWTH
-        and figures["exit_status"] == 0
-    )
-    return 0 if is_good else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

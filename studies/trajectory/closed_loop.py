@@ -3,8 +3,6 @@
 
 """Rates and delays of the closed loop: sensor, policy and arm as processes on this machine.
 
-    python benchmarks/closed_loop.py --minutes 10 --json closed_loop.json
-
 The policy leads the arm along a path all the time. Rates are counted from the times at which the
 middleware sent the messages. The way of a pose: `xarm_sim` stamps it, the frame that shows it is
 stamped by `tactile_sim`, and the command that answers the frame is sent by `tactile_policy`. The
@@ -15,9 +13,7 @@ deadlines.
 
 from __future__ import annotations
 
-import argparse
 import os
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -28,7 +24,7 @@ from geometry_msgs.msg import PoseStamped
 
 import msg_adapters
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.files import write_json, write_text
+from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import (
     ARM,
     POLICY,
@@ -39,17 +35,18 @@ from dotsim_ros.nodes.loop.closed_loop import (
 )
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopTraffic
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
-from dotsim_ros.provenance import provenance
 from dotsim_ros.tasks.control.loop_recording import LoopRecording
 from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.loop.judge import motion_figures, trial_start
 from dotsim_ros.tasks.policy.card import read_policy
 from dotsim_ros.tasks.policy.paths import PATHS, reference_path
-from studies.table import entry_list
+from studies.run import FAILED, expect_known, expect_positive
+from studies.timing import percentiles_ms
 from studies.trajectory.trials import summarize
 
 TOPICS = {**LOOP_TOPICS, "indenter/pose": PoseStamped, "indenter/state": PoseStamped}
 SHORTEST_INFERENCE_S = 0.005
+PERCENTS = (50, 99, 100)
 WINDOW_S = 10.0
 REPORTED_GAP_S = 0.08
 """Gap between two commands: one period and a deadline missed by 40 ms."""
@@ -88,12 +85,6 @@ def rate_figures(times_s: FloatArray) -> dict[str, float]:
     }
 
 
-def spread_ms(values_s: FloatArray) -> dict[str, float]:
-    """Return percentiles in milliseconds."""
-    shares = {"p50_ms": 50.0, "p99_ms": 99.0, "max_ms": 100.0}
-    return {k: round(1e3 * float(np.percentile(values_s, share)), 1) for k, share in shares.items()}
-
-
 def shown_poses_s(poses: list[LoopTraffic], states: list[LoopTraffic]) -> FloatArray:
     """Return for each frame the stamp of the pose that it shows, NaN where it shows none that was
     sent: the frame then lags behind the indenter."""
@@ -130,13 +121,13 @@ def ways(loop: ClosedLoop) -> dict[str, Any]:
     whole = command_s - shown_s[answered]
     lags = np.isnan(whole)
     return {
-        "pose_to_frame": spread_ms((frame_s - shown_s)[~np.isnan(shown_s)]),
-        "frame_to_sent": spread_ms(frame_sent_s - frame_s),
+        "pose_to_frame": percentiles_ms((frame_s - shown_s)[~np.isnan(shown_s)], PERCENTS),
+        "frame_to_sent": percentiles_ms(frame_sent_s - frame_s, PERCENTS),
         "frame_to_sent_percentiles_s": np.percentile(frame_sent_s - frame_s, np.arange(101))
         .round(4)
         .tolist(),
-        "frame_to_command": spread_ms(command_s - frame_s[answered]),
-        "pose_to_command": spread_ms(whole[~lags]),
+        "frame_to_command": percentiles_ms(command_s - frame_s[answered], PERCENTS),
+        "pose_to_command": percentiles_ms(whole[~lags], PERCENTS),
         "commands_counted": int(np.sum(~lags)),
         "commands_on_lagging_frames": int(np.sum(lags)),
     }
@@ -243,97 +234,26 @@ def verdicts(figures: Mapping[str, Any]) -> dict[str, bool]:
     }
 
 
-def page(figures: Mapping[str, Any]) -> str:
-    """Return the figures as Markdown."""
-    rates = {
-        name: f"{f['mean_hz']:.2f} Hz (windows of {WINDOW_S:g} s: {f['lowest_hz']:.1f} to "
-        f"{f['highest_hz']:.1f}), longest gap {f['longest_gap_ms']:.0f} ms"
-        for name, f in ((n, figures[n]) for n in ("commands", "feedback", "frames"))
-    }
-    delays = {
-        name.replace("_", " "): f"p50 {f['p50_ms']:.0f} ms, p99 {f['p99_ms']:.0f} ms, largest "
-        f"{f['max_ms']:.0f} ms"
-        for name, f in figures["ways"].items()
-        if isinstance(f, dict)
-    }
-    stops = ", ".join(f"{reason} {count}" for reason, count in figures["stops"].items()) or "none"
-    inference = figures["told_by_the_policy"]["inference"]
-    control = figures["told_by_the_policy"]["control"]
-    reported = {
-        "inference, p50, p95, p99, max": f"{inference.get('time_p50_p95_p99_max_ms', '-')} ms",
-        "latency from image to command, p50, p99": (
-            f"{inference.get('image_age_at_command_p50_p99_ms', '-')} ms"
-        ),
-        "deadlines missed by more than 40 ms": f"control "
-        f"{control.get('deadline_misses_over_40_ms', '-')}, inference "
-        f"{inference.get('deadline_misses_over_40_ms', '-')}",
-        "stops": stops,
-        "latched": "; ".join(figures["latched"]) or "never",
-    }
-    motion = figures["motion"]
-    processor = {name: f"{share:.0f} % of a core" for name, share in figures["cpu_percent"].items()}
-    parts = [
-        "# The closed loop's rates and delays",
-        f"`tactile_sim`, `tactile_policy` and `xarm_sim` for {figures['minutes']:g} minutes on the "
-        f"path {figures['path']}, observed over DDS.",
-        "## Targets",
-        entry_list({name: "met" if met else "**not met**" for name, met in figures["met"].items()}),
-        "## Rates",
-        entry_list(rates),
-        "## Delays",
-        entry_list(delays),
-        f"{figures['ways']['commands_counted']} commands; "
-        f"{figures['ways']['commands_on_lagging_frames']} more answer frames that lag behind the "
-        "indenter, which show no pose that was sent.",
-        "## Reported by the policy's node",
-        entry_list(reported),
-        "## Motion",
-        entry_list(
-            {
-                "largest speed": f"{motion['speed_mm_s']:.1f} mm/s",
-                "largest acceleration": f"{motion['acceleration_m_s2']:.2f} m/s²",
-                "farthest from where it was enabled": ", ".join(
-                    f"{away:.1f}" for away in motion["excursion_mm"]
-                )
-                + " mm",
-                "largest force": f"{motion['force_n']:.2f} N",
-                "limits exceeded": ", ".join(motion["exceeded"]) or "none",
-            }
-        ),
-        "## Processor",
-        entry_list(processor),
-        "## Made by",
-        entry_list(figures["provenance"]),
-    ]
-    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
+def closed_loop(
+    *, minutes: float = 4.0, policy: str = "densetact2_sphere", path: str = "figure_eight"
+) -> dict[str, Any]:
+    """Rates and delays of the closed loop: sensor, policy and arm as processes on this machine.
 
-
-def main() -> int:
-    """Run, print, write; return 1 where a target is missed."""
-    parser = argparse.ArgumentParser(
-        description="Rates and delays of the closed loop.",
-        epilog="example: python benchmarks/closed_loop.py --minutes 10 --json closed_loop.json",
-    )
-    add = parser.add_argument
-    add("--minutes", type=float, default=10.0, help="how long (10)")
-    add("--policy", default="densetact2_sphere", help="folder or name of the policy")
-    add("--path", choices=PATHS, default="figure_eight", help="to follow (figure_eight)")
-    add("--json", type=Path, help="file to write the figures to")
-    add("--page", type=Path, help="Markdown file to write the figures to")
-    arguments = parser.parse_args()
-    folder = policy_folder(arguments.policy)
+    Args:
+        minutes: how long.
+        policy: folder or name.
+        path: that it follows.
+    """
+    expect_positive(minutes=minutes)
+    expect_known("path", [path], PATHS)
+    stay_local()
+    folder = policy_folder(policy)
     card, _ = read_policy(folder)
-    figures = measure(folder, arguments.path, arguments.minutes, card.sensor)
-    figures["met"] = verdicts(figures)
-    figures["provenance"] = provenance() | {"policy": card.name}
-    text = page(figures)
-    if arguments.json:
-        write_json(arguments.json, figures)
-    if arguments.page:
-        write_text(arguments.page, text)
-    print(text)
-    return 0 if all(figures["met"].values()) else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    figures = measure(folder, path, minutes, card.sensor)
+    met = verdicts(figures)
+    return {
+        **figures,
+        "met": met,
+        "policy": card.name,
+        FAILED: [f"missed: {target}" for target, is_met in met.items() if not is_met],
+    }

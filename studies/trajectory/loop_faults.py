@@ -3,14 +3,12 @@
 
 """Faults injected into the running closed loop, and how long the arm continues to move.
 
-    python benchmarks/loop_faults.py --faults 100 --json loop_faults.json
-
 `tactile_sim`, `tactile_policy` and `xarm_sim` run as processes; the faults take turns and come at
 random moments while the arm moves:
 
 - images cut: the sensor is disabled, so that no frames come;
 - poses cut: the arm's feedback is dropped;
-- sensor killed: SIGKILL; it is started anew afterwards;
+- sensor killed: SIGKILL; it is started again afterwards;
 - wrong sensor: frames of another sensor take the place of this one's;
 - clock jump: poses stamped a second ahead, or a second back, come on the arm's topic;
 - policy overloaded: each inference takes 0.3 s of processor time from one moment on.
@@ -18,13 +16,12 @@ random moments while the arm moves:
 Counted is the time until the first command of zero that is followed by no other, by the times at
 which the middleware sent the messages. It begins where a stream falls silent with its last message
 (bound: 80 ms); where something wrong comes, with the first wrong message (80 ms); for the overload
-with its onset, when the next image may be a frame away (80 ms and a frame: 120 ms). Beside it: when
-the arm stands, slower than 0.1 mm/s.
+with its onset, when the next image may be a frame away (80 ms and a frame: 120 ms). The second time
+is until the arm stands, slower than 0.1 mm/s.
 """
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import signal
 import sys
@@ -44,17 +41,16 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool
 
 import msg_adapters
-from dotsim_ros.files import given_path, write_json, write_text
-from dotsim_ros.nodes.common.transport import carry_images
+from dotsim_ros.files import given_path
+from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup, policy_name
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.loop.judge import trial_start
 from dotsim_ros.tasks.policy.card import read_policy
 from dotsim_ros.tasks.policy.paths import PATHS, reference_path
-from studies.table import Column, entry_list, markdown_table
+from studies.run import FAILED, expect_known, expect_positive
 
 BOUND_MS, FRAME_MS = 80.0, 40.0
 WATCH_S = 0.6
@@ -208,10 +204,10 @@ class Bench:
         self.loop.touch(start_m)
 
     def move(self) -> None:
-        """Wait until the arm moves; begin anew where the contact was lost or the loop latched.
+        """Wait until the arm moves; begin again where the contact was lost or the loop latched.
 
         Raises:
-            OSError: it does not move, however often it is begun anew.
+            OSError: it does not move, however often it is begun again.
         """
         self.loop.disable()
         is_touched = self._force_n() >= TOUCHED_N
@@ -301,8 +297,8 @@ class Bench:
         return "ee_pose"
 
     def _restart_sensor(self) -> None:
-        """Start the sensor anew, and wait until its killed forerunner is forgotten: the graph keeps
-        it for the lease of its participant, and the policy refuses two senders."""
+        """Start the sensor again, and wait until the killed one is forgotten: the graph keeps it
+        for the lease of its participant, and the policy refuses two senders."""
         self.loop.start_sensor()
         self.loop.observer.wait(
             # One sender that is the killed one is one too few: the new one is not in the graph yet.
@@ -426,83 +422,36 @@ def summarize(rows: list[dict[str, Any]]) -> dict[str, Any]:
     return found
 
 
-COLUMNS = (
-    Column("faults", "faults", 0),
-    Column("stopped", "stopped", 0),
-    Column("in_time", "in time", 0),
-    Column("bound_ms", "bound ms", 0),
-    Column("zero_p50_ms", "zero, median ms", 0),
-    Column("zero_max_ms", "zero, longest ms", 0),
-    Column("still_p50_ms", "arm stands, median ms", 0),
-    Column("still_max_ms", "arm stands, longest ms", 0),
-    Column("reasons_shown", "reasons reported"),
-)
+def loop_faults(
+    *,
+    faults: int = 100,
+    policy: str = "densetact2_sphere",
+    path: str = "figure_eight",
+    seed: int = 0,
+) -> dict[str, Any]:
+    """Faults injected into the running closed loop, and how long the arm continues to move.
 
-
-def page(figures: Mapping[str, Any]) -> str:
-    """Return the figures as Markdown."""
-    rows = [
-        (
-            (name,),
-            {
-                **f,
-                "reasons_shown": ", ".join(f"{k} {n}" for k, n in f["reasons"].items()) or "none",
-            },
-        )
-        for name, f in figures["faults"].items()
-    ]
-    parts = [
-        "# Faults in the closed loop",
-        f"{figures['in_time']} of {figures['count']} faults stopped the commands in time, "
-        f"{figures['stopped']} stopped them at all, in {figures['minutes']:.1f} minutes.",
-        markdown_table(("fault",), rows, COLUMNS),
-        "Times begin with the last message of a stream that falls silent, with the first wrong "
-        "message, and with the onset of the overload, whose bound is a frame longer. `zero`: the "
-        "first command of zero after which all are. `arm stands`: slower than 0.1 mm/s; the "
-        "simulated arm follows a command with 10 ms of latency and a time constant of 20 ms.",
-        "## Made by",
-        entry_list(figures["provenance"]),
-    ]
-    return "\n\n".join(part.strip("\n") for part in parts) + "\n"
-
-
-def main() -> int:
-    """Run, print, write; return 1 where a fault did not stop the arm in time."""
-    parser = argparse.ArgumentParser(
-        description="Faults injected into the closed loop, and how long the arm keeps moving.",
-        epilog="example: python benchmarks/loop_faults.py --faults 100 --json loop_faults.json",
-    )
-    add = parser.add_argument
-    add("--faults", type=int, default=100, help="how many (100)")
-    add("--policy", default="densetact2_sphere", help="folder or name of the policy")
-    add("--path", choices=PATHS, default="figure_eight", help="to follow (figure_eight)")
-    add("--seed", type=int, default=0, help="of the moments (0)")
-    add("--json", type=Path, help="file to write the figures to")
-    add("--page", type=Path, help="Markdown file to write the figures to")
-    arguments = parser.parse_args()
-    carry_images()
-    folder = policy_folder(arguments.policy)
+    Args:
+        faults: how many.
+        policy: folder or name.
+        path: that it follows.
+        seed: of the moments.
+    """
+    expect_positive(faults=faults)
+    expect_known("path", [path], PATHS)
+    stay_local()
+    folder = policy_folder(policy)
     card, _ = read_policy(folder)
-    rows, minutes = inject_all(
-        folder, arguments.path, arguments.faults, card.sensor, arguments.seed
-    )
-    figures = {
+    rows, minutes = inject_all(folder, path, faults, card.sensor, seed)
+    late = [row for row in rows if not row["in_time"]]
+    return {
         "count": len(rows),
         "stopped": sum(row["zero_ms"] is not None for row in rows),
-        "in_time": sum(row["in_time"] for row in rows),
+        "in_time": len(rows) - len(late),
         "minutes": round(minutes, 2),
         "faults": summarize(rows),
         "rows": rows,
-        "provenance": provenance() | {"policy": card.name, "seed": str(arguments.seed)},
+        "policy": card.name,
+        "seed": seed,
+        FAILED: [f"{row['fault']}: commands zero after {row['zero_ms']} ms" for row in late],
     }
-    text = page(figures)
-    if arguments.json:
-        write_json(arguments.json, figures)
-    if arguments.page:
-        write_text(arguments.page, text)
-    print(text)
-    return 0 if figures["in_time"] == figures["count"] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

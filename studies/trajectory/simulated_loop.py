@@ -3,8 +3,6 @@
 
 """The closed loop in simulated time: is it the same on a quiet machine and on a busy one?
 
-    python benchmarks/simulated_loop.py --faults 100 --json docs/results/simulated_loop.json
-
 Every trial is led twice: undisturbed, and with one busy process pinned to each core at equal
 priority. Of each the bag is hashed (topics, stamps, serialized messages, in order), and compared.
 Then faults are injected at drawn simulated times, again in both, and the times after which the arm
@@ -14,8 +12,6 @@ the policy leads; starts are not in it.
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import shutil
 import tempfile
@@ -24,17 +20,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from slow_machine import competition
 
 from dotsim_ros.arrays import FloatArray
-from dotsim_ros.files import write_json
 from dotsim_ros.measured.bag_hash import bag_sha256
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopFault, LoopSetup, TimedFault
 from dotsim_ros.nodes.loop.loop_time import SIMULATED
-from dotsim_ros.provenance import provenance
 from dotsim_ros.tasks.loop.judge import judge, trial_start
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
+from studies.run import FAILED, expect_known, expect_positive
+from studies.timing import competition
 
 POLICY = "densetact2_sphere"
 CONDITIONS = {"quiet": False, "busy": True}
@@ -69,7 +64,7 @@ def led(path_name: str, numbers: range, seconds: float, folder: Path) -> list[di
     return rows
 
 
-def failed(faults: list[tuple[LoopFault, float]]) -> list[dict[str, Any]]:
+def stopped(faults: list[tuple[LoopFault, float]]) -> list[dict[str, Any]]:
     """Inject faults one after the other; return when the commands became zero after each."""
     contact = DomeContact()
     path = reference_path("line", contact)
@@ -114,54 +109,64 @@ def drawn_faults(count: int, seed: int) -> list[tuple[LoopFault, float]]:
     return [(kinds[n % len(kinds)], float(time_s)) for n, time_s in enumerate(times_s)]
 
 
-def main() -> None:
-    """Run it and print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    add = parser.add_argument
-    add("--trials", type=int, default=10, help="of each path")
-    add("--seconds", type=float, default=4.0, help="of simulated time that the policy leads")
-    add("--paths", nargs="+", default=list(PATHS), choices=PATHS)
-    add("--faults", type=int, default=0, help="how many to inject")
-    add("--seed", type=int, default=0, help="of the faults")
-    add("--json", type=Path, help="file for the figures")
-    arguments = parser.parse_args()
+def simulated_loop(
+    *,
+    trials: int = 10,
+    seconds: float = 4.0,
+    paths: tuple[str, ...] = tuple(PATHS),
+    faults: int = 100,
+    seed: int = 0,
+) -> dict[str, Any]:
+    """The closed loop in simulated time: whether a busy machine gives what a quiet one gives.
+
+    Args:
+        trials: of each path.
+        seconds: of simulated time that the policy leads.
+        paths: that it follows.
+        faults: to inject; 0 for none.
+        seed: of the faults.
+    """
+    expect_positive(trials=trials, seconds=seconds)
+    expect_known("path", paths, PATHS)
     stay_local()
-    figures: dict[str, Any] = {"load_before": os.getloadavg()}
-    faults = drawn_faults(arguments.faults, arguments.seed)
+    load_before = os.getloadavg()
+    drawn = drawn_faults(faults, seed)
+    found: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as folder:
         for name, is_busy in CONDITIONS.items():
             begun_s = time.monotonic()
             with competition(is_busy):
                 rows = [
                     row
-                    for path in arguments.paths
-                    for row in led(
-                        path, range(arguments.trials), arguments.seconds, Path(folder) / name / path
-                    )
+                    for path in paths
+                    for row in led(path, range(trials), seconds, Path(folder) / name / path)
                 ]
-                stopped = failed(faults) if faults else []
-            figures[name] = {
+                stops = stopped(drawn) if drawn else []
+            speeds = [row["speed_factor"] for row in rows]
+            found[name] = {
                 "trials": rows,
-                "faults": stopped,
+                "faults": stops,
                 "wall_s": round(time.monotonic() - begun_s, 1),
-                "speed_factor_median": round(
-                    float(np.median([row["speed_factor"] for row in rows])), 3
-                ),
+                "speed_factor_median": round(float(np.median(speeds)), 3),
             }
-    quiet, busy = figures["quiet"], figures["busy"]
+    quiet, busy = found["quiet"], found["busy"]
     pairs = list(zip(quiet["trials"], busy["trials"], strict=True))
     twins = list(zip(quiet["faults"], busy["faults"], strict=True))
-    figures["identical_bags"] = sum(a["sha256"] == b["sha256"] for a, b in pairs)
-    figures["bags"] = len(pairs)
-    figures["stopped_faults"] = sum(bool(a["zero_after_ms"]) for a, _ in twins)
-    figures["identical_stops"] = sum(bool(a["zero_after_ms"]) and a == b for a, b in twins)
-    figures["faults"] = len(twins)
-    shown = {key: value for key, value in figures.items() if key not in CONDITIONS}
-    shown |= {f"{name}_speed_factor": figures[name]["speed_factor_median"] for name in CONDITIONS}
-    print(json.dumps(shown, indent=2))
-    if arguments.json is not None:
-        write_json(arguments.json, figures | {"provenance": provenance()})
-
-
-if __name__ == "__main__":
-    main()
+    other_bags = [a for a, b in pairs if a["sha256"] != b["sha256"]]
+    other_stops = [a for a, b in twins if a != b or not a["zero_after_ms"]]
+    return {
+        "load_before": load_before,
+        **found,
+        "identical_bags": len(pairs) - len(other_bags),
+        "bags": len(pairs),
+        "stopped_faults": sum(bool(a["zero_after_ms"]) for a, _ in twins),
+        "identical_stops": len(twins) - len(other_stops),
+        "faults": len(twins),
+        FAILED: [
+            *(f"{row['path']} {row['number']}: the bags differ" for row in other_bags),
+            *(
+                f"{row['fault']} at {row['at_s']} s: no stop, or not the same"
+                for row in other_stops
+            ),
+        ],
+    }

@@ -5,7 +5,7 @@
 
 Two trajectories of a unit of `sensor_a` with a coarse gel. Its images are those that the twin's
 camera has of its gel, with noise, and with what a hidden law does to them; so what is tested is
-that all parts find each other. `benchmarks/gap_images.py` judges the rule on images that were
+that all parts find each other. `python -m studies gap_images` judges the rule on images that were
 made by other means.
 """
 

@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,7 +32,6 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
 
-INTERRUPTS = Path(__file__).with_name("interrupts.py")
 START_PATIENCE_S = 120.0
 PATIENCE_S = 120.0
 APEX_M = 0.01575
@@ -235,20 +235,40 @@ def running(
         executable.end()
 
 
-def check_interrupts(*nodes: str, count: int) -> None:
-    """Assert that nodes end at their first SIGINT, started anew for each of `count`."""
-    numbers = ["--count", str(count), "--heavy", str(count)]
-    done = subprocess.run(
-        [sys.executable, str(INTERRUPTS), "--nodes", *nodes, *numbers],
-        capture_output=True,
-        text=True,
-        timeout=count * START_PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    for node in nodes:
-        assert f"{node}: {count} of {count} ended" in done.stdout, done.stdout
-    assert "Traceback" not in done.stderr
+def check_interrupts(
+    name: str,
+    *,
+    count: int,
+    ready: str = "ready:",
+    parameters: Mapping[str, Any] | None = None,
+    output: Path | None = None,
+) -> None:
+    """Assert that a node ends at its first SIGINT, whenever that comes once it is ready.
+
+    Args:
+        name: of the node.
+        count: how often it is started, two at a time.
+        ready: what its log says once it works.
+        parameters: of the node.
+        output: folder below which each start has its parameter `output`.
+    """
+    # After ready: some periods of every timer of the nodes that wakes them.
+    moments_s = np.random.default_rng(0).uniform(0.0, 1.0, count)
+
+    def interrupt(number: int) -> None:
+        own = {} if output is None else {"output": output / str(number)}
+        with running(
+            f"dotsim_ros.nodes.{name}.node",
+            ready=ready,
+            parameters={**(parameters or {}), **own},
+            arguments=["-r", f"__ns:=/run_{number}"],
+        ) as node:
+            time.sleep(moments_s[number])
+            assert node.interrupt() == 0, f"after {moments_s[number]:.3f} s:\n{node.log}"
+            assert "Traceback" not in node.log
+
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(interrupt, range(count)))
 
 
 @dataclass

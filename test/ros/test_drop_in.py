@@ -8,43 +8,32 @@ studies/speed/drop_in.py holds the programs, and says what they find wrong.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
-from harness import START_PATIENCE_S, Client, running
+from harness import Client, running
 from sensor_msgs.msg import CameraInfo, Image
 from sensor_msgs.srv import SetCameraInfo
 
 import msg_adapters
 from dotsim_ros.nodes.tactile_sim.calibration_file import read_calibration
+from studies.run import FAILED
+from studies.speed.drop_in import drop_in
 
-DROP_IN = Path(__file__).parents[2] / "studies" / "speed" / "drop_in.py"
 SIDES = {"dual_compressed": (20, 22), "dual_difference": (20, 22), "dual_raw": (8, 10)}
 
 
-def read(interface: str, seconds: float, tmp_path: Path) -> dict[str, dict[str, object]]:
+def read(interface: str, seconds: float) -> dict[str, dict[str, object]]:
     """Run the reader of an interface; return what it got, by topic."""
-    path = tmp_path / "found.json"
-    arguments = ["--seconds", str(seconds), "--interfaces", interface, "--json", str(path)]
-    done = subprocess.run(
-        [sys.executable, str(DROP_IN), *arguments],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=3 * START_PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
-    topics = json.loads(path.read_text())["interfaces"][interface]["topics"]
+    figures = drop_in(seconds=seconds, interfaces=(interface,))
+    assert figures[FAILED] == []
+    topics: dict[str, dict[str, object]] = figures["interfaces"][interface]["topics"]
     assert all(row["messages"] > 5 for row in topics.values()), topics
     return topics
 
 
-def test_the_reader_of_the_ros_1_driver_gets_its_topics(tmp_path: Path) -> None:
-    topics = read("run_camera", 2.5, tmp_path)
+def test_the_reader_of_the_ros_1_driver_gets_its_topics() -> None:
+    topics = read("run_camera", 2.5)
     assert {topic: row["form"] for topic, row in topics.items()} == {
         "/RunCamera/image_raw_1": "bgr8",
         "/RunCamera/camera_info": "equidistant",
@@ -63,9 +52,9 @@ def test_the_reader_of_the_ros_1_driver_gets_its_topics(tmp_path: Path) -> None:
     [("dual_compressed", 3.0, "jpeg"), ("dual_difference", 9.0, "jpeg"), ("dual_raw", 3.0, "bgr8")],
 )
 def test_the_readers_of_the_driver_of_two_get_both(
-    interface: str, seconds: float, form: str, tmp_path: Path
+    interface: str, seconds: float, form: str
 ) -> None:
-    topics = read(interface, seconds, tmp_path)
+    topics = read(interface, seconds)
     for topic, row in topics.items():
         (number,) = [each for each in SIDES[interface] if f"_{each}" in topic]
         assert row["frame_id"] == f"camera_{number}_frame"

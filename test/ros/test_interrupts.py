@@ -3,8 +3,7 @@
 
 """Every node ends at its first SIGINT, while it is imported or at a random moment once it is ready.
 
-`test/ros/interrupts.py` does the same a hundred times; `test_xarm_adapter.py` does it with the
-adapter, whose messages have to be built first.
+`test_xarm_adapter.py` does the same with the adapter, whose messages have to be built first.
 """
 
 from __future__ import annotations
@@ -12,19 +11,32 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from harness import START_PATIENCE_S, check_interrupts
 
 
-@pytest.mark.parametrize("node", ["indenter_player", "tactile_record", "xarm_sim"])
-def test_a_light_node_ends_at_the_first_sigint(node: str) -> None:
-    check_interrupts(node, count=4)
+@pytest.mark.parametrize(
+    ("node", "count", "parameters"),
+    [
+        ("indenter_player", 4, {"loop": "true", "wait_for_subscriber_s": 0.0}),
+        ("xarm_sim", 4, {}),
+        ("tactile_policy", 2, {"policy": "densetact2_sphere"}),
+        ("tactile_sim", 2, {"grid_spacing_m": 0.0048}),
+    ],
+)
+def test_a_node_ends_at_the_first_sigint(
+    node: str, count: int, parameters: dict[str, object]
+) -> None:
+    check_interrupts(node, count=count, parameters=parameters)
 
 
-@pytest.mark.parametrize("node", ["tactile_policy", "tactile_sim"])
-def test_a_heavy_node_ends_at_the_first_sigint(node: str) -> None:
-    check_interrupts(node, count=2)
+def test_a_recorder_ends_at_the_first_sigint(tmp_path: Path) -> None:
+    topics = {"topics": "['wrench']"}
+    check_interrupts(
+        "tactile_record", count=4, ready="recording", parameters=topics, output=tmp_path
+    )
 
 
 def test_a_node_that_is_being_imported_ends_quietly() -> None:

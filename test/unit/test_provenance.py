@@ -22,6 +22,12 @@ def test_an_installed_command_goes_by_its_name(
     assert provenance()["command"] == "dotsim_ros evaluate rl"
 
 
-def test_a_script_goes_by_its_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", ["studies/live.py", "--seconds", "15"])
-    assert provenance()["command"] == "python studies/live.py --seconds 15"
+@pytest.mark.parametrize(
+    ("program", "command"),
+    [("tools/canary.py", "tools/canary.py"), ("/home/me/studies/__main__.py", "-m studies")],
+)
+def test_a_script_goes_by_its_path_and_a_package_by_its_name(
+    program: str, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", [program, "--seconds", "15"])
+    assert provenance()["command"] == f"python {command} --seconds 15"

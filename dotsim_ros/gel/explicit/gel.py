@@ -644,7 +644,7 @@ class ExplicitGel:
 def explicit_seconds_per_frame(
     *, spacing_m: float, substeps_per_frame: int, frame_count: int = 1, device: str = "cpu"
 ) -> float:
-    """Return the wall time of a frame of the explicit method, for the benchmarks.
+    """Return the wall time of a frame of the explicit method.
 
     A 4 mm sphere presses the stand-in dome (15.75 mm, core 6 mm, skin at 0.5 mm, the paper's
     E = 27,575 Pa and nu = 0.303) at 5 mm/s; kernels are compiled before the clock starts.

@@ -107,7 +107,7 @@ class ConfiguredSensor:
         if self.settings.device != "cpu":
             self._node.get_logger().warning(
                 f"device {self.settings.device} is experimental: nothing has been shown to run "
-                "there; benchmarks/device_check.py compares it with the CPU"
+                "there; `python -m studies device_check` compares it with the CPU"
             )
         self._node.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()

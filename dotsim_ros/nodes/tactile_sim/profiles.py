@@ -30,7 +30,7 @@ class Profile:
         largest_iterations: of Newton's method, in a substep.
         move_m: how far the indenter may move in contact in one frame.
         skin_error_m: the documented error: no marker of the skin is farther from where `exact` has
-            it in the motions of benchmarks/profiles.py, and none jumps farther by a change.
+            it in the motions of studies/speed/profiles.py, and none jumps farther by a change.
     """
 
     name: str
