@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Write the table of the shipped effects into docs/effects.md, or check that it is up to date.
+"""Write the table of the shipped effects into docs/api/effects.md, or check that it is up to date.
 
 effects_table.py [--check]
 """
@@ -14,11 +14,11 @@ from pathlib import Path
 from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.library import load_effects
 
-PAGE = Path(__file__).parents[1] / "docs" / "effects.md"
+PAGE = Path(__file__).parents[1] / "docs" / "api" / "effects.md"
 BEGIN = "<!-- .ci/effects_table.py writes this table. -->\n"
 END = "\n<!-- End of the table. -->"
 HEAD = (
-    "effect (its file)",
+    "effect",
     "acts on",
     "parameters and their range",
     "what excites it",

@@ -95,7 +95,7 @@ def test_the_example_of_a_command_runs(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_the_table_of_effects_is_up_to_date() -> None:
-    assert program(".ci/effects_table.py").table() in text_of("effects.md"), (
+    assert program(".ci/effects_table.py").table() in text_of("api/effects.md"), (
         "run python .ci/effects_table.py"
     )
 
