@@ -14,7 +14,6 @@ from random import Random
 from dotsim_ros.cli.main import main
 from fuzz.target import Finding, Target
 
-SUBJECTS = ("geometry", "optics", "runtime", "gelsight", "trajectory", "gap")
 OPTIONS: dict[str, tuple[str, ...]] = {
     "view": ("--out", "--fps", "--speed", "--columns", "--rest", "--format"),
     "calibrate": (
@@ -31,7 +30,6 @@ OPTIONS: dict[str, tuple[str, ...]] = {
     "train-optics": ("--sensor", "--size", "--epochs", "--hold-out", "--network"),
     "calibrate-camera": ("--sensor", "--hold-out", "--skin", "--stated"),
     "evaluate": ("--sensor", "--from-depth-mm", "--trajectories", "--workers", "--seed"),
-    "reference": ("--sensor", "--indenter", "--depth-mm", "--frames", "--spacing-mm", "--tilt-deg"),
     "demonstrate": ("--sensor", "--indenter", "--paths", "--episodes", "--frames", "--wander"),
     "train-policy": ("--examples", "--learning-rate", "--size", "--start"),
 }
@@ -43,7 +41,6 @@ REQUIRED = {
     "train-optics": ("--data", "--sensor", "--out"),
     "calibrate-camera": ("--data", "--out", "--sensor"),
     "evaluate": ("--data", "--out", "--sensor"),
-    "reference": ("--out",),
     "demonstrate": ("--out",),
     "train-policy": ("--data", "--out"),
 }
@@ -88,7 +85,7 @@ def _attempt(prepared: Path, random: Random, folder: Path) -> None:
     arguments = _arguments(verb, data, folder)
     for _ in range(random.choice((1, 1, 2))):
         option = random.choice(OPTIONS[verb])
-        if verb in ("reference", "demonstrate") and option == "--sensor":
+        if verb == "demonstrate" and option == "--sensor":
             continue
         arguments += [f"{option}={random.choice(VALUES)}"]
     _check([verb, *arguments])
@@ -100,8 +97,8 @@ def _arguments(verb: str, data: str, folder: Path) -> list[str]:
     for option in REQUIRED[verb]:
         value = str(folder / "out.yaml") if option == "--out" else data
         arguments += [option, "densetact2" if option == "--sensor" else value]
-    if verb in ("reference", "demonstrate"):
-        # These need no data: a sensor that is not there ends them.
+    if verb == "demonstrate":
+        # It needs no data: a sensor that is not there ends it.
         arguments += ["--sensor", data]
     return arguments
 

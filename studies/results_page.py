@@ -117,11 +117,13 @@ def table(heads: Sequence[str], forms: Sequence[str], rows: Sequence[Sequence[st
     return "\n".join(f"|{'|'.join(cells)}|" for cells in (heads, sides, *rows))
 
 
-def figures_table(record: Any, figures: Sequence[Sequence[str]]) -> str:
-    """Return a table with one figure a row."""
+def figures_table(record: Any, figures: Sequence[Sequence[str]], *, is_whole: bool = True) -> str:
+    """Return a table with one figure a row: a dash where a record that is not whole has none."""
     rows = []
     for what, path, form, *goals in figures:
         hits = [hit for _, hit in found(record, path)]
+        if not hits and not is_whole:
+            hits = [None]
         if len(hits) != 1:
             raise ValueError(f"{len(hits)} values at {path}, expected one")
         missed = any(misses(hits[0], goal) for goal in goals)
@@ -132,7 +134,9 @@ def figures_table(record: Any, figures: Sequence[Sequence[str]]) -> str:
     return table(["", "figure"], ["", ":"], [row[:2] for row in rows])
 
 
-def shown_rows(record: Any, entry: Mapping[str, Any]) -> dict[tuple[str, ...], str]:
+def shown_rows(
+    record: Any, entry: Mapping[str, Any], *, is_whole: bool = True
+) -> dict[tuple[str, ...], str]:
     """Return the keys of the rows that a table shows, with their names."""
     where = entry.get("where", {})
     hits = {
@@ -145,17 +149,17 @@ def shown_rows(record: Any, entry: Mapping[str, Any]) -> dict[tuple[str, ...], s
     only = entry["only"]
     names = only if isinstance(only, dict) else {name: name for name in only}
     keys_of = {name: keys for keys, name in hits.items()}
-    return {keys_of[key]: name for key, name in names.items()}
+    return {keys_of[key]: name for key, name in names.items() if is_whole or key in keys_of}
 
 
-def rows_table(record: Any, entry: Mapping[str, Any]) -> str:
+def rows_table(record: Any, entry: Mapping[str, Any], *, is_whole: bool = True) -> str:
     """Return a table with a row for each value at a path."""
     title, path = entry["rows"]
     hits = dict(found(record, path))
     columns = entry["columns"]
     with_goals = any(len(column) > 3 for column in columns)
     unseen, rows = {column[0] for column in columns}, []
-    for keys, name in shown_rows(record, entry).items():
+    for keys, name in shown_rows(record, entry, is_whole=is_whole).items():
         cells, missed = [] if title is None else [name], []
         judged = ", ".join(keys) in entry.get("judged", [", ".join(keys)])
         for head, place, form, *goals in columns:
@@ -169,7 +173,7 @@ def rows_table(record: Any, entry: Mapping[str, Any]) -> str:
             if judged and any(misses(value, goal) for goal in goals for value in values):
                 missed.append(head)
         rows.append([*cells, ", ".join(missed)] if with_goals else cells)
-    if unseen:
+    if unseen and is_whole:
         raise ValueError(f"no row at {path} has {', '.join(sorted(unseen))}")
     heads = [f"{c[0]} ({goal_shown(c[3], c[2])})" if len(c) > 3 else c[0] for c in columns]
     forms = [column[2] for column in columns]
@@ -211,25 +215,29 @@ def made_by(record: Mapping[str, Any], file: str) -> str:
     return " ".join(lines)
 
 
-def tables(record: Any, entry: Mapping[str, Any]) -> list[str]:
-    """Return the tables of a record.
+def tables(record: Any, entry: Mapping[str, Any], *, is_whole: bool = True) -> list[str]:
+    """Return the tables of a record; of one that is not whole those that it has rows for.
 
     Raises:
         ValueError, KeyError: a path is not there.
     """
     return [
-        figures_table(record, shape["figures"]) if "figures" in shape else rows_table(record, shape)
+        figures_table(record, shape["figures"], is_whole=is_whole)
+        if "figures" in shape
+        else rows_table(record, shape, is_whole=is_whole)
         for shape in entry["tables"]
+        if is_whole or "figures" in shape or shown_rows(record, shape, is_whole=False)
     ]
 
 
 def tables_of(file: str, record: Any) -> str:
-    """Return the tables of a new record; the record itself where it is not whole, or has none."""
+    """Return the tables of a new record, which need not be whole; the record itself where it has
+    none."""
     groups = yaml.safe_load(ENTRIES.read_text(encoding="utf-8"))
     for entry in (entry for entries in groups.values() for entry in entries):
         if entry["file"] == file:
             try:
-                return "\n\n".join(tables(record, entry))
+                return "\n\n".join(tables(record, entry, is_whole=False))
             except (ValueError, KeyError):
                 break
     return json.dumps(record, indent=1, default=str)

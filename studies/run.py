@@ -7,7 +7,7 @@
     python -m studies NAME --help          the options of one
     python -m studies NAME [OPTION ...]    run one
     python -m studies NAME NAME ...        run several with the options of their records
-    python -m studies all                  run all
+    python -m studies all                  make all records of a release
 
 `--json DIR` writes each record to DIR/NAME.json. A record below docs/results is made from a clean
 commit, and only if it does not name that commit yet, so that an interrupted run is resumed. Sealed
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import inspect
 import json
 import shlex
 import subprocess
@@ -71,8 +72,9 @@ class Study:
         minutes: that it takes, roughly, on two slow cores.
         function: `module:function` below `studies`; it takes keywords alone and returns figures.
         options: of the function, for the record, where its defaults are others.
-        before: commands that make what the record needs, below out/.
+        before: commands that make what the record needs, below out/; not run for options.
         command: makes the record in place of a function, as it is given with `--json FILE`.
+        in_all: whether `all` runs it: not what only makes data, or parts of another record.
     """
 
     minutes: int
@@ -80,6 +82,7 @@ class Study:
     options: Mapping[str, Any] = field(default_factory=dict)
     before: tuple[str, ...] = ()
     command: str = ""
+    in_all: bool = True
 
     def summary(self) -> str:
         """Return the first line of the function's docstring, without importing it."""
@@ -139,6 +142,7 @@ STUDIES: dict[str, Study] = {
         5,
         command=f"dotsim_ros calibrate-camera {SENSOR_A} --sensor sensor_a --out out/camera.yaml",
     ),
+    "classification": Study(60, "classification.record:classification", before=(APART,)),
     "closed_loop": Study(5, "trajectory.closed_loop:closed_loop"),
     "coupling": Study(5, "speed.coupling:coupling"),
     "coverage_units": Study(25, "gap.coverage_units:coverage_units"),
@@ -147,14 +151,39 @@ STUDIES: dict[str, Study] = {
     "environments": Study(5, "speed.environments:environments"),
     "find_gap": Study(30, "gap.search_time:find_gap"),
     "force_control": Study(5, "speed.force_control:force_control"),
+    "gap": Study(31, "gap.record:gap"),
+    "gap_discrepancy": Study(60, "gap.record:gap_discrepancy", in_all=False),
     "gap_images": Study(10, "gap.images_study:gap_images"),
     "gap_nulls": Study(30, "gap.nulls_study:gap_nulls"),
     "gap_open": Study(30, "gap.open_study:gap_open"),
+    "gap_physics": Study(45, "gap.solved_score:gap_physics", in_all=False),
+    "gap_physics_new_again/gap_physics": Study(
+        45,
+        "gap.solved_score:gap_physics",
+        {
+            "sets": Path("data/hidden_23"),
+            "half": "opened",
+            "cache": Path("out/search_23"),
+        },
+    ),
+    "gap_physics_rule_9/gap_physics": Study(
+        45, "gap.solved_score:gap_physics", {"half": "opened", "cache": Path("out/search_17")}
+    ),
     "gap_rendered": Study(35, "gap.rendered_study:gap_rendered"),
+    "gelsight": Study(10, "optics.gelsight:gelsight"),
+    "gelsight_taxim": Study(10, "optics.gelsight:gelsight_taxim"),
+    "geometry": Study(45, "geometry.record:geometry"),
+    "geometry_later": Study(40, "geometry.record:geometry_later"),
+    "hide": Study(800, "hidden.record:hide", in_all=False),
     "live": Study(2, "speed.live:live"),
     "loop_faults": Study(20, "trajectory.loop_faults:loop_faults"),
+    "optics": Study(40, "optics.record:optics", before=(APART,)),
     "optics_network": Study(5, "optics.optics_network:optics_network"),
     "profiles": Study(10, "speed.profiles:profiles"),
+    "real": Study(25, "real.record:real", in_all=False),
+    "real_cylinders": Study(15, "real.cylinder_study:real_cylinders"),
+    "real_force": Study(5, "real.pad_study:real_force"),
+    "real_pair": Study(5, "optics.real_pair:real_pair"),
     "realtime": Study(8, "speed.realtime:realtime"),
     "realtime_learned": Study(
         4,
@@ -162,13 +191,23 @@ STUDIES: dict[str, Study] = {
         {"sensor": "sensor_a", "seconds": 30.0, "case_frames": 40, "start_up": False},
     ),
     "reference": Study(45, "reference.study:reference"),
+    "reference_presses": Study(3, "reference.presses:reference_presses", in_all=False),
     "residual_size": Study(15, "optics.residual_size:residual_size"),
+    "rl": Study(35, "rl.record:rl"),
+    "runtime": Study(15, "geometry.runtime:runtime"),
     "scale_out": Study(10, "speed.scale_out:scale_out"),
     "sensors": Study(5, "speed.sensors:sensors"),
     "simulated_loop": Study(70, "trajectory.simulated_loop:simulated_loop"),
     "slow_machine": Study(5, "speed.slow_machine:slow_machine"),
     "soak": Study(31, "speed.soak:soak"),
     "speed": Study(10, "speed.speed:speed"),
+    "trajectory": Study(40, "trajectory.record:trajectory"),
+    "trajectory_realtime": Study(
+        25,
+        "trajectory.record:trajectory",
+        {"clock": "realtime", "settings": ("simulated", "transferred")},
+    ),
+    "tumour": Study(40, "tumour.record:tumour"),
 }
 
 
@@ -199,31 +238,27 @@ def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None =
     """
     study = STUDIES[name]
     file = None if json_directory is None else json_directory / f"{name}.json"
-    commands = [*study.before]
     if study.command:
         written = "" if file is None else f" --json {file}"
-        commands.append(f"{study.command} {shlex.join(options)}{written}")
-    for command in commands:
-        print(f"$ {command}", flush=True)
-        if subprocess.run(shlex.split(command), cwd=ROOT).returncode:
-            return False
-    if study.command:
-        return True
+        return _ran([*study.before, f"{study.command} {shlex.join(options)}{written}"])
     app = App(
         name=f"python -m studies {name}",
         help_format="plaintext",
         version_flags=(),
-        default_parameter=Parameter(consume_multiple=True),
+        default_parameter=Parameter(consume_multiple=True, negative_iterable=()),
     )
     app.default(study.load())
     function, bound, _ = app.parse_args(list(options))
     if function is not study.load():
         function(*bound.args, **bound.kwargs)
         return True
+    if not options and not _ran(study.before):
+        return False
+    given = {**study.options, **bound.arguments}
     # A study may write what the tree holds; the commit is that of the tree that it began with.
     origin = provenance()
-    figures = function(**{**study.options, **bound.arguments})
-    record = {**origin, **figures}
+    figures = function(**given)
+    record = {**origin, "options": options_of(function, given), **figures}
     print(tables_of(f"{name}.json", record))
     if file is not None:
         write_json(file, record)
@@ -231,6 +266,22 @@ def run(name: str, options: Sequence[str] = (), *, json_directory: Path | None =
     for reason in failed:
         print(f"{name}: {reason}", file=sys.stderr)
     return not failed
+
+
+def _ran(commands: Iterable[str]) -> bool:
+    """Run commands one after the other; return whether all ended well."""
+    for command in commands:
+        print(f"$ {command}", flush=True)
+        if subprocess.run(shlex.split(command), cwd=ROOT).returncode:
+            return False
+    return True
+
+
+def options_of(function: Callable[..., Any], given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the options that a function is called with, its defaults too, as JSON has them."""
+    parameters = inspect.signature(function).parameters.values()
+    every = {parameter.name: parameter.default for parameter in parameters} | dict(given)
+    return {name: str(v) if isinstance(v, Path) else v for name, v in every.items()}
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -245,13 +296,13 @@ def main(arguments: Sequence[str]) -> int:
     if not words or words[0] in ("--help", "-h"):
         print(__doc__)
         for name, study in STUDIES.items():
-            print(f"{name:28} {study.minutes:3d} min  {study.summary()}")
+            print(f"{name:36} {study.minutes:3d} min  {study.summary()}")
         return 0
     names = []
     while words and not words[0].startswith("-"):
         names.append(words.pop(0))
     if names == ["all"]:
-        names = list(STUDIES)
+        names = [name for name, study in STUDIES.items() if study.in_all]
     if unknown := [name for name in names if name not in STUDIES]:
         return _refused(f"there is no study {', '.join(unknown)}; they are {', '.join(STUDIES)}")
     if words and len(names) > 1:
@@ -262,15 +313,16 @@ def main(arguments: Sequence[str]) -> int:
         return _refused("a record names a clean commit: commit or stash the changes first")
     failed = []
     for number, name in enumerate(names, start=1):
-        if is_record and not words and is_made(name, RESULTS, commit):
-            print(f"{name}: made at this commit")
+        # With options of its own a record is made again, but never a sealed one.
+        if is_record and is_made(name, RESULTS, "" if words else commit):
+            print(f"{name}: made at this commit, or sealed")
             continue
         if len(names) > 1:
             print(f"{name}: {number} of {len(names)}, about {STUDIES[name].minutes} minutes")
         begun = time.monotonic()
         try:
             is_well = run(name, words, json_directory=directory)
-        except (ValueError, OSError) as error:
+        except (ValueError, OSError, FloatingPointError) as error:
             print(f"{name}: {error}", file=sys.stderr)
             is_well = False
         failed += [] if is_well else [name]

@@ -37,12 +37,9 @@ def crew_of(arguments: argparse.Namespace) -> Crew:
     Raises:
         ValueError: no worker, or an address of another form.
     """
-    from dotsim_ros.worker_pool.pool import RayWorkers, check_workers
+    from dotsim_ros.worker_pool.pool import crew
 
-    check_workers(arguments.workers)
-    if arguments.ray_address is None:
-        return int(arguments.workers)
-    return RayWorkers(arguments.workers, arguments.ray_address)
+    return crew(arguments.workers, arguments.ray_address)
 
 
 def show_stage(stage: str, done: int, total: int) -> None:

@@ -32,7 +32,7 @@ INTERRUPTED, TERMINATED = 130, 143
 """128 and the number of SIGINT or SIGTERM, as shells have it."""
 OUTPUT_FOLDERS = ("out", "run", "record", "cache", "images", "pictures")
 """Options of the verbs that name folders to write into; `out` may be a sensor's file, too."""
-OUTPUT_FILES = ("json", "sensor_out", "fit_optical_noise", "fit_discrepancy")
+OUTPUT_FILES = ("json", "sensor_out", "fit_optical_noise")
 MOVED = {
     "hide": "python -m studies hide",
     "reference": "python -m studies reference_presses",

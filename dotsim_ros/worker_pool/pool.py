@@ -53,6 +53,16 @@ Crew = int | RayWorkers
 """A number stands for so many processes of this machine."""
 
 
+def crew(count: int, ray_address: str | None = None) -> Crew:
+    """Return workers: of a Ray cluster where its address is given, else of this machine.
+
+    Raises:
+        ValueError: no worker, or an address of another form.
+    """
+    check_workers(count)
+    return count if ray_address is None else RayWorkers(count, ray_address)
+
+
 def worker_count(workers: Crew) -> int:
     """Return how many workers there are at most."""
     return workers.count if isinstance(workers, RayWorkers) else workers

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 from studies.optics.split import UNSEEN_RANKS, FrameKey, Recorded
 
-DOMAINS = ("in_domain", "out_of_domain", "all_six")
+DomainName = Literal["in_domain", "out_of_domain", "all_six"]
+DOMAINS: tuple[DomainName, ...] = get_args(DomainName)
 """The last takes all indenters, of which the stand-in for a real sensor has six."""
 FOLDS = 2
 

@@ -189,7 +189,7 @@ def _skins(
     """Return the skins (N, F, V, 3) of presses; not finite where the gel refused one."""
     s = sensor
     key = content_key(
-        (*PHYSICS, "evaluation/classification"),
+        (*PHYSICS, "../studies/classification"),
         (s.gel, s.material, s.contact, s.solver),
         indenter,
         drawn,

@@ -59,7 +59,7 @@ from studies.optics.models import (
     FitSettings,
     factory_of,
 )
-from studies.optics.names import BOUND, CLASSIFIED_BY
+from studies.optics.names import BOUND
 from studies.optics.rows import by_name
 from studies.optics.source import clipped_presses, refined_footage
 from studies.rivals.optics.clipped import clipped_press
@@ -75,7 +75,7 @@ class Study:
     Attributes:
         data: folder of the data set.
         sensor: name or file of a sensor, or a folder with one for each domain.
-        models: rows, of `CLASSIFIED_BY`.
+        models: rows, of `ClassifiedBy`.
         domains: of `DOMAINS`.
         seeds: classifiers of each row and fold.
         plan: of the simulated presses.
@@ -85,7 +85,7 @@ class Study:
 
     data: Path
     sensor: str
-    models: tuple[str, ...] = CLASSIFIED_BY
+    models: tuple[str, ...]
     domains: tuple[str, ...] = DOMAINS
     seeds: int = 5
     plan: PressPlan = field(default_factory=PressPlan)
@@ -163,7 +163,7 @@ def made_row(study: Study, kept: Path, domain_name: str, model: str) -> dict[str
     domain = domain_of(split, recordings_of(measured.data))
     trained = (study.fit.epochs_of(model), study.fit.width_of(model))
     key = content_key(
-        (*PHYSICS, *MADE_BY, "evaluation/classification"),
+        (*PHYSICS, *MADE_BY, "../studies/classification"),
         (measured.filmed.idle, [press.measured for press in measured.filmed.presses]),
         [press.skin_position_m for press in measured.filmed.presses],
         measured.sensor.camera,

@@ -1,8 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The whole gap finder on sets that `dotsim_ros hide` made: each searched once, then its truth
-opened and compared."""
+"""The whole gap finder on sets that `python -m studies hide` made: each searched once, then its
+truth opened and compared."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from dotsim_ros.documents import read_json
-from dotsim_ros.files import parameter_path, write_json
+from dotsim_ros.files import cache_directory, parameter_path, write_json
 from dotsim_ros.gap.find import find_gap
 from dotsim_ros.gap.findings import Findings, as_record, findings_of
 from dotsim_ros.gap.presses.covariance import FILE as SHIPPED
 from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.provenance import provenance
-from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.worker_pool.pool import Crew
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.worker_pool.pool import Crew, crew
 from studies.gap.rates import median, rate
 from studies.hidden.solved_draw import NULL, OUTSIDE, PAIR, SINGLE, truth_of
 from studies.hidden.solved_sets import TRUTH, SetRecord, read_series
@@ -39,7 +39,7 @@ class ScoreRequest:
     """What to score.
 
     Attributes:
-        sets: folder that `dotsim_ros hide` made.
+        sets: folder that `python -m studies hide` made.
         half: of the sets.
         sensor: the twin, as declared.
         run: folder of the searches; those of before are not made again.
@@ -61,6 +61,41 @@ class ScoreRequest:
         return hashlib.sha256(asked).hexdigest()
 
 
+def gap_physics(
+    *,
+    sets: Path = Path("data/hidden_17"),
+    half: Literal["development", "opened"] = "development",
+    sensor: str = "data/hidden_17/sensor_a.yaml",
+    discrepancy: Path = Path("data/hidden_17/discrepancy.npz"),
+    workers: int = 1,
+    ray_address: str | None = None,
+    cache: Path | None = None,
+) -> dict[str, Any]:
+    """The whole gap finder on sets whose hidden effects finite elements solved.
+
+    Args:
+        sets: folder that `python -m studies hide` made; each set is searched once.
+        half: of the sets; the other one is to be opened once, when nothing is changed any more.
+        sensor: name or file of the twin.
+        discrepancy: file of the twin's own error, as `python -m studies gap_discrepancy` writes it.
+        workers: processes, or workers of the Ray cluster, at most.
+        ray_address: HOST:PORT of the head of a Ray cluster, auto or local (none).
+        cache: folder of the searches made before (the user's cache).
+
+    Raises:
+        FileNotFoundError, ValueError: as `score_sets`.
+    """
+    request = ScoreRequest(
+        sets,
+        half,
+        load_sensor(sensor),
+        cache or cache_directory() / "gap_physics" / sets.resolve().name,
+        crew(workers, ray_address),
+        discrepancy,
+    )
+    return {"halves": {half: score_sets(request, print)}}
+
+
 def score_sets(request: ScoreRequest, tell: Callable[[str], None]) -> dict[str, Any]:
     """Search the sets of a half that are ready, and return the figures.
 
@@ -79,7 +114,7 @@ def score_sets(request: ScoreRequest, tell: Callable[[str], None]) -> dict[str, 
     if not ready:
         raise ValueError(
             f"{request.sets} holds no set of the half {request.half!r} that is ready; make them "
-            "with dotsim_ros hide"
+            "with python -m studies hide"
         )
     rows = []
     for record in ready:

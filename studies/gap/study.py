@@ -36,7 +36,6 @@ from dotsim_ros.gel.values import GelValues, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
@@ -184,7 +183,6 @@ def run_study(
         "solves": solves,
         "seed": seed,
         "rule_version": decision.RULE_VERSION,
-        "provenance": provenance(),
     }
 
 
@@ -250,7 +248,7 @@ def _hidden_changes(
         for number, t in enumerate(case.trajectories):
             press = t.recording.press
             key = content_key(
-                (*PHYSICS, "evaluation/gap"),
+                (*PHYSICS, "../studies/gap"),
                 (source.sensor, presses.skin.rest_position_m, name, size, seed, number),
                 (t.recording, t.predicted),
             )

@@ -10,7 +10,7 @@ import importlib.util
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import cast
+from typing import Literal, cast, get_args
 
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -25,7 +25,8 @@ BASELINES = ("tacto", "taxim", "difftactile")
 """Each is a module of `studies.rivals` with `fit(train, indenters, skin) -> Model`."""
 EXPLICIT = ("explicit", "explicit_fitted")
 """The paper's gel with the paper's modulus, and with one that is fitted to the forces."""
-NAMES = ("ours", *EXPLICIT, *BASELINES)
+GeometryModel = Literal["ours", "explicit", "explicit_fitted", "tacto", "taxim", "difftactile"]
+NAMES: tuple[GeometryModel, ...] = get_args(GeometryModel)
 
 
 def sensor_file(split: str, sensor: str | Path) -> str | Path:

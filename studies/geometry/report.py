@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The geometry table of a data set: every model on every split, as figures and as a page."""
+"""The geometry table of a data set: every model on every split, as figures."""
 
 from __future__ import annotations
 
@@ -37,7 +37,6 @@ from dotsim_ros.metrics.presses import (
     summarize,
 )
 from dotsim_ros.metrics.surfaces import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
-from studies.table import GEOMETRY_COLUMNS, entry_list, markdown_table
 
 HELD_OUT = "held_out"
 
@@ -315,61 +314,3 @@ def definitions(from_depth_m: float) -> dict[str, str]:
             "no surface outside of the indenter is nearer to it"
         ),
     }
-
-
-def geometry_page(figures: Mapping[str, Any], models: Sequence[str]) -> str:
-    """Return the tables as a Markdown page.
-
-    Args:
-        figures: of `evaluate_geometry`, with its provenance.
-        models: names of the models, in the order of the rows; some may be judged on other splits
-            than the rest.
-    """
-    named = [*models, "floor"]
-    parts = [f"# Geometry of the gel on {figures['provenance']['data']}\n"]
-    split = figures["splits"][HELD_OUT]
-    drawn_title = f"Fitted on {len(split['train'])} presses, judged on {len(split['test'])}"
-    for title, key, by_title, by_key in (
-        (drawn_title, HELD_OUT, "By indenter", "held_out_by_indenter"),
-        (
-            "Each indenter left out in turn",
-            "indenter_left_out_all",
-            "By the indenter left out",
-            "indenter_left_out",
-        ),
-    ):
-        judged = [name for name in named if key in figures[name]]
-        if not set(judged) & set(models):
-            continue
-        rows = [([name], figures[name][key] or {}) for name in judged]
-        parts.append(f"## {title}\n")
-        parts.append(markdown_table(["method"], rows, GEOMETRY_COLUMNS))
-        missing = [name for name in models if name not in judged]
-        if missing:
-            parts.append(f"Not judged here: {', '.join(missing)}.\n")
-        parts.append(f"{by_title}:\n")
-        parts.append(_by_indenter_table(figures, judged, by_key))
-    failures = [
-        f"- {name}, {failure['split']}, {failure['press']}: {failure['reason']}"
-        for name in models
-        for failure in figures[name]["failures"]
-    ]
-    failures += [f"- {name}: {reason}" for name, reason in figures["left_out_presses"].items()]
-    if failures:
-        parts.append("## Left out\n")
-        parts.append("\n".join(failures) + "\n")
-    parts.append("## What the figures mean\n")
-    parts.append(entry_list(figures["definitions"]))
-    parts.append("## Where the figures come from\n")
-    parts.append(entry_list(figures["provenance"]))
-    return "\n".join(parts)
-
-
-def _by_indenter_table(figures: Mapping[str, Any], named: Sequence[str], key: str) -> str:
-    indenters = sorted({indenter for name in named for indenter in figures[name][key]})
-    rows = [
-        ([indenter, name], figures[name][key].get(indenter) or {})
-        for indenter in indenters
-        for name in named
-    ]
-    return markdown_table(["indenter", "method"], rows, GEOMETRY_COLUMNS)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,14 +18,16 @@ from dotsim_ros.gel.make import law_of
 from dotsim_ros.gel.material import NeoHookean, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.presses import Prediction, Press
 from dotsim_ros.metrics.presses import contact_region, judged_frames, surface_errors
 from dotsim_ros.metrics.surfaces import relative_rms
-from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.follow import steps
 from dotsim_ros.twin.model import ImplicitModel
+from studies.data import SENSOR_A
 from studies.geometry.explicit import SETTINGS, ExplicitModel
-from studies.table import RUNTIME_COLUMNS, entry_list, markdown_table
+from studies.geometry.report import read_measured
 
 WARM_UP_FRAMES = 2
 
@@ -63,6 +66,38 @@ EFFORTS = (
     Effort("explicit", 1.2e-3, substeps=100),
     Effort("explicit", 1.2e-3, substeps=200),
 )
+
+
+def runtime(
+    *,
+    data: Path = SENSOR_A,
+    sensor: str = "sensor_a",
+    presses: tuple[str, ...] = ("1_sphere_0", "2_cone_3"),
+) -> dict[str, Any]:
+    """Frames a second of each solver against its error.
+
+    Args:
+        data: folder of a data set.
+        sensor: name or file of the sensor.
+        presses: names of those to follow.
+
+    Raises:
+        ValueError: no such press.
+    """
+    measured = read_measured(read_data_set(data))
+    unknown = sorted(set(presses) - set(measured.presses))
+    if unknown:
+        raise ValueError(
+            f"no press {', '.join(unknown)}; the data set holds {', '.join(measured.presses)}"
+        )
+    rows = runtime_rows(
+        load_sensor(sensor),
+        [measured.presses[name] for name in presses],
+        measured.indenters,
+        measured.skin,
+        progress=print,
+    )
+    return {"presses": list(presses), "rows": rows}
 
 
 def model_of(effort: Effort, specification: SensorSpecification) -> ImplicitModel | ExplicitModel:
@@ -193,23 +228,3 @@ class _Errors:
 
 def _rms_mm(values_m: Sequence[float]) -> float | None:
     return 1e3 * float(np.sqrt(np.mean(np.square(values_m)))) if values_m else None
-
-
-def runtime_page(figures: Mapping[str, Any]) -> str:
-    """Return the table as a Markdown page.
-
-    Args:
-        figures: with "rows" of `runtime_rows`, "presses" (their names) and "provenance".
-    """
-    rows = [([row["method"]], row) for row in figures["rows"]]
-    parts = [
-        "# Cost and error of the gel's solvers\n",
-        f"Frames of at most 1/24 s along {', '.join(figures['presses'])}; errors as in the "
-        "geometry tables. The explicit gel is neo-Hookean with the sensor's moduli at small "
-        "strain, its mass scaled until the substep is stable. Frames/s are by the clock, and fall "
-        "with what else the machine does; frames/CPU s are what one core gives that does nothing "
-        "else.\n",
-        markdown_table(["method"], rows, RUNTIME_COLUMNS),
-        entry_list(figures["provenance"]),
-    ]
-    return "\n".join(parts)

@@ -66,6 +66,9 @@ class SeriesPlan:
         seed: of everything.
         trajectories: names of those that each set has; empty for all.
         coarseness: elements are so many times as large as the units'; 1 but for quick tests.
+
+    Raises:
+        ValueError: one of them is out of range.
     """
 
     sensor: SensorSpecification
@@ -73,6 +76,13 @@ class SeriesPlan:
     seed: int
     trajectories: tuple[str, ...] = ()
     coarseness: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, low, high in (("count", 1, 1000), ("seed", 0, None), ("coarseness", 1, 2)):
+            value = getattr(self, name)
+            if not (value >= low and (high is None or value <= high)):
+                limits = f"from {low}" if high is None else f"{low} to {high}"
+                raise ValueError(f"{name} is {value:g}, expected {limits}")
 
     def stated(self) -> dict[str, Any]:
         """Return what two runs that share a folder must agree on."""
@@ -231,7 +241,7 @@ def read_series(directory: Path) -> tuple[dict[str, Any], list[SetRecord]]:
     path = directory / INDEX
     if not path.is_file():
         raise FileNotFoundError(
-            f"{path} is not there; make the sets with dotsim_ros hide --out {directory}"
+            f"{path} is not there; make the sets with python -m studies hide --out {directory}"
         )
     index = _checked_index(path)
     records = [

@@ -21,12 +21,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from dotsim_ros.arrays import ImageArray
 from dotsim_ros.cache import content_key
+from dotsim_ros.files import cache_directory
 from dotsim_ros.measured.importers.ball_photographs import (
     BallPress,
     BallRecording,
@@ -48,19 +49,19 @@ from dotsim_ros.twin.ball_presses import (
     press_profiles,
 )
 from dotsim_ros.twin.footage import OpticalPress
+from studies.data import REAL
 from studies.optics.judge import Factory, mean_score
 from studies.optics.models import FitSettings, factory_of
 from studies.optics.sheet import write_optics_sheet
 from studies.rivals.optics import per_pixel
-from studies.table import Column, entry_list, markdown_table
 
-HELD_OUT = 8
 EVERY = 4
 """Every fourth press of Taxim's recordings is held out."""
 BEYOND_CONTACT = 2.5
 """Radii from a contact beyond which a photograph's gains are read."""
 CAP = "_cap"
-MODELS = ("idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "local", "ours")
+BallModel = Literal["idle", "taxim", "taxim_cap", "fots", "fots_cap", "carried", "local", "ours"]
+"""`local` is the network of the DenseTact's table, `ours` the one of `learning.neighbourhood`."""
 AS_MARKED = "_as_marked"
 MARKED_MODELS = ("idle", "taxim", "fots", "ours")
 MARKED_BALL_RADIUS_M = 2.0e-3
@@ -225,7 +226,7 @@ def evaluate_recording(
         test: numbers of the presses held out.
         placed: the presses with the circles at which the gel's shape is laid, for every model
             alike; None for the recording's own.
-        models: names of `MODELS`.
+        models: names of `BallModel`.
         settings: how models are fitted.
         state: folder of the networks' trainings, one in it for each gel and choice of presses.
         sheets: folder of a sheet of images, named by the recording; None for none.
@@ -264,93 +265,104 @@ def evaluate_recording(
     }
 
 
-def evaluate_gelsight(
-    directory: Path,
+def gelsight(
     *,
-    models: Sequence[str],
-    settings: FitSettings,
-    state: Path,
-    held_out: int = HELD_OUT,
-    sheets: Path | None = None,
-    progress: Callable[[str], None] = lambda _line: None,
+    data: Path = REAL / "gelsight",
+    models: tuple[BallModel, ...] = ("idle", "taxim", "taxim_cap", "fots", "ours"),
+    count: int = 8,
+    seed: int = 0,
+    network_epochs: int | None = None,
+    network_width: int | None = None,
+    images: Path | None = Path("docs/images"),
+    cache: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of the models on the presses of FOTS.
+    """Images of every model on real presses of a ball on a flat sensor.
 
     Args:
-        directory: of the recording.
-        models: names of `MODELS`.
-        settings: how models are fitted; the seed draws the presses held out too.
-        state: folder of a network's training.
-        held_out: how many.
-        sheets: folder of a sheet of images; None for none.
-        progress: called with a line that says what is being done.
+        data: folder of FOTS's recording.
+        models: which.
+        count: presses held out, drawn by the seed.
+        seed: of all draws.
+        network_epochs: of a published network's training (its own number).
+        network_width: of the published networks' images, pixels (their own).
+        images: folder of a sheet of images.
+        cache: folder of the networks' trainings (the user's cache).
 
     Raises:
         FileNotFoundError, ValueError: as `read_fots_balls`, or too few presses.
     """
-    recording = read_fots_balls(directory)
-    count = len(recording.presses)
-    if not 0 < held_out < count:
+    recording = read_fots_balls(data)
+    presses = len(recording.presses)
+    if not 0 < count < presses:
         raise ValueError(
-            f"{held_out} of {count} presses cannot be held out; expected 1 to {count - 1}"
+            f"{count} of {presses} presses cannot be held out; expected 1 to {presses - 1}"
         )
-    random = np.random.default_rng(settings.seed)
-    test = sorted(random.choice(count, size=held_out, replace=False).tolist())
+    settings = FitSettings(seed, network_epochs, network_width)
+    test = np.random.default_rng(seed).choice(presses, size=count, replace=False)
     return evaluate_recording(
         recording,
-        test,
+        sorted(test.tolist()),
         models=models,
         settings=settings,
-        state=state,
-        sheets=sheets,
-        progress=progress,
+        state=_trainings(cache, seed),
+        sheets=images,
+        progress=print,
     )
 
 
-def evaluate_gelsight_taxim(
-    directory: Path,
+def gelsight_taxim(
     *,
-    models: Sequence[str],
-    settings: FitSettings,
-    state: Path,
-    sheets: Path | None = None,
-    progress: Callable[[str], None] = lambda _line: None,
+    data: Path = REAL / "gelsight_taxim",
+    models: tuple[BallModel, ...] = ("idle", "taxim", "fots", "ours"),
+    seed: int = 0,
+    network_epochs: int | None = None,
+    network_width: int | None = None,
+    images: Path | None = Path("docs/images"),
+    cache: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of the models on every fourth press of Taxim's two sensors, and what the
-    others say of a ball that was not recorded.
+    """Images of every model on real presses of a ball on two more flat sensors.
+
+    Every fourth press is held out. Of the ball that was not recorded the others say what radius
+    explains them.
 
     Args:
-        directory: of both recordings.
-        models: names of `MODELS`.
-        settings: how models are fitted.
-        state: folder of a network's training.
-        sheets: folder of the sheets of images; None for none.
-        progress: called with a line that says what is being done.
+        data: folder of Taxim's recordings.
+        models: which.
+        seed: of all draws.
+        network_epochs: of a published network's training (its own number).
+        network_width: of the published networks' images, pixels (their own).
+        images: folder of the sheets of images.
+        cache: folder of the networks' trainings (the user's cache).
 
     Raises:
         FileNotFoundError, ValueError: as `read_taxim_balls`.
     """
     figures: dict[str, Any] = {}
+    settings = FitSettings(seed, network_epochs, network_width)
+    given: dict[str, Any] = {
+        "settings": settings,
+        "state": _trainings(cache, seed),
+        "progress": print,
+    }
     for subset in SUBSETS:
-        recording = read_taxim_balls(directory, subset)
+        recording = read_taxim_balls(data, subset)
         test = list(range(EVERY - 1, len(recording.presses), EVERY))
-        given: dict[str, Any] = {"settings": settings, "state": state, "progress": progress}
         if recording.scale_known:
             figures[subset] = evaluate_recording(
-                recording, test, models=models, sheets=sheets, **given
+                recording, test, models=models, sheets=images, **given
             )
             continue
-        # Its marks lie beside what is seen, by up to half their radius.
+        # Its marks lie next to what is seen, by up to half their radius.
         found = with_circles_found(recording).presses
         figures[subset] = evaluate_recording(
-            recording, test, placed=found, models=models, sheets=sheets, **given
+            recording, test, placed=found, models=models, sheets=images, **given
         )
         fitted_on = [k for k in range(len(recording.presses)) if k not in test]
         figures[subset]["by_ball_radius_mm"] = radius_profile(
             replace(recording, presses=tuple(recording.presses[k] for k in fitted_on)),
             [found[k] for k in fitted_on],
             settings,
-            progress,
+            print,
         )
         figures[subset + AS_MARKED] = evaluate_recording(
             replace(recording, ball_radius_m=MARKED_BALL_RADIUS_M),
@@ -359,6 +371,10 @@ def evaluate_gelsight_taxim(
             **given,
         )
     return {"subsets": figures}
+
+
+def _trainings(cache: Path | None, seed: int) -> Path:
+    return (cache or cache_directory() / "optics") / f"gelsight-{seed}"
 
 
 def radius_profile(
@@ -403,75 +419,3 @@ def _factory(
             return factory_of("ours", settings, state=state, progress=progress)
         case _:
             return factory_of(model, settings, state=state, progress=progress)
-
-
-COLUMNS = (
-    Column("psnr_db", "PSNR dB ↑", 2),
-    Column("mean_l2", "mean L2 x 10⁻² ↓", 2, 100.0),
-    Column("significant_l2", "sig. L2 x 10⁻² ↓", 2, 100.0),
-    Column("ssim", "SSIM ↑", 4),
-    Column("contact_psnr_db", "contact PSNR ↑", 2),
-    Column("contact_mean_l2", "contact L2 ↓", 2, 100.0),
-    Column("contact_ssim", "contact SSIM ↑", 4),
-    Column("balanced_psnr_db", "balanced PSNR ↑", 2),
-    Column("balanced_contact_psnr_db", "balanced contact PSNR ↑", 2),
-)
-NOTES = """Means over the photographs held out. Contact: pixels within one and a half radii of the
-marked circle's centre. Balanced: with the photograph's own gains of red, green and blue, read
-beyond the contact, for every method alike; the camera sets them anew each time. `_cap`: with the
-ball's cap on a flat gel, as Taxim and FOTS label such presses; the others with the shape of this
-package's gel. `local` is the network of the DenseTact's table, `ours` the one of
-`learning.neighbourhood`.
-"""
-
-
-def gelsight_page(figures: dict[str, Any]) -> str:
-    """Return the table of FOTS's presses as a Markdown page."""
-    return "\n".join(
-        [
-            "# Images of a real GelSight\n",
-            *_table(figures),
-            NOTES,
-            "These eight presses had been judged before the model of `ours` was chosen, by "
-            "cross-validation among the others: they count as development.\n",
-            entry_list(figures["provenance"]),
-        ]
-    )
-
-
-def gelsight_taxim_page(figures: dict[str, Any]) -> str:
-    """Return the tables of Taxim's presses as a Markdown page."""
-    lines = ["# Images of two more real GelSights\n"]
-    for subset, of_subset in figures["subsets"].items():
-        lines += [f"## {subset}\n", *_table(of_subset)]
-        if "by_ball_radius_mm" in of_subset:
-            profile = ", ".join(
-                f"{radius} mm {level:.2f} dB"
-                for radius, level in of_subset["by_ball_radius_mm"].items()
-            )
-            lines.append(
-                "The ball's radius was not recorded. Judged on every fourth of the presses fitted "
-                f"on, with a short training, the contact's PSNR by an assumed radius: {profile}.\n"
-            )
-    lines.append(
-        "`gelsight_mini`: the gel's shape lies at the circle found in each photograph by "
-        "`measured.contact_circle`, for every method alike, as the circles marked scatter around "
-        f"what is seen; `{AS_MARKED}` has them. Contact is the marked circle's in both.\n"
-    )
-    return "\n".join([*lines, NOTES, entry_list(figures["provenance"])])
-
-
-def _table(figures: dict[str, Any]) -> list[str]:
-    rows = []
-    for name, row in figures["rows"].items():
-        contact = {f"contact_{key}": value for key, value in row["contact"].items()}
-        balanced = {
-            "balanced_psnr_db": row["balanced"]["psnr_db"],
-            "balanced_contact_psnr_db": row["balanced"]["contact"]["psnr_db"],
-        }
-        rows.append(([name], row | contact | balanced))
-    return [
-        f"Fitted on {len(figures['train'])} real presses of a ball, judged on "
-        f"{len(figures['test'])} held out.\n",
-        markdown_table(["method"], rows, COLUMNS),
-    ]

@@ -24,7 +24,7 @@ REFINED = ("idle_refined", "tacto_refined", "carried", *WARPED, "paper_mobile_wa
 """Models that get an idle image refined by the frames that they are fitted on, with samples between
 its pixels, as `train-optics` makes it. The published ones have the idle image alone; `_refined` is
 what they would gain."""
-MADE_BY = ("baselines", "evaluation/optics", "learning", "optics")
+MADE_BY = ("../studies/rivals", "../studies/optics", "learning", "optics")
 """Source that fits a model and predicts with it."""
 
 

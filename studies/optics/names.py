@@ -3,6 +3,27 @@
 
 """Names of the image models that are compared. Importing them loads no model."""
 
+from typing import Literal, get_args
+
+ImageModel = Literal[
+    "idle",
+    "idle_refined",
+    "tacto",
+    "tacto_refined",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "paper_mobile",
+    "paper_mobile_warped",
+    "unet",
+    "carried",
+    "tacto_warped",
+    "taxim_warped",
+    "difftactile_warped",
+    "ours",
+]
+NAMES: tuple[ImageModel, ...] = get_args(ImageModel)
 MOBILE = ("paper_mobile", "paper_mobile_warped")
 """The paper's network with a backbone that can be trained to its end without CUDA, added to the
 idle image as published, and to the warped one."""
@@ -12,23 +33,20 @@ NETWORKS = ("ours", *PUBLISHED)
 """Kinds of networks of `dotsim_ros.learning`."""
 WARPED = ("tacto_warped", "taxim_warped", "difftactile_warped")
 """Published models that complete the warped image, in place of our network."""
-NAMES = (
-    "idle",
-    "idle_refined",
-    "tacto",
-    "tacto_refined",
-    "taxim",
-    "difftactile",
-    *PUBLISHED,
-    "carried",
-    *WARPED,
-    "ours",
-)
-OPTIONAL = (*MOBILE, "unet")
-"""Models that are compared only on request."""
 BOUND = "bound"
 """The row that learns from measured images of other trajectories: no simulation passes it."""
-CLASSIFIED_BY = (BOUND, "idle", "tacto", "taxim", "difftactile", *PUBLISHED, "carried", "ours")
+ClassifiedBy = Literal[
+    "bound",
+    "idle",
+    "tacto",
+    "taxim",
+    "difftactile",
+    "paper",
+    "paper_direct",
+    "paper_mobile",
+    "paper_mobile_warped",
+    "unet",
+    "carried",
+    "ours",
+]
 """What the classifiers learn from: images of these models, or measured ones (`BOUND`)."""
-BLIND_OR_SLOW = ("idle", "paper_direct", *OPTIONAL)
-"""Of these, what is left out unless it is asked for: it shows no contact, or trains for hours."""

@@ -24,19 +24,20 @@ import numpy as np
 from scipy.optimize import minimize
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from dotsim_ros.files import read_image
+from dotsim_ros.files import parameter_path, read_image
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera, camera_of_disc
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.measured.motion import pose_along
 from dotsim_ros.metrics.images import score_image
-from dotsim_ros.optics.idle import LitDisc
+from dotsim_ros.optics.idle import LitDisc, read_description
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
-from dotsim_ros.specification import SensorSpecification
-from studies.table import Column, entry_list, markdown_table
+from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies.data import REAL
 
+DESCRIPTION = "images/densetact_real_idle.yaml"
 BALL_RADIUS_M = 4.0e-3
 """Consistent with the recorded presses on such sensors; the shape was not recorded."""
 GRID_OFFSETS = (-0.1, 0.0, 0.1)
@@ -220,6 +221,24 @@ def _allowed(ball: BallPose) -> bool:
     return 0.0 <= ball.depth_m <= DEEPEST_M and np.hypot(ball.x, ball.y) <= WIDEST_SINE
 
 
+def real_pair(*, data: Path = REAL / "densetact", sensor: str = "densetact2") -> dict[str, Any]:
+    """One real image of a DenseTact, explained by a press.
+
+    Args:
+        data: folder of idle.png, pressed.png and mask.png.
+        sensor: name or file of the sensor.
+
+    Raises:
+        FileNotFoundError, ValueError: as `read_real_pair`.
+    """
+    description = parameter_path(DESCRIPTION)
+    disc, lighting, vignetting = read_description(description)
+    if disc is None:
+        raise ValueError(f"{description} does not say where the lit disc lies")
+    pair = read_real_pair(data)
+    return evaluate_real_pair(pair, load_sensor(sensor), disc, lighting, vignetting, progress=print)
+
+
 def evaluate_real_pair(
     pair: RealPair,
     sensor: SensorSpecification,
@@ -274,40 +293,3 @@ def evaluate_real_pair(
         ball, view = search.best(grid, lambda v, r=renderer: squared(r.warp(v)))  # type: ignore[misc]
         rows[name] = row(renderer.warp(view), ball)
     return {"rows": rows, "ball_radius_mm": 1e3 * BALL_RADIUS_M}
-
-
-REAL_PAIR_COLUMNS = (
-    Column("psnr_db", "PSNR dB ↑", 2),
-    Column("mask_psnr_db", "in the mask ↑", 2),
-    Column("ssim", "SSIM ↑", 4),
-    Column("pattern_likeness", "likeness of the pattern ↑", 3),
-    Column("x", "x", 3),
-    Column("y", "y", 3),
-    Column("depth_m", "depth mm", 2, 1e3),
-)
-
-
-def real_pair_page(figures: dict[str, Any]) -> str:
-    """Return the table as a Markdown page."""
-    rows = [
-        (
-            [name.replace("carried", "warped")],
-            row
-            | {f"mask_{key}": value for key, value in row["mask"].items()}
-            | (row["press"] or {}),
-        )
-        for name, row in figures["rows"].items()
-    ]
-    return "\n".join(
-        [
-            "# One real press on a DenseTact\n",
-            markdown_table(["image"], rows, REAL_PAIR_COLUMNS),
-            f"The press, of a ball of {figures['ball_radius_mm']:g} mm radius, was fitted to the "
-            "image itself: no figure here is on held-out data. warped: the idle image warped by "
-            "the gel; shaded: first-order shading as well, under lights set by eye. by_pattern: "
-            "the press whose fine pattern, at even contrast, correlates best with the measured "
-            "one; the others: the press of least squared error in the mask. x and y: unit vector "
-            "from the dome's centre to the press.\n",
-            entry_list(figures["provenance"]),
-        ]
-    )

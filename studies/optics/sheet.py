@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -85,34 +84,23 @@ def _error(predicted: ImageArray, measured: ImageArray) -> ImageArray:
     return np.clip(ERROR_GAIN * difference, 0.0, 255.0).astype(np.uint8)
 
 
-def write_sheets(
-    directory: Path, maker: RowMaker, rows: Mapping[str, Mapping[str, Row]], *, seen_from: Path
-) -> dict[str, str]:
-    """Write a sheet for each level, and return its path as a page in `seen_from` names it.
+def write_sheets(directory: Path, maker: RowMaker, rows: Mapping[str, Mapping[str, Row]]) -> None:
+    """Write a sheet for each level.
 
     Args:
         directory: folder of the sheets, `optics_LEVEL.jpg`.
         maker: of the rows.
         rows: by level and model, those of the split by trajectory.
-        seen_from: folder of the page.
     """
-    sheets = {}
     for level, by_model in rows.items():
         models = [name for name in SHOWN_MODELS if name in by_model]
         if not models:
             continue
         keys = sorted(by_model[models[0]].images)
-        path = _sheet(directory, level)
         write_optics_sheet(
-            path,
+            directory / f"optics_{level}.jpg",
             {key: maker.presses[key[0]].measured[key[1]] for key in keys},
             {name: by_model[name].images for name in models},
             maker.data.rest.lit,
             title=f"{level}, by whole trajectories: frames that no model was fitted on",
         )
-        sheets[level] = os.path.relpath(path, seen_from)
-    return sheets
-
-
-def _sheet(directory: Path, level: str) -> Path:
-    return directory / f"optics_{level}.jpg"

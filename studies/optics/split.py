@@ -18,11 +18,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 
-LEVELS = ("easy", "medium", "hard")
+Level = Literal["easy", "medium", "hard"]
+LEVELS: tuple[Level, ...] = get_args(Level)
 WAYS = ("by_frame", "by_trajectory")
 UNSEEN_RANKS = (0, 2)
 """Places, among the sorted names of the indenters, of the two that easy takes and hard leaves."""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from dotsim_ros.measured.importers.ecoflex_compression import (
     CompressionTest,
     read_compression_tests,
 )
+from studies.data import REAL
 from studies.real.cylinders import (
     FITTED_SPECIMEN,
     LAWS,
@@ -29,25 +30,23 @@ from studies.real.cylinders import (
     slipping,
     sticking,
 )
-from studies.table import entry_list
 
 COMPARED_SHARE = 0.3
 """Compression at which the two specimens' forces are compared."""
 
 
-def evaluate_cylinders(directory: Path, *, progress: Callable[[str], None]) -> dict[str, Any]:
-    """Return the figures of one set.
+def real_cylinders(*, data: Path = REAL / "ecoflex_compression") -> dict[str, Any]:
+    """Laws of real gels between plates, fitted to one specimen and judged on another.
 
     Args:
-        directory: of the set, as published.
-        progress: told what is done.
+        data: folder of the set, as published.
 
     Raises:
         FileNotFoundError, ValueError: as `read_compression_tests`; a mix with one specimen.
         CalculixMissingError: CalculiX is not installed.
     """
-    tests = read_compression_tests(directory)
-    both = (slipping(), sticking(progress=progress))
+    tests = read_compression_tests(data)
+    both = (slipping(), sticking(progress=print))
     rows = []
     for mix in sorted({test.mix for test in tests}):
         of_mix = [test for test in tests if test.mix == mix]
@@ -55,7 +54,7 @@ def evaluate_cylinders(directory: Path, *, progress: Callable[[str], None]) -> d
         others = [test for test in of_mix if test.specimen != FITTED_SPECIMEN]
         if not on or not others:
             raise ValueError(
-                f"{directory}: {mix} has no specimen {FITTED_SPECIMEN} or no other one; one is "
+                f"{data}: {mix} has no specimen {FITTED_SPECIMEN} or no other one; one is "
                 "fitted on and another judged"
             )
         rows += [_row(mix, ends, on, others) for ends in both]
@@ -111,68 +110,3 @@ def _verdict(mix: str, rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
         "error": error,
         "one_constant": one,
     }
-
-
-def cylinders_page(figures: dict[str, Any]) -> str:
-    """Return the page."""
-    rows, verdicts = figures["rows"], figures["verdicts"]
-    slip = [row for row in rows if row["ends"] == SLIP]
-    fitted_tests, judged_tests = (
-        sum(row[key] for row in slip) for key in ("fitted_tests", "judged_tests")
-    )
-    lines = [
-        "# Cylinders of Ecoflex between plates",
-        "",
-        f"{len(slip)} mixes of two specimens each. The law is chosen and fitted on specimen",
-        f"{FITTED_SPECIMEN} ({fitted_tests} tests in all) and judged on the other one "
-        f"({judged_tests} tests), which the rule never saw, from {100 * SHARE[0]:.0f} % of",
-        "compression to the one in the column *to*. The law is the one with the least error on",
-        f"repeats 4 and 5 of specimen {FITTED_SPECIMEN}, fitted on 1 to 3. *Within*: "
-        "judged tests whose force is within",
-        f"{100 * TARGET:.0f} % all the way. *Other/own*: force of the judged specimen over",
-        "the fitted one's at 30 %, which no law can make up for.",
-        "",
-        "| mix | plates | to | law | constants kPa | own error | error | worst | within "
-        "| other/own |",
-        "| --- | --- | ---: | --- | --- | ---: | ---: | ---: | ---: | ---: |",
-    ]
-    for row in rows:
-        constants = ", ".join(f"{k} {1e-3 * v:.2f}" for k, v in row["constants_pa"].items())
-        lines.append(
-            f"| {row['mix']} | {row['ends']} | {100 * row['to']:.0f} % | {row['law']} | "
-            f"{constants} | {100 * row['own_mean']:.1f} % | {100 * row['mean']:.1f} % | "
-            f"{100 * row['worst']:.1f} % | {row['within']} of {row['judged_tests']} | "
-            f"{row['other_over_own']:.3f} |"
-        )
-    for name in (SLIP, STUCK):
-        group = [row for row in rows if row["ends"] == name]
-        within, judged = (sum(row[key] for row in group) for key in ("within", "judged_tests"))
-        good = sum(row["mean"] <= TARGET for row in group)
-        lines += [
-            "",
-            f"Plates with {name}: {within} of {judged} judged tests within {100 * TARGET:.0f} %",
-            f"all the way; the mean error is within it for {good} of {len(group)} mixes.",
-        ]
-    lines += [
-        "",
-        "## Slip or stuck",
-        "",
-        f"An end is named where the chosen laws' errors on specimen {FITTED_SPECIMEN} differ by",
-        f"more than {100 * TOLD_APART:.0f} percentage point.",
-        "",
-        "| mix | verdict | error slip | stuck | one constant: slip | stuck |",
-        "| --- | --- | ---: | ---: | ---: | ---: |",
-    ]
-    for row in verdicts:
-        figure = [row[key][name] for key in ("error", "one_constant") for name in (SLIP, STUCK)]
-        lines.append(
-            f"| {row['mix']} | {row['ends']} | "
-            + " | ".join(f"{100 * v:.1f} %" for v in figure)
-            + " |"
-        )
-    ratios = ", ".join(
-        f"{ratio:.2f} at {100 * share:.0f} %"
-        for share, ratio in zip(figures["share"], figures["stuck_over_slip"], strict=False)
-    )
-    lines += ["", f"A stuck neo-Hookean cylinder's force over that of one that slips: {ratios}."]
-    return "\n".join(lines) + "\n\n" + entry_list(figures["provenance"])

@@ -167,7 +167,7 @@ class PadSolves:
         values = gel_values(state)
         where = [(pose.position_m, pose.quaternion_xyzw) for pose in poses]
         key = content_key(
-            (*PHYSICS, "evaluation/real_force"), replace(SENSOR, name=""), values, indenter, where
+            (*PHYSICS, "../studies/real"), replace(SENSOR, name=""), values, indenter, where
         )
         path = self._folder / f"{key}.npz"
         known = load_arrays(path, {"force_n": ArrayForm((len(poses), 3))})

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.measured.importers.force_depth import ForceDepth
 from dotsim_ros.measured.importers.gelsight_mini_force import (
@@ -20,6 +21,7 @@ from dotsim_ros.measured.importers.gelsight_mini_force import (
 )
 from dotsim_ros.specification import ContactSpecification
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA
+from studies.data import REAL
 from studies.real.causes import (
     MAKERS,
     Explained,
@@ -49,7 +51,6 @@ from studies.real.pad import (
 from studies.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, disc_section
 from studies.reference.deck import StepControl
 from studies.reference.run import CalculixError, CalculixMissingError, solve_section
-from studies.table import entry_list
 
 CHECKED_FRICTION = 0.2
 CHECKED_DEPTH_M = 1e-3 * np.array([0.5, 1.0, 1.5, 2.0])
@@ -59,42 +60,40 @@ COMPARED = 4
 """Explanations that proposed presses are to tell apart: the best ones."""
 
 
-def evaluate_pad(
-    directory: Path,
+def real_force(
     *,
-    run: Path,
-    seed: int,
-    at_mm: list[float],
-    progress: Callable[[str], None],
+    data: Path = REAL / "gelsight_mini_force",
+    at_mm: tuple[float, ...] = (1.5,),
+    seed: int = 0,
+    cache: Path | None = None,
 ) -> dict[str, Any]:
-    """Return the figures of one set.
+    """Forces of a real ball on a pad, each predicted from the other depths.
 
     Args:
-        directory: of the set, as published.
-        run: folder of the gel's solves, where those of an earlier run are taken from.
+        data: folder of the set, as published.
+        at_mm: further depths to predict, from all that were measured.
         seed: of the draws.
-        at_mm: further depths to predict from all that were measured.
-        progress: told what is done.
+        cache: folder of the gel's solves (the user's cache).
 
     Raises:
         FileNotFoundError, ValueError: as `read_gelsight_mini_force`; fewer than three depths.
         SolveError: the gel cannot be solved.
     """
-    press = read_gelsight_mini_force(directory)
+    press = read_gelsight_mini_force(data)
     if len(press.depth_m) < 3:
         raise ValueError(
-            f"{directory}: {len(press.depth_m)} depths, expected three at least: two to fit on and "
+            f"{data}: {len(press.depth_m)} depths, expected three at least: two to fit on and "
             "one to judge on"
         )
     lowest, highest = (1e3 * depth for depth in DEPTH_M[[0, -1]].tolist())
     if not all(lowest <= depth <= highest for depth in at_mm):
         raise ValueError(
-            f"depths to predict are {at_mm} mm, expected {lowest:g} to {highest:g} mm, where the "
-            "pad is solved"
+            f"depths to predict are {list(at_mm)} mm, expected {lowest:g} to {highest:g} mm, where "
+            "the pad is solved"
         )
-    solves = PadSolves(run)
-    finite_elements = _against_finite_elements(solves, progress)
-    table = pad_table(solves, ball(), progress)
+    solves = PadSolves(cache or cache_directory() / "real_force")
+    finite_elements = _against_finite_elements(solves, print)
+    table = pad_table(solves, ball(), print)
     prior = Prior()
     draws = weighted_draws(table, press, prior=prior, seed=seed)
     explanations = all_explained(table, press)
@@ -125,7 +124,7 @@ def evaluate_pad(
             }
             for one in explanations
         ],
-        "proposals": _proposals(solves, compared, progress),
+        "proposals": _proposals(solves, compared, print),
         "finite_elements": finite_elements,
         "draws": DRAW_COUNT,
         "model_error": MODEL_ERROR,
@@ -223,94 +222,3 @@ def _proposals(
             }
         )
     return sorted(rows, key=lambda row: -float(row["nearest"]))
-
-
-def pad_page(figures: dict[str, Any]) -> str:
-    """Return the page."""
-    lines = [
-        "# The force of a GelSight Mini under a ball",
-        "",
-        "A steel ball of 7.5 mm radius on the pad, one press, each depth measured once. Each",
-        "depth is predicted from the others; the interval is of 95 %, with everything below that",
-        "is not known, and the model's own error.",
-        "",
-        "| predicted at mm | from mm | measured N | predicted N | error | interval N | holds |",
-        "| ---: | --- | ---: | ---: | ---: | --- | --- |",
-    ]
-    for row in figures["left_out"] + figures["further"]:
-        fitted = ", ".join(f"{depth:g}" for depth in row["fitted_mm"])
-        measured = row["measured_n"]
-        interval = f"{row['low_n']:.2f} to {row['high_n']:.2f}"
-        judged = ("-", "-", "-")
-        if measured is not None:
-            inside = row["low_n"] <= measured <= row["high_n"]
-            share = row["predicted_n"] / measured - 1.0
-            judged = (f"{measured:.3f}", f"{100 * share:+.1f} %", "yes" if inside else "no")
-        lines.append(
-            f"| {row['depth_mm']:g} | {fitted} | {judged[0]} | {row['predicted_n']:.3f} | "
-            f"{judged[1]} | {interval} | {judged[2]} |"
-        )
-    ratios = ", ".join(f"{ratio:.2f}" for ratio in figures["makers"]["ratio"])
-    lines += [
-        "",
-        "As its makers fitted it (neo-Hooke, C10 0.0725 MPa, nu 0.49, bonded, friction 1) the",
-        f"gel gives {ratios} times the measured forces.",
-        "",
-        "## What is known after all depths",
-        "",
-        "| | 2.5 % | median | 97.5 % |",
-        "| --- | ---: | ---: | ---: |",
-    ]
-    for name, (low, middle, high) in figures["posterior"].items():
-        lines.append(f"| {name} | {low:.3g} | {middle:.3g} | {high:.3g} |")
-    lines += [
-        "",
-        "## What explains it",
-        "",
-        "Young's modulus is free in all rows, sizes stay within what is plausible. *Explains*: the",
-        "misfit is none of the 5 % largest that the model's own error gives.",
-        "",
-        "| differs from the makers' model | size | E MPa | largest deviation | explains |",
-        "| --- | --- | ---: | ---: | --- |",
-    ]
-    for row in figures["explanations"]:
-        lines.append(
-            f"| {row['causes']} | {row['size'] or '-'} | {1e-6 * row['modulus_pa']:.3f} | "
-            f"{100 * row['worst']:.1f} % | {'yes' if row['holds'] else 'no'} |"
-        )
-    against = figures["finite_elements"]
-    depths = " | ".join(f"{depth:g} mm" for depth in against["depth_mm"])
-    lines += [
-        "",
-        "## The gel against CalculiX",
-        "",
-        f"N with E of 0.3 MPa, nu 0.49, friction {against['friction']:g}; CalculiX on a round",
-        "pad of the same area.",
-        "",
-        f"| | {depths} |",
-        f"| --- | {' | '.join('---:' for _ in against['depth_mm'])} |",
-        f"| this gel | {' | '.join(f'{force:.3f}' for force in against['own_n'])} |",
-    ]
-    for row in against["calculix"]:
-        missing = ["-"] * (len(against["depth_mm"]) - len(row["force_n"]))
-        cells = " | ".join([*(f"{force:.3f}" for force in row["force_n"]), *missing])
-        lines.append(f"| CalculiX, {row['spacing_mm']:g} mm | {cells} |")
-    if figures["proposals"]:
-        names = list(figures["proposals"][0]["answers"])
-        lines += [
-            "",
-            "## Which press would tell",
-            "",
-            "What further presses would show, N (for the slide: force across over the normal",
-            "one), and by how many deviations of the model's error the nearest two and the",
-            "farthest two differ.",
-            "",
-            f"| press | {' | '.join(names)} | nearest | farthest |",
-            f"| --- | {' | '.join('---:' for _ in names)} | ---: | ---: |",
-        ]
-        for row in figures["proposals"]:
-            answers = " | ".join(f"{row['answers'][name]:.3f}" for name in names)
-            lines.append(
-                f"| {row['press']} | {answers} | {row['nearest']:.1f} | {row['farthest']:.1f} |"
-            )
-    return "\n".join(lines) + "\n\n" + entry_list(figures["provenance"])

@@ -1,7 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The presses of a data set that `dotsim_ros reference` wrote, with what each was solved for."""
+"""The presses of a data set that `python -m studies reference_presses` wrote, each with what it was
+solved for."""
 
 from __future__ import annotations
 
@@ -39,7 +40,7 @@ class SolvedPress:
 
 
 def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:
-    """Return the skin and the presses of a data set that `dotsim_ros reference` wrote.
+    """Return skin and presses of a data set that `python -m studies reference_presses` wrote.
 
     Raises:
         FileNotFoundError: there is no data set.
@@ -53,7 +54,7 @@ def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:
         if "sensor" not in record:
             raise ValueError(
                 f"{directory / INDEX}: {entry.name} names no sensor that it was solved for; "
-                "expected a data set that dotsim_ros reference wrote"
+                "expected a data set that python -m studies reference_presses wrote"
             )
         sensor = sensor_from(record["sensor"], f"{directory / INDEX}, {entry.name}")
         if entry.indenter not in indenters:

@@ -1,137 +1,120 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Solve presses with finite elements (CalculiX) and write them as a data set.
+"""Presses that finite elements (CalculiX) solve, as a data set, and our own gel against them.
 
-Writes dataset.yaml, skin_mesh.npz, bags/ and indenters/ in the layout of measured data, one
-trajectory for each indenter and tilt, and prints for each frame how far our own gel, pressed the
-same way, is off. Trajectories that OUT already holds, solved to their end with the same constants,
-are left as they are, so an interrupted run resumes where it stopped; others are solved anew. Needs
-CalculiX: apt-get install calculix-ccx
+OUT has dataset.yaml, skin_mesh.npz, bags/ and indenters/ in the layout of measured data, one
+trajectory for each indenter and tilt. Trajectories that it already holds, solved to their end with
+the same constants, are left as they are, so an interrupted run resumes where it stopped; others are
+solved again.
 
-example:
-  dotsim_ros reference --sensor densetact2 --indenter sphere_4mm --out out/reference
-  dotsim_ros reference --indenter cone torus --tilt-deg 0 20 40 --shear-mm 0.5 --out out/reference
-  dotsim_ros reference --indenter cone --axisymmetric --depth-mm 2 --out out/reference
+    python -m studies reference_presses --indenters cone torus --tilts-deg 0 20 40 --shear-mm 0.5
+    python -m studies reference_presses --indenters cone --axisymmetric --depth-mm 2
 """
 
 from __future__ import annotations
 
-import argparse
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not (value > 0.0 and math.isfinite(value)):
-        raise argparse.ArgumentTypeError(f"{text} is not a positive number")
-    return value
-
-
-def _tilt(text: str) -> float:
-    value = float(text)
-    if not 0.0 <= value <= 40.0:
-        raise argparse.ArgumentTypeError(f"{text} is not an angle from 0 to 40 degrees")
-    return value
+from dotsim_ros.gel.make import skin_of
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.measured.data_set_writer import DataSetWriter
+from dotsim_ros.specification import load_sensor
+from studies.reference.axisymmetric import AxisymmetricSettings
+from studies.reference.comparison import compare
+from studies.reference.data_set import FINE_STEP_M
+from studies.reference.press import ReferencePress, ReferenceSettings
+from studies.reference.results import solved_press
+from studies.reference.run import CalculixError, calculix_version
 
 
-def _count(text: str) -> int:
-    value = int(text)
-    if not 1 <= value <= 100:
-        raise argparse.ArgumentTypeError(f"{text} is not a number from 1 to 100")
-    return value
+def reference_presses(
+    *,
+    sensor: str = "densetact2",
+    indenters: tuple[str, ...] = ("sphere_4mm",),
+    out: Path = Path("out/reference"),
+    depth_mm: float = 1.0,
+    frames: int = 4,
+    tilts_deg: tuple[float, ...] = (0.0,),
+    azimuth_deg: float = 0.0,
+    shear_mm: float = 0.0,
+    friction: float | None = None,
+    spacing_mm: float | None = None,
+    axisymmetric: bool = False,
+    threads: int = 1,
+    time_limit_s: float | None = None,
+    keep: Path | None = None,
+) -> dict[str, Any]:
+    """Solve presses with CalculiX, write them as a data set and compare our own gel.
 
+    Args:
+        sensor: name or file of the sensor.
+        indenters: names or definitions.
+        out: folder of the data set.
+        depth_mm: depth of the tip below the skin at rest.
+        frames: equal moves to that depth, one a frame.
+        tilts_deg: angles of the place from the apex, 0 to 40.
+        azimuth_deg: azimuth of the place, from +x.
+        shear_mm: drag along the indenter's +x at the end.
+        friction: coefficient of friction (the sensor's).
+        spacing_mm: element size at the press (1; 0.25 axisymmetric).
+        axisymmetric: solve in two dimensions, at the apex alone.
+        threads: of CalculiX.
+        time_limit_s: of each trajectory (none).
+        keep: folder for CalculiX's own files.
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add what the verb takes."""
-    add = parser.add_argument
-    add("--sensor", default="densetact2", help="name or YAML file of the sensor (densetact2)")
-    add(
-        "--indenter",
-        nargs="+",
-        default=["sphere_4mm"],
-        help="names or definitions (sphere_4mm)",
-    )
-    add("--out", type=Path, default=Path("out/reference"), help="the data set (out/reference)")
-    add(
-        "--depth-mm",
-        type=_positive,
-        default=1.0,
-        help="depth of the tip below the skin at rest (1)",
-    )
-    add("--frames", type=_count, default=4, help="equal moves to that depth, one a frame (4)")
-    add(
-        "--tilt-deg",
-        type=_tilt,
-        nargs="+",
-        default=[0.0],
-        help="angles of the place from the apex (0)",
-    )
-    add("--azimuth-deg", type=float, default=0.0, help="azimuth of the place, from +x (0)")
-    add("--shear-mm", type=float, default=0.0, help="drag along the indenter's +x at the end (0)")
-    add("--friction", type=float, help="coefficient of friction (the sensor's)")
-    add("--spacing-mm", type=_positive, help="element size at the press (1; 0.25 axisymmetric)")
-    add("--axisymmetric", action="store_true", help="solve in two dimensions: at the apex alone")
-    add("--threads", type=_count, default=1, help="threads of CalculiX (1)")
-    add("--time-limit-s", type=_positive, help="time limit of each trajectory (none)")
-    add("--keep", type=Path, help="folder for CalculiX's own files")
-    add("--json", type=Path, help="write the table to this file")
-    add("--seed", type=int, default=0, help="accepted; nothing here is random")
-
-
-def run(arguments: argparse.Namespace) -> int:
-    """Solve, write and compare; 1 where a press did not come to its end."""
-    from dataclasses import replace
-
-    from dotsim_ros.files import write_json
-    from dotsim_ros.gel.make import skin_of
-    from dotsim_ros.geometry.indenter import load_indenter
-    from dotsim_ros.measured.data_set_writer import DataSetWriter
-    from dotsim_ros.provenance import provenance
-    from dotsim_ros.specification import load_sensor
-    from studies.reference.axisymmetric import AxisymmetricSettings
-    from studies.reference.comparison import compare
-    from studies.reference.data_set import FINE_STEP_M
-    from studies.reference.press import ReferencePress, ReferenceSettings
-    from studies.reference.results import solved_press
-    from studies.reference.run import CalculixError, calculix_version
-
+    Raises:
+        CalculixMissingError: CalculiX is not installed.
+        ValueError: a value is out of range, or the folder holds other data.
+    """
+    numbers = {
+        "depth_mm": depth_mm,
+        "frames": frames,
+        "spacing_mm": spacing_mm,
+        "threads": threads,
+        "time_limit_s": time_limit_s,
+    }
+    for name, value in numbers.items():
+        if value is not None and not 0.0 < value < math.inf:
+            raise ValueError(f"{name} is {value:g}, expected a positive number")
+    if wrong := [tilt for tilt in tilts_deg if not 0.0 <= tilt <= 40.0]:
+        raise ValueError(f"tilts_deg has {wrong[0]:g}, expected 0 to 40")
     version = calculix_version()
-    specification = load_sensor(arguments.sensor)
-    if arguments.friction is not None:
-        contact = replace(specification.contact, friction_coefficient=arguments.friction)
+    specification = load_sensor(sensor)
+    if friction is not None:
+        contact = replace(specification.contact, friction_coefficient=friction)
         specification = replace(specification, contact=contact)
     skin = skin_of(specification.gel)
-    data_set = DataSetWriter(arguments.out, skin, indenter_step_m=FINE_STEP_M)
+    data_set = DataSetWriter(out, skin, indenter_step_m=FINE_STEP_M)
     settings: ReferenceSettings | AxisymmetricSettings = (
-        AxisymmetricSettings() if arguments.axisymmetric else ReferenceSettings()
+        AxisymmetricSettings() if axisymmetric else ReferenceSettings()
     )
-    if arguments.spacing_mm is not None:
-        settings = replace(settings, spacing_m=1e-3 * arguments.spacing_mm)
+    if spacing_mm is not None:
+        settings = replace(settings, spacing_m=1e-3 * spacing_mm)
     rows: list[dict[str, Any]] = []
-    failures = []
-    print(_HEADER)
-    for source in arguments.indenter:
+    failed: dict[str, str] = {}
+    for source in indenters:
         indenter = load_indenter(source)
-        for tilt_deg in arguments.tilt_deg:
+        for tilt_deg in tilts_deg:
             press = ReferencePress(
                 specification,
                 indenter,
-                depth_m=1e-3 * arguments.depth_mm,
-                frame_count=arguments.frames,
+                depth_m=1e-3 * depth_mm,
+                frame_count=frames,
                 tilt_deg=tilt_deg,
-                azimuth_deg=arguments.azimuth_deg,
-                shear_m=1e-3 * arguments.shear_mm,
+                azimuth_deg=azimuth_deg,
+                shear_m=1e-3 * shear_mm,
                 settings=settings,
             )
             notes = press.notes() | {"calculix": version}
             there = data_set.notes(press.name)
             if there is not None and "calculix" not in there:
                 raise ValueError(
-                    f"{arguments.out} holds a trajectory {press.name} that was not solved here, "
-                    "expected a folder of solved presses; name another with --out"
+                    f"{out} holds a trajectory {press.name} that was not solved here, expected a "
+                    "folder of solved presses; name another with --out"
                 )
             if data_set.holds(press.name, notes):
                 print(f"{press.name}: there already")
@@ -140,38 +123,19 @@ def run(arguments: argparse.Namespace) -> int:
                 trajectory, solution = solved_press(
                     press,
                     skin,
-                    thread_count=arguments.threads,
-                    keep=None if arguments.keep is None else arguments.keep / press.name,
-                    time_limit_s=arguments.time_limit_s,
+                    thread_count=threads,
+                    keep=None if keep is None else keep / press.name,
+                    time_limit_s=time_limit_s,
                 )
             except CalculixError as error:
-                failures.append(f"{press.name}: {error}")
-                print(failures[-1])
+                failed[press.name] = str(error)
+                print(f"{press.name}: {error}")
                 continue
             data_set.add(trajectory, indenter, notes, failure=solution.failure)
             for row in compare(specification, skin, indenter, trajectory):
-                figures = {
-                    "trajectory": press.name,
-                    "iterations": solution.steps[row.frame - 1].iterations,
-                    **row.figures(),
-                }
-                rows.append(figures)
-                print(_ROW.format(**figures), flush=True)
+                iterations = solution.steps[row.frame - 1].iterations
+                rows.append({"trajectory": press.name, "iterations": iterations, **row.figures()})
             if solution.failure:
-                failures.append(f"{press.name}: {solution.failure}")
-                print(failures[-1])
-    if arguments.json is not None:
-        origin = provenance() | {"calculix": version}
-        write_json(arguments.json, {"origin": origin, "frames": rows, "failures": failures})
-    return 1 if failures else 0
-
-
-_HEADER = (
-    "frame  normal N  tangential N  normal error  tangential error  skin RMS mm  max mm  "
-    "contact RMS mm  iterations  trajectory"
-)
-_ROW = (
-    "{frame:5d}  {normal_n:8.4f}  {tangential_n:12.4f}  {normal_error:+12.1%}  "
-    "{tangential_error:16.1%}  {skin_rms_mm:11.3f}  {skin_max_mm:6.3f}  {contact_rms_mm:14.3f}  "
-    "{iterations:10d}  {trajectory}"
-)
+                failed[press.name] = solution.failure
+            print(f"{press.name}: {solution.failure or 'solved'}")
+    return {"calculix": version, "frames": rows, "failed": failed}

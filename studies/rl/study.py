@@ -179,7 +179,7 @@ def blind_row(study: Study, folder: Path, name: str) -> dict[str, Any]:
 def kept_folder(study: Study, cache: Path) -> Path:
     """Return where a study keeps what it has done: another place for other code or settings."""
     return cache / content_key(
-        (*PHYSICS, "tasks", "evaluation/rl"),
+        (*PHYSICS, "tasks", "../studies/rl"),
         study.settings,
         study.steps,
         study.seconds,

@@ -14,7 +14,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol, get_args
 
 import numpy as np
 import yaml
@@ -35,8 +35,9 @@ from dotsim_ros.tasks.loop.judge import judge, summary_of, trial_start
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
 from dotsim_ros.tasks.policy.rollout import APPROACH_S
 
-SIMULATED, TRANSFERRED, SHIFTED, REALITY = "simulated", "transferred", "shifted", "reality"
-SETTINGS = (SIMULATED, TRANSFERRED, SHIFTED, REALITY)
+SettingName = Literal["simulated", "transferred", "shifted", "reality"]
+SETTINGS: tuple[SettingName, ...] = get_args(SettingName)
+SIMULATED, TRANSFERRED, SHIFTED, REALITY = SETTINGS
 RELAXING_SHARE, RELAXING_S, THINNER, SLIPPERIER = 0.17, 1.0, 0.104, 0.43
 """What the gap finder said of five sets that finite elements made, each with one effect: a share of
 the stress that relaxes, a gel thinner by a share, and a friction that is a share of the twin's."""

@@ -101,7 +101,7 @@ class Simulation:
     ) -> tuple[Float32Array, FloatArray] | None:
         s = self._sensor
         key = content_key(
-            (*GEL, "evaluation/tumour"), (s.gel, s.material), PairSettings(), layer, press
+            (*GEL, "../studies/tumour"), (s.gel, s.material), PairSettings(), layer, press
         )
         path = self._cache / "simulated" / f"{key}.npz"
         known = load_arrays(path, press_forms((len(press.depths_m), self.skin.vertex_count, 3)))

@@ -60,7 +60,7 @@ def calculix_presses(
         name = f"press {number + 1} of {len(presses)}"
         settings = CALCULIX[number // 2 % len(CALCULIX)]
         key = content_key(
-            ("reference", "evaluation/tumour"),
+            ("../studies/reference", "../studies/tumour"),
             (sensor.gel, sensor.material),
             layer,
             press,

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,6 +16,8 @@ from scipy.spatial.transform import Rotation
 from dotsim_ros.gel.pair.layer import Insert, LayerSpecification
 from dotsim_ros.geometry.pose import Pose
 
+SkinName = Literal["skin_1", "skin_2", "skin_3"]
+SKIN_NAMES: tuple[SkinName, ...] = get_args(SkinName)
 SKINS: Mapping[str, LayerSpecification] = MappingProxyType(
     {
         "skin_1": LayerSpecification(thickness_m=5.0e-3, youngs_modulus_pa=40.0e3),

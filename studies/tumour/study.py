@@ -128,7 +128,7 @@ def run_study(study: Study, cache: Path, tell: Progress) -> dict[str, Any]:
     figures: dict[str, Any] = {}
     for name in study.skins:
         key = content_key(
-            (*PHYSICS, "evaluation/classification", "evaluation/tumour"),
+            (*PHYSICS, "../studies/classification", "../studies/tumour"),
             replace(study, skins=(name,)),
             SKINS[name],
             replace(sensor, name=""),

@@ -5,7 +5,7 @@
 
 Two trajectories of a unit of `sensor_a` with a coarse skin, three candidates, and hidden effects
 that act on the force alone, so that all cases share their solves: what CI can afford. The blind
-study (`dotsim_ros evaluate gap`) is the same code on all of it.
+study (`python -m studies gap`) is the same code on all of it.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Presses, splits, scores and the tables, on a small data set with a known answer."""
+"""Presses, splits, scores and the studies of the gel, on a small data set with a known answer."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.cli.main import main
 from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
@@ -37,7 +36,7 @@ from dotsim_ros.measured.trajectory import (
     WrenchChannel,
     write_trajectory,
 )
-from dotsim_ros.metrics import presses as geometry
+from dotsim_ros.metrics import presses as press_metrics
 from dotsim_ros.metrics.presses import (
     PressFrameScore,
     Summary,
@@ -52,14 +51,16 @@ from dotsim_ros.metrics.presses import (
 from dotsim_ros.metrics.surfaces import SAMPLE_COUNT
 from dotsim_ros.specification import MaterialSpecification, SensorSpecification
 from dotsim_ros.twin.follow import SolveError, steps
+from studies import run
 from studies.geometry.explicit import (
     COARSE_SETTINGS,
     ExplicitFit,
     ExplicitModel,
 )
+from studies.geometry.record import geometry_later
 from studies.geometry.registry import factories_of, sensor_for
 from studies.geometry.report import read_measured, read_with_later
-from studies.geometry.runtime import Effort, model_of
+from studies.geometry.runtime import Effort, model_of, runtime
 from studies.rivals import difftactile, taxim
 
 FloatArray = NDArray[np.float64]
@@ -144,7 +145,7 @@ time."""
 
 @pytest.fixture(autouse=True)
 def few_samples(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(geometry, "SAMPLE_COUNT", SAMPLES)
+    monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLES)
 
 
 @pytest.fixture(scope="module")
@@ -303,12 +304,12 @@ def test_what_is_right_scores_the_noise() -> None:
 def right() -> Summary:
     """The scores of what was there before the noise, with all samples."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(geometry, "SAMPLE_COUNT", SAMPLE_COUNT)
+        patch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLE_COUNT)
         return summarize(score_press(press(), perfect(press()), BALL, SKIN))
 
 
 def test_floor_is_that_of_the_samples(right: Summary, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(geometry, "SAMPLE_COUNT", SAMPLE_COUNT)
+    monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLE_COUNT)
     floor = summarize(floor_scores(press(), BALL, SKIN))
     assert floor.chamfer_mm == pytest.approx(0.44, abs=0.03)
     assert right.chamfer_mm == pytest.approx(floor.chamfer_mm, rel=0.05)
@@ -335,7 +336,7 @@ def test_depth_of_the_measured_skin_in_the_indenter_is_told() -> None:
 def test_a_skin_that_stays_at_rest_is_wrong_in_the_contact(
     right: Summary, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(geometry, "SAMPLE_COUNT", SAMPLE_COUNT)
+    monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", SAMPLE_COUNT)
     rest = Prediction(np.tile(SKIN.rest_position_m, (4, 1, 1)))
     still = summarize(score_press(press(), rest, BALL, SKIN))
     assert still.contact_rms_mm is not None
@@ -399,7 +400,7 @@ def test_no_judged_frame_is_an_error() -> None:
         summarize([])
 
 
-# The data set, the models and the command
+# The data set, the models and the studies
 
 
 def test_broken_bag_is_left_out_and_named(tmp_path: Path) -> None:
@@ -426,11 +427,12 @@ def test_folder_of_sensors_holds_one_for_each_split(tmp_path: Path) -> None:
         sensor_for(Split("other", (), ()), tmp_path)
 
 
-def test_command_writes_table_and_figures(
+def test_the_study_judges_every_split(
     data_set: DataSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    arguments = ["evaluate", "geometry", "--data", str(data_set.directory), "--out", str(tmp_path)]
-    assert main([*arguments, "--models", "tacto", "--count", "2", "--from-depth-mm", "2.7"]) == 0
+    options = ["--data", str(data_set.directory), "--models", "tacto", "--splits", "all"]
+    options += ["--count", "2", "--from-depth-mm", "2.7"]
+    assert run.run("geometry", options, json_directory=tmp_path)
     figures = json.loads((tmp_path / "geometry.json").read_text())
     # The data is Tacto's own model, so that only the noise and the triangles are left.
     drawn = figures["tacto"]["held_out"]
@@ -442,11 +444,12 @@ def test_command_writes_table_and_figures(
     apart = np.sqrt(SAMPLE_COUNT / SAMPLES)
     assert 0.4 * apart < figures["floor"]["held_out"]["chamfer_mm"] < 0.5 * apart
     assert figures["floor"]["held_out"]["skin_rms_mm"] == pytest.approx(1e3 * NOISE_M, rel=0.1)
-    assert {"commit", "machine", "date", "command", "seed"} <= set(figures["provenance"])
-    page = (tmp_path / "geometry.md").read_text()
-    assert page in capsys.readouterr().out
-    assert "| tacto |" in page
-    assert "| floor |" in page
+    assert figures["options"]["models"] == ["tacto"]
+    assert figures["options"]["seed"] == 0
+    # The tables have the rows of the models that were asked for alone.
+    said = capsys.readouterr().out
+    assert "|Tacto|" in said
+    assert "|Taxim|" not in said
 
 
 def write_later(directory: Path, names: tuple[str, ...] = ("later_0", "later_1")) -> DataSet:
@@ -462,10 +465,10 @@ def write_later(directory: Path, names: tuple[str, ...] = ("later_0", "later_1")
 def test_all_presses_are_fitted_on_and_all_later_ones_judged(
     data_set: DataSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_later(tmp_path / "later")
+    write_later(tmp_path)
     monkeypatch.setattr(taxim, "GENERATIONS", 1)
     monkeypatch.setattr(taxim, "POPULATION_FACTOR", 2)
-    monkeypatch.setattr(geometry, "SAMPLE_COUNT", 128)
+    monkeypatch.setattr(press_metrics, "SAMPLE_COUNT", 128)
     seen: list[list[str]] = []
     fit = taxim.fit
 
@@ -474,17 +477,11 @@ def test_all_presses_are_fitted_on_and_all_later_ones_judged(
         return fit(train, *rest)
 
     monkeypatch.setattr(taxim, "fit", watched)
-    command = ["evaluate", "geometry_later", "--data", str(tmp_path / "later")]
-    command += ["--fit-data", str(data_set.directory), "--out", str(tmp_path / "out")]
-    assert main([*command, "--models", "taxim"]) == 0
+    found = geometry_later(data=tmp_path, fit_data=data_set.directory, models=("taxim",))
     assert seen == [sorted(entry.name for entry in data_set.entries)]
-    written = json.loads((tmp_path / "out" / "geometry_later.json").read_text())
-    assert written["splits"]["held_out"]["test"] == ["later_0", "later_1"]
-    assert written["judged_frames"] == {"later_0": [2, 3], "later_1": [2, 3]}
-    assert written["taxim"]["held_out"]["presses"] == 2
-    assert written["provenance"]["data"] == "later"
-    assert written["provenance"]["fitted_on"] == data_set.directory.name
-    assert "judged on 2" in (tmp_path / "out" / "geometry_later.md").read_text()
+    assert found["splits"]["held_out"]["test"] == ("later_0", "later_1")
+    assert found["judged_frames"] == {"later_0": [2, 3], "later_1": [2, 3]}
+    assert found["taxim"]["held_out"]["presses"] == 2
 
 
 def test_later_presses_of_another_skin_are_refused(data_set: DataSet, tmp_path: Path) -> None:
@@ -568,16 +565,10 @@ def test_the_runtime_tables_explicit_gel_has_the_moduli_of_the_sensors_law() -> 
     assert model.material.poisson_ratio == pytest.approx(youngs / 1.2e5 - 1.0)
 
 
-def test_command_names_a_press_that_is_not_there(
-    data_set: DataSet, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_press_or_a_data_set_that_is_not_there_is_named(
+    data_set: DataSet, tmp_path: Path
 ) -> None:
-    arguments = ["evaluate", "runtime", "--data", str(data_set.directory), "--out", str(tmp_path)]
-    assert main([*arguments, "--presses", "nothing"]) == 1
-    assert "no press nothing; the data set holds ball_0" in capsys.readouterr().err
-
-
-def test_command_names_a_folder_that_is_no_data_set(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["evaluate", "geometry", "--data", str(tmp_path), "--models", "tacto"]) == 1
-    assert "is no data set" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="no press nothing; the data set holds ball_0"):
+        runtime(data=data_set.directory, presses=("nothing",))
+    with pytest.raises(FileNotFoundError, match="is no data set"):
+        runtime(data=tmp_path)

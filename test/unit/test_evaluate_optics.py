@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The optics table: frames, rows that are kept, figures, page, sheets and the command."""
+"""The study of images: frames, rows that are kept, figures and sheets."""
 
 from __future__ import annotations
 
@@ -14,8 +14,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.cli.evaluate import LEVELS as COMMAND_LEVELS
-from dotsim_ros.cli.main import main
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.metrics.images import LARGEST_PSNR_DB
 from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
@@ -34,10 +32,10 @@ from studies.optics.judge import (
     with_frames,
 )
 from studies.optics.models import FitSettings, factory_of
-from studies.optics.report import evaluate_optics, optics_page, shown_frames
+from studies.optics.report import evaluate_optics, shown_frames
 from studies.optics.rows import RowMaker
 from studies.optics.sheet import write_sheets
-from studies.optics.split import LEVELS, OpticalSplit
+from studies.optics.split import OpticalSplit
 
 SIZE = (24, 32)
 DEPTHS_M = np.array([-0.0001, 0.001, 0.0021, 0.0032])
@@ -263,6 +261,10 @@ def test_epochs_and_width_are_those_of_published_networks() -> None:
     assert settings.epochs_of("ours") is None
     assert settings.width_of("paper") == settings.width_of("paper_direct") == 64
     assert settings.width_of("ours") is None
+    with pytest.raises(ValueError, match="network_epochs is 0, expected 1 or more"):
+        FitSettings(network_epochs=0)
+    with pytest.raises(ValueError, match="seed is -1, expected 0 or more"):
+        FitSettings(seed=-1)
 
 
 def test_taxim_is_fitted_on_the_frames_given(
@@ -286,28 +288,19 @@ def test_taxim_is_fitted_on_the_frames_given(
     assert len(row.scores) == len(split.test)
 
 
-# Models
-
-
-def test_the_command_offers_what_there_is() -> None:
-    assert COMMAND_LEVELS == LEVELS
-
-
 def test_an_unknown_model_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no model 'phong'; known are idle, idle_refined, tacto"):
         factory_of("phong", FitSettings(), state=tmp_path, progress=print)
 
 
-# The page
+# Figures and sheets
 
 
-def test_page_and_figures(tmp_path: Path) -> None:
+def test_figures_and_sheets(tmp_path: Path) -> None:
     drawn = splits_of(DATA)
     splits = [drawn[level][way] for level in ("easy", "hard") for way in drawn[level]]
     rows_of = maker(tmp_path / "rows")
     figures, rows = evaluate_optics(rows_of, splits, ["idle", "carried"], sensor="made_up.yaml")
-    figures["ceiling"] = {"camera_noise_db": 47.0}
-    figures["provenance"] = {"data": "made_up", "commit": "abc"}
     for level in ("easy", "hard"):
         for way in ("by_frame", "by_trajectory"):
             idle, warped = (figures[level][way][name] for name in ("idle", "carried"))
@@ -315,18 +308,9 @@ def test_page_and_figures(tmp_path: Path) -> None:
             assert warped["psnr_db"] > idle["psnr_db"]
             assert warped["mean_l2"] < idle["mean_l2"]
     assert figures["failures"] == []
-    sheets = write_sheets(tmp_path / "images", rows_of, rows, seen_from=tmp_path / "results")
-    assert sheets == {
-        "easy": "../images/optics_easy.jpg",
-        "hard": "../images/optics_hard.jpg",
-    }
-    assert (tmp_path / "images" / "optics_hard.jpg").stat().st_size > 1000
-    page = optics_page(figures, sheets)
-    assert "## Hard, by whole trajectories" in page
-    assert "| carried |" in page
-    assert "| ceiling: camera noise | 47.00 |" in page
-    assert "../images/optics_easy.jpg" in page
-    assert "| method | untouched | 0 to 1 mm |" in page
+    write_sheets(tmp_path / "images", rows_of, rows)
+    for level in ("easy", "hard"):
+        assert (tmp_path / "images" / f"optics_{level}.jpg").stat().st_size > 1000
     json.dumps(figures)
 
 
@@ -348,8 +332,6 @@ def test_a_model_that_fails_is_named(tmp_path: Path) -> None:
     assert figures["failures"] == [
         {"split": "easy", "way": "by_frame", "model": "taxim", "reason": "no table"}
     ]
-    figures["ceiling"], figures["provenance"] = {}, {"data": "made_up"}
-    assert "- easy, by_frame, taxim: no table" in optics_page(figures, {})
 
 
 def test_shown_frames_are_full_depths_of_several_indenters() -> None:
@@ -358,21 +340,3 @@ def test_shown_frames_are_full_depths_of_several_indenters() -> None:
     assert len(shown) == 3
     assert {frame for _, frame in shown} == {3}
     assert {PRESSES[name].indenter for name, _ in shown} == {"1_shape", "3_shape"}
-
-
-# The command
-
-
-def test_settings_that_make_no_sense(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    command = ["evaluate", "optics", "--data", str(tmp_path), "--out", str(tmp_path / "out")]
-    assert main([*command, "--network-epochs", "0"]) == 1
-    assert "network_epochs is 0, expected 1 or more" in capsys.readouterr().err
-    assert main([*command, "--seed", "-1"]) == 1
-    assert "seed is -1, expected 0 or more" in capsys.readouterr().err
-
-
-def test_a_data_set_that_is_not_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = main(["evaluate", "optics", "--data", str(tmp_path), "--out", str(tmp_path / "out")])
-    assert code == 1
-    assert "is no data set: it holds no dataset.yaml" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()

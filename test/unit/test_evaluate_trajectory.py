@@ -24,11 +24,11 @@ from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
 from dotsim_ros.tasks.control.safety import SafetyLimits
 from dotsim_ros.tasks.loop.bag import read_loop_bag
-from dotsim_ros.tasks.loop.judge import judge, limits_shown, trial_start
+from dotsim_ros.tasks.loop.judge import judge, trial_start
 from dotsim_ros.tasks.loop.report import drawn_places, path_image, trial_report
 from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
 from studies.trajectory import trials
-from studies.trajectory.page import trajectory_page, write_grid
+from studies.trajectory.pictures import write_grid
 from studies.trajectory.trials import (
     SETTINGS,
     Setting,
@@ -353,7 +353,7 @@ def test_the_stand_in_for_reality_differs_in_its_gel_alone(tmp_path: Path) -> No
     assert made.grid_spacing_m == own.solver.grid_spacing_m
 
 
-def test_the_page_holds_every_setting_and_path(tmp_path: Path) -> None:
+def test_the_figures_are_of_all_trials(tmp_path: Path) -> None:
     plan = plan_of()
     trials = run_trials(
         plan,
@@ -367,19 +367,8 @@ def test_the_page_holds_every_setting_and_path(tmp_path: Path) -> None:
     figures = trajectory_figures(plan, trials)
     assert figures["simulated"]["trials"] == 4
     assert 0.1 < figures["simulated"]["mean_error_mm"] < 0.21
-    page = trajectory_page(
-        figures
-        | {
-            "clock": "realtime",
-            "plan": {"trials": 2, "seconds": 9.0},
-            "limits": limits_shown(LIMITS),
-            "provenance": provenance(),
-        },
-        "grid.png",
-    )
-    assert "## In real time" in page
-    assert "| transferred | press |" in page
-    assert "- simulated, line: image_stale 2" in page
+    assert figures["simulated"]["paths"]["line"]["stops"] == {"image_stale": 2}
+    assert "press" in figures["transferred"]["paths"]
     write_grid(tmp_path / "grid.png", trials.recordings)
     assert pixels_of(str(tmp_path / "grid.png")).shape[1] > 500
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The gap study's halves, sizes, figures and page; what it scores comes from made-up cases."""
+"""The gap study's halves, sizes and figures; what it scores comes from made-up cases."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.evidence import Variant
 from studies.gap.baselines import Left
-from studies.gap.page import gap_page
 from studies.gap.presses import CLOSE, further_sizes, halves
 from studies.gap.rates import clustered_rate, rate
 from studies.gap.same_law import SameLaw, same_law_figures
@@ -116,7 +115,7 @@ def test_an_answer_is_right_if_it_names_all_that_is_hidden_and_nothing_else() ->
     assert case((*late, *off), Verdict.NAMED, "latency", "pose_offset").is_right
 
 
-def test_the_page_shows_what_the_cases_gave() -> None:
+def test_the_figures_are_shares_of_the_cases() -> None:
     late = (("late", 1.0),)
     cases = [
         *(case((), Verdict.NO_GAP, presses=(f"press_{k}",)) for k in range(9)),
@@ -127,41 +126,18 @@ def test_the_page_shows_what_the_cases_gave() -> None:
     ]
     found = figures(cases)
     assert found["nulls"]["false_names"]["share"] == pytest.approx(0.1)
+    assert found["nulls"]["wrong_names"] == ["backlash"]
     assert found["named_right_by_whitened_size"]["10 to 20"]["share"] == pytest.approx(0.5)
     assert found["both_of_two"]["share"] == 0.0
     assert found["one_of_two"]["share"] == 1.0
     assert found["after_adding"]["median_share_closed"] == pytest.approx(0.7)
     assert found["after_adding"]["median_share_closed_single"] == pytest.approx(0.9)
-    limit = {"size": 0.0125, "whitened_size": 7.5}
-    page = gap_page(
-        {
-            **found,
-            "same_law": same_law_figures(
-                [
-                    SameLaw("latency", 0.1, 20.0, ("latency",), 0.11, 0.09, 0.12),
-                    SameLaw("latency", 0.1, 20.0, ("latency",), 0.13, 0.12, 0.14),
-                    SameLaw("latency", 0.1, 5.0, ()),
-                ]
-            ),
-            "detection_limits": {
-                "absolute": {"latency": {"towards 0.15": limit}},
-                "differential": {"latency": {"towards 0.15": {"size": None}}},
-            },
-            "bias": [{"delay": 0.00692}, {"delay": 0.0082}],
-            "limit_factors": [{"latency": 8.67, "adhesion": 0.1}, {"latency": 3.0}],
-            "rule_version": 5,
-            "solves": 12,
-            "provenance": {"seed": 4},
-        }
+    same = same_law_figures(
+        [
+            SameLaw("latency", 0.1, 20.0, ("latency",), 0.11, 0.09, 0.12),
+            SameLaw("latency", 0.1, 20.0, ("latency",), 0.13, 0.12, 0.14),
+            SameLaw("latency", 0.1, 5.0, ()),
+        ]
     )
-    assert "| nulls with a name | 10% [2%, 42%] of 10 |" in page
-    assert "| late | 0.06 s | 15.0 | 50% [" in page
-    assert "| latency | towards 0.15 | 0.0125 s (whitened 7.5) | - |" in page
-    assert "wrong names on nulls: backlash" in page
-    assert "| share of the gap closed, median | 70% | 85 % |" in page
-    assert "| the same where one effect is hidden | 90% |  |" in page
-    assert "| mean of delay | 0.00692 | 0.0082 |" in page
-    assert "| factor of latency | 8.67 | 3 |" in page
-    assert "adhesion | 0.1" not in page
-    assert "| same law: error of the size, median | 20% | 10 % |" in page
-    assert "| same law: 95 % intervals that cover | 50% [9%, 91%] of 2 |" in page
+    assert same["median_relative_error"] == pytest.approx(0.2)
+    assert same["interval_covers"]["share"] == 0.5

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.cli.evaluate import BALL_MODELS
 from dotsim_ros.measured.importers.ball_photographs import BallPress, BallRecording
 from dotsim_ros.measured.importers.fots_balls import (
     BALL_RADIUS_M,
@@ -37,7 +36,6 @@ from dotsim_ros.twin.ball_presses import (
     press_profiles,
 )
 from studies.optics.gelsight import (
-    MODELS,
     SENSOR,
     BallStudy,
     cap_presses,
@@ -249,10 +247,6 @@ def test_the_region_of_contact() -> None:
     assert region[45, 30]
     assert region[45, 44]
     assert not region[45, 46]
-
-
-def test_the_command_offers_what_there_is() -> None:
-    assert BALL_MODELS == MODELS
 
 
 def test_a_training_is_kept_for_its_gel_and_its_presses() -> None:

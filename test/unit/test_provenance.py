@@ -18,8 +18,13 @@ def test_an_installed_command_goes_by_its_name(
     (tmp_path / "real").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "real")
     monkeypatch.setattr(sys, "executable", str(tmp_path / called_by / "python"))
-    monkeypatch.setattr(sys, "argv", [str(tmp_path / "real" / "dotsim_ros"), "evaluate", "rl"])
-    assert provenance()["command"] == "dotsim_ros evaluate rl"
+    monkeypatch.setattr(sys, "argv", [str(tmp_path / "real" / "dotsim_ros"), "view", "bag"])
+    assert provenance()["command"] == "dotsim_ros view bag"
+
+
+def test_a_package_goes_by_its_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["/home/somebody/studies/__main__.py", "rl"])
+    assert provenance()["command"] == "python -m studies rl"
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,6 @@ from studies.optics.real_pair import (
     evaluate_real_pair,
     pattern_likeness,
     read_real_pair,
-    real_pair_page,
 )
 
 PX = 96
@@ -73,7 +72,7 @@ def test_a_known_press_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     assert left < 0.3 * (1.0 - pattern_likeness(pattern(), pressed, disc_mask()))
 
 
-def test_rows_and_page(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_rows_of_a_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(real_pair, "GRID_OFFSETS", (0.0,))
     monkeypatch.setattr(real_pair, "GRID_DEPTHS_M", (1.0e-3,))
     monkeypatch.setattr(real_pair, "EVALUATIONS", 4)
@@ -84,10 +83,6 @@ def test_rows_and_page(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rows["idle"]["press"] is None
     # The unlit border never changes.
     assert rows["idle"]["psnr_db"] > rows["idle"]["mask"]["psnr_db"]
-    figures["provenance"] = {"data": "made_up"}
-    page = real_pair_page(figures)
-    assert "| warped |" in page
-    assert "| idle |" in page
 
 
 def test_likeness_is_of_the_pattern_not_of_the_light() -> None:

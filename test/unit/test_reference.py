@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import trimesh
 
-from dotsim_ros.cli.main import main
 from dotsim_ros.gel.material import MooneyRivlin, NeoHookean, Yeoh
 from dotsim_ros.geometry.indenter import load_indenter, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
@@ -43,8 +42,9 @@ from studies.reference.press import (
     press_poses,
     reference_deck,
 )
+from studies.reference.presses import reference_presses
 from studies.reference.results import solved_press, stamps_ns
-from studies.reference.run import CalculixError, CalculixMissingError, calculix_path, solve
+from studies.reference.run import CalculixError, CalculixMissingError, solve
 
 OUTER_M, CORE_M = 0.01575, 0.006
 INDENTERS = ("sphere_4mm", "cone", "flat_punch", "lying_cylinder", "torus", "box_edge")
@@ -248,13 +248,24 @@ def test_surface_lies_where_the_gels_contact_begins():
     assert np.abs(distance - EARLY_M).max() < 0.5e-6
 
 
-def test_missing_calculix_is_told_with_the_way_to_install_it(monkeypatch, tmp_path, capsys):
+def test_missing_calculix_is_reported_with_the_way_to_install_it(monkeypatch, tmp_path):
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(CalculixMissingError, match="apt-get install calculix-ccx"):
-        calculix_path()
-    assert main(["reference", "--out", str(tmp_path / "out")]) == 1
-    assert "apt-get install calculix-ccx" in capsys.readouterr().err
+        reference_presses(out=tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"depth_mm": float("nan")}, "depth_mm is nan, expected a positive number"),
+        ({"spacing_mm": 0.0}, "spacing_mm is 0, expected a positive number"),
+        ({"tilts_deg": (10.0, 50.0)}, "tilts_deg has 50, expected 0 to 40"),
+    ],
+)
+def test_values_out_of_range_are_refused(given, words, tmp_path):
+    with pytest.raises(ValueError, match=words):
+        reference_presses(out=tmp_path / "out", **given)
 
 
 @needs_calculix
@@ -366,16 +377,18 @@ solver: {refined: false}
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
-    """A coarse, tilted press with friction, through the command line."""
+    """A coarse, tilted press with friction: what asked for it, and its data set."""
     folder = tmp_path_factory.mktemp("reference")
     sensor = folder / "sensor.yaml"
     sensor.write_text(SENSOR)
-    out = folder / "out"
-    command = ["reference", "--sensor", str(sensor), "--out", str(out), "--tilt-deg", "25"]
-    command += ["--depth-mm", "0.5", "--frames", "1", "--spacing-mm", "3"]
-    command += ["--json", str(folder / "table.json")]
-    assert main(command) == 0
-    return command, out
+    asked = {"sensor": str(sensor), "out": folder / "out", "tilts_deg": (25.0,)}
+    asked |= {"depth_mm": 0.5, "frames": 1, "spacing_mm": 3.0}
+    found = reference_presses(**asked)
+    assert not found["failed"]
+    (row,) = found["frames"]
+    assert row["frame"] == 1
+    assert row["iterations"] > 0
+    return asked, folder / "out"
 
 
 @needs_calculix
@@ -421,8 +434,8 @@ def test_solved_force_is_that_of_a_press_along_the_normal(reference):
 
 @needs_calculix
 def test_solved_trajectory_is_not_solved_again(reference, capsys):
-    command, out = reference
-    assert main(command) == 0
+    asked, out = reference
+    assert reference_presses(**asked)["frames"] == []
     assert "there already" in capsys.readouterr().out
     assert len(read_data_set(out).entries) == 1
 

@@ -13,14 +13,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from dotsim_ros.cli.main import main
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
-from dotsim_ros.files import write_json
+from dotsim_ros.files import parameter_path, write_json
 from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
 from dotsim_ros.gap.presses.covariance import load_discrepancy, save_discrepancy
 from dotsim_ros.gel.material import Yeoh
@@ -29,17 +29,19 @@ from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.measured.scripted import Site
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from studies import run
 from studies.gap import solved_score
-from studies.gap.solved_page import solved_page
 from studies.gap.solved_score import (
     LEARNT_SINCE,
     ScoreRequest,
+    gap_physics,
     kind_of,
     outcome_of,
     rates_of,
     score_sets,
 )
 from studies.hidden import solved_sets, solved_unit
+from studies.hidden.record import hide
 from studies.hidden.solved_draw import (
     COMPOSITION,
     DECLARED,
@@ -315,16 +317,17 @@ def test_presses_have_six_frames() -> None:
     assert all(one.time_s.shape == (6,) for one in presses)
 
 
-def _hide(out: Path, *more: str) -> int:
-    quick = ("--count", "1", "--trajectories", PRESS, "--coarseness", "1.6", "--seed", "6")
-    return main(["hide", "--out", str(out), *quick, *more])
+def _hide(out: Path, *, seed: int = 6, retry: bool = False) -> dict[str, Any]:
+    given: dict[str, Any] = {"count": 1, "trajectories": (PRESS,), "coarseness": 1.6}
+    return hide(out=out, seed=seed, retry=retry, **given)
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with one set of one trajectory."""
     out = tmp_path_factory.mktemp("hidden") / "sets"
-    assert _hide(out) == 0
+    found = _hide(out)
+    assert (found["sets"], found["trajectories"], found["failed"]) == (1, 1 + COMMISSIONED, {})
     return out
 
 
@@ -360,20 +363,20 @@ def test_a_set_is_made_resumed_and_its_truth_sealed(
     # As a run that was ended before it could say that the set is whole.
     index["sets"][0] |= {"ready": False, "made": []}
     (out / "index.json").write_text(json.dumps(index))
-    assert _hide(out) == 0
+    _hide(out)
     assert bag.stat().st_mtime_ns == before
     assert read_series(out)[1][0] == record
-    assert _hide(out) == 0
+    _hide(out)
     assert "there already" in capsys.readouterr().out
 
     handle = os.open(out, os.O_RDONLY)
     fcntl.flock(handle, fcntl.LOCK_EX)
-    assert _hide(out) == 1
+    with pytest.raises(BlockingIOError, match="another run is making sets"):
+        _hide(out)
     os.close(handle)
-    assert "another run is making sets" in capsys.readouterr().err
 
-    assert _hide(out, "--seed", "7") == 1
-    assert "holds sets of seed 6, asked for were 7" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="holds sets of seed 6, asked for were 7"):
+        _hide(out, seed=7)
     half = next(half for half in HALVES if half != record.half)
     with pytest.raises(ValueError, match="no set of the half"):
         score_sets(ScoreRequest(out, half, SENSOR, tmp_path / "run"), print)
@@ -381,7 +384,7 @@ def test_a_set_is_made_resumed_and_its_truth_sealed(
 
 @needs_calculix
 def test_answers_of_before_are_scored_without_another_search(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(solved_score, "UNFINISHED", 1)
     _, (record,) = read_series(made)
@@ -398,64 +401,56 @@ def test_answers_of_before_are_scored_without_another_search(
         candidates=(Candidate(name, name, True, 50.0, 0.0, estimates=(estimate,)),),
         share_closed=0.9,
     )
-    run = tmp_path / "run"
-    asked = ScoreRequest(made, record.half, SENSOR, run).asked()
+    cache = tmp_path / "run"
+    error = parameter_path(solved_score.SHIPPED)
+    asked = ScoreRequest(made, record.half, SENSOR, cache).asked()
     kept = {"truth_sha256": record.truth_sha256, "made": [PRESS], "asked": asked}
     kept["commit"] = "0123456789ab"
-    write_json(run / "set_00" / "findings.json", kept | {"findings": as_record(found)})
-    line = f"evaluate gap --sets {made} --sensor sensor_a --half {record.half}"
-    line += f" --run {run} --out {tmp_path / 'results'}"
-    assert main(line.split()) == 0
-    table = "gap_physics" if record.half == "opened" else f"gap_physics_{record.half}"
-    figures = json.loads((tmp_path / "results" / f"{table}.json").read_text())
+    write_json(cache / "set_00" / "findings.json", kept | {"findings": as_record(found)})
+    given: dict[str, Any] = {"half": record.half, "discrepancy": error, "cache": cache}
+    figures = gap_physics(sets=made, sensor="sensor_a", **given)
     (row,) = figures["halves"][record.half]["sets"]
     assert row["outcome"] == "right"
     assert row["searched_at"] == "0123456789ab"
     assert all(one["covers"] for one in row["estimates"])
     assert len(row["estimates"]) == (effect["against_twin"] is not None)
-    page = (tmp_path / "results" / f"{table}.md").read_text()
-    assert f"| set_00 | {effect['name']}" in page
-    assert "100% [21%, 100%] of 1" in page
-    capsys.readouterr()
 
     # Another twin, or another error of its own, is another question.
-    error = tmp_path / "discrepancy.npz"
-    save_discrepancy(replace(load_discrepancy(), source="another"), error)
-    assert ScoreRequest(made, record.half, SENSOR, run, discrepancy=error).asked() != asked
+    another = tmp_path / "discrepancy.npz"
+    save_discrepancy(replace(load_discrepancy(), source="another"), another)
+    assert ScoreRequest(made, record.half, SENSOR, cache, discrepancy=another).asked() != asked
     other = replace(SENSOR, contact=replace(SENSOR.contact, friction_coefficient=0.3))
-    assert ScoreRequest(made, record.half, other, run).asked() != asked
+    assert ScoreRequest(made, record.half, other, cache).asked() != asked
 
-    assert main([*line.split()[:4], "--sensor", "densetact2"]) == 1
-    assert "give --sensor sensor_a" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="give --sensor sensor_a"):
+        gap_physics(sets=made, sensor="densetact2", **given)
     tampered = Path(shutil.copytree(made, tmp_path / "tampered"))
     (tampered / "set_00" / "truth.json").write_text("{}")
-    assert main(line.replace(str(made), str(tampered)).split()) == 1
-    assert "is not the truth whose SHA-256" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="is not the truth whose SHA-256"):
+        gap_physics(sets=tampered, sensor="sensor_a", **given)
 
 
 @needs_calculix
 def test_a_trajectory_that_is_not_solved_is_listed_and_is_no_data(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Increments of which CalculiX cannot solve any.
     hopeless = StepControl(first=1.0, smallest=1.0, count=1)
     monkeypatch.setattr(solved_unit, "EFFORTS", ((1.0, hopeless),))
     monkeypatch.setattr(solved_unit, "TIME_LIMIT_S", 0.2)
-    assert _hide(tmp_path / "sets") == 1
+    assert f"set_00/{PRESS}" in _hide(tmp_path / "sets")["failed"]
     _, (record,) = read_series(tmp_path / "sets")
     assert record.is_ready
     assert record.made == ()
     assert "did not finish it in 1 tries" in record.failures[PRESS]
     assert not (tmp_path / "sets" / "set_00" / "bags").exists()
     monkeypatch.setattr(solved_unit, "LEAST_FREE_BYTES", 10**18)
-    assert _hide(tmp_path / "sets") == 1  # failed before, and not tried again
-    assert "MB left" not in capsys.readouterr().err
-    assert _hide(tmp_path / "sets", "--retry") == 1
-    assert "MB left for its files" in capsys.readouterr().err
+    assert _hide(tmp_path / "sets")["failed"]  # before, and not tried again
+    with pytest.raises(OSError, match="MB left for its files"):
+        _hide(tmp_path / "sets", retry=True)
     assert read_series(tmp_path / "sets")[1] == [record]
     row = score_sets(ScoreRequest(tmp_path / "sets", record.half, SENSOR, tmp_path / "run"), print)
     assert row["sets"][0]["outcome"] == "too few trajectories"
-    assert "set_00" in solved_page({"halves": {record.half: row | {"provenance": {}}}})
 
 
 def test_what_stands_in_the_way_is_named(
@@ -463,18 +458,18 @@ def test_what_stands_in_the_way_is_named(
 ) -> None:
     if shutil.which("ccx"):
         (tmp_path / "mine.txt").write_text("mine")
-        assert _hide(tmp_path) == 1
-        assert "holds files, and no index.json" in capsys.readouterr().err
+        with pytest.raises(FileExistsError, match=r"holds files, and no index\.json"):
+            _hide(tmp_path)
         with pytest.raises(ValueError, match="no trajectory somersault"):
             make_sets(tmp_path / "new", SeriesPlan(SENSOR, 1, 0, ("somersault",)), print)
     monkeypatch.setenv("PATH", "")
-    assert _hide(tmp_path / "new") == 1
-    assert "CalculiX is not installed" in capsys.readouterr().err
+    assert run.main(["hide", "--out", str(tmp_path / "new")]) == 1
+    assert "hide: CalculiX is not installed" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
-    assert main(["evaluate", "gap", "--sets", str(tmp_path / "new")]) == 1
-    assert "make the sets with dotsim_ros hide" in capsys.readouterr().err
-    assert main(["evaluate", "gap"]) == 1
-    assert "--data" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="coarseness is 3, expected 1 to 2"):
+        SeriesPlan(SENSOR, 1, 0, coarseness=3.0)
+    assert run.main(["gap_physics", "--sets", str(tmp_path / "new")]) == 1
+    assert "make the sets with python -m studies hide" in capsys.readouterr().err
 
 
 def test_rates_are_shares_of_each_kind() -> None:

@@ -231,8 +231,8 @@ def load_discrepancy(path: str | Path | None = None) -> Discrepancy:
     if not found.between.shape == found.within.shape == (SIZE, SIZE):
         raise ValueError(
             f"{path} holds covariances of shapes {found.between.shape} and {found.within.shape}, "
-            f"expected ({SIZE}, {SIZE}); make them anew with dotsim_ros evaluate gap "
-            "--fit-discrepancy"
+            f"expected ({SIZE}, {SIZE}); make them again with "
+            "python -m studies gap_discrepancy"
         )
     return found
 

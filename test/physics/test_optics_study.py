@@ -1,12 +1,12 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The whole way from bags with images to the optics table, on a small data set."""
+"""The whole way from bags with images to the figures of images, on a small data set."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,7 +15,6 @@ import trimesh
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.cli.main import main
 from dotsim_ros.measured.motion import pose_along
 from dotsim_ros.measured.trajectory import (
     ImageChannel,
@@ -23,6 +22,7 @@ from dotsim_ros.measured.trajectory import (
     Trajectory,
     write_trajectory,
 )
+from studies.optics.record import optics
 from studies.rivals.optics import tacto
 
 RADIUS_M = 0.01575
@@ -77,57 +77,57 @@ def write_photographed_presses(folder: Path) -> None:
     (folder / "coarse.yaml").write_text(COARSE_SENSOR)
 
 
-def test_the_command_on_a_small_data_set(
+def test_the_study_on_a_small_data_set(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setenv("DOTSIM_ROS_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(tacto, "GENERATIONS", 2)
     monkeypatch.setattr(tacto, "SEARCH_PIXELS", 1000)
     write_photographed_presses(tmp_path)
-    command = [
-        *("evaluate", "optics", "--data", str(tmp_path), "--sensor", str(tmp_path / "coarse.yaml")),
-        *("--models", "idle", "tacto", "taxim", "carried", "--splits", "medium", "hard"),
-        *("--out", str(tmp_path / "out"), "--images", str(tmp_path / "images")),
-        *("--json", str(tmp_path / "copy.json")),
-    ]
-    assert main(command) == 0
-    figures = json.loads((tmp_path / "out" / "optics.json").read_text())
-    assert json.loads((tmp_path / "copy.json").read_text()) == figures
+
+    def measured() -> dict[str, Any]:
+        return optics(
+            data=tmp_path,
+            sensor=str(tmp_path / "coarse.yaml"),
+            models=("idle", "tacto", "taxim", "carried"),
+            splits=("medium", "hard"),
+            images=tmp_path / "images",
+            cache=tmp_path / "cache",
+        )
+
+    figures = measured()
     assert figures["failures"] == []
     for way in ("by_frame", "by_trajectory"):
         assert set(figures["medium"][way]) == {"idle", "tacto", "taxim", "carried"}
         assert figures["hard"][way]["idle"]["frames"] == 20
-    assert figures["provenance"]["seed"] == "0"
     assert figures["medium"]["by_trajectory"]["idle"]["deep"]["frames"] == 2
     assert (tmp_path / "images" / "optics_hard.jpg").is_file()
-    assert "# Images of" in (tmp_path / "out" / "optics.md").read_text()
     capsys.readouterr()
-    assert main(command) == 0
-    said = capsys.readouterr().err
+    measured()
+    said = capsys.readouterr().out
     assert "following" not in said
     assert said.count("made before") == 16
 
 
-def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sensor_for_each_level_and_how_long_networks_were_trained(tmp_path: Path) -> None:
     pytest.importorskip("torch")
-    monkeypatch.setenv("DOTSIM_ROS_CACHE", str(tmp_path / "cache"))
     write_photographed_presses(tmp_path)
     calibrated = tmp_path / "calibrated"
     calibrated.mkdir()
     (calibrated / "easy.yaml").write_text(COARSE_SENSOR)
     moved = COARSE_SENSOR.replace("[31.5, 23.5]", "[33.0, 23.5]")
     (calibrated / "hard.yaml").write_text(moved)
-    command = [
-        *("evaluate", "optics", "--data", str(tmp_path), "--sensor", str(calibrated)),
-        *("--models", "carried", "unet", "--network-epochs", "1", "--network-width", "64"),
-        *("--out", str(tmp_path / "out"), "--images", str(tmp_path / "images")),
-    ]
-    assert main([*command, "--splits", "medium"]) == 1
-    assert "holds no medium.yaml" in capsys.readouterr().err
-    assert main([*command, "--splits", "easy", "hard"]) == 0
-    figures = json.loads((tmp_path / "out" / "optics.json").read_text())
+    given: dict[str, Any] = {
+        "data": tmp_path,
+        "sensor": str(calibrated),
+        "models": ("carried", "unet"),
+        "network_epochs": 1,
+        "network_width": 64,
+        "images": tmp_path / "images",
+        "cache": tmp_path / "cache",
+    }
+    with pytest.raises(FileNotFoundError, match=r"holds no medium\.yaml"):
+        optics(**given, splits=("medium",))
+    figures = optics(**given, splits=("easy", "hard"))
     assert set(figures["splits"]) == {
         f"{level}.{way}" for level in ("easy", "hard") for way in ("by_frame", "by_trajectory")
     }
@@ -135,7 +135,3 @@ def test_a_sensor_for_each_level_and_how_long_networks_were_trained(
     training = figures["hard"]["by_frame"]["unet"]["training"]
     assert (training["width_px"], training["height_px"]) == (64, 48)
     assert training["epochs"] == 1
-    page = (tmp_path / "out" / "optics.md").read_text()
-    assert "unet: **1 of its 100 epochs** in " in page
-    assert "images of 64x48" in page
-    assert page.index("## Easy") < page.index("optics_easy.jpg") < page.index("## Hard")

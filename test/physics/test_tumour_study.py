@@ -1,9 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Tumour detection in small: the command presses, learns, judges, and goes on where it stopped."""
+"""Tumour detection in small: presses are solved, learnt from and judged, and none twice."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,16 +14,16 @@ from PIL import Image
 
 from dotsim_ros import load_sensor
 from dotsim_ros.arrays import Float32Array
-from dotsim_ros.cli.evaluate import SOFT_SKINS
-from dotsim_ros.cli.main import main
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from studies.reference.layer_press import LayerPressSettings
+from studies.reference.run import CalculixMissingError
 from studies.tumour import pictures, presses, reality, study
 from studies.tumour.images import OTHER, Eye, Light
 from studies.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
+from studies.tumour.record import tumour
 from studies.tumour.rigid import rigid_presses
-from studies.tumour.skins import CLASSES, FACTORS, SKINS, PressPlan, changed
+from studies.tumour.skins import CLASSES, FACTORS, SKIN_NAMES, SKINS, PressPlan, changed
 from studies.tumour.study import Study
 
 needs_calculix = pytest.mark.skipif(
@@ -37,15 +36,14 @@ def skin() -> SkinMesh:
     return skin_of(coarse(load_sensor("densetact2")).gel)
 
 
-def detect(folder: Path, *given: str) -> int:
-    places = ["--out", f"{folder}/out", "--images", f"{folder}/images", "--cache", f"{folder}/kept"]
-    few = ["--presses", "2", "--judged", "1", "--shifted", "0", "--classifiers", "1"]
-    return main(["evaluate", "tumour", *few, "--epochs", "1", *places, *given])
+def detect(folder: Path, **given: Any) -> dict[str, Any]:
+    few = {"presses": 2, "judged": 1, "shifted": 0, "classifiers": 1, "epochs": 1}
+    return tumour(**{**few, "images": folder / "images", "cache": folder / "kept", **given})
 
 
 @needs_calculix
-def test_a_table_is_printed_kept_and_not_made_again(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_presses_are_judged_and_not_solved_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     quick = LayerPressSettings(gel_spacing_m=4.5e-3, layer_spacing_m=3.5e-3)
     monkeypatch.setattr(reality, "CALCULIX", (quick,))
@@ -55,11 +53,8 @@ def test_a_table_is_printed_kept_and_not_made_again(
     skins = SKINS | {"skin_2": replace(SKINS["skin_2"], spacing_m=3.0e-3, cells=2)}
     for module in (study, pictures):
         monkeypatch.setattr(module, "SKINS", skins)
-    assert detect(tmp_path, "--skins", "skin_2") == 0
-    page = capsys.readouterr().out
-    assert (tmp_path / "out" / "tumour.md").read_text("utf-8") in page
-    found: dict[str, Any] = json.loads((tmp_path / "out" / "tumour.json").read_text())
-    assert set(found) == {"skin_2", "study", "provenance"}
+    found = detect(tmp_path, skins=("skin_2",))
+    assert set(found) == {"skin_2", "study", "calculix"}
     rows = found["skin_2"]
     for name in ("ours", "rigid", "load"):
         # Two presses, of each two depths and three turns.
@@ -70,42 +65,38 @@ def test_a_table_is_printed_kept_and_not_made_again(
     assert rows["learnt_presses"] + rows["refused_presses"] == 4
     assert rows["difference"]["force_error"] < 0.15
     assert rows["difference"]["skin_rms_mm"] < 0.2 * rows["difference"]["moved_rms_mm"]
-    assert found["provenance"]["calculix"] != ""
+    assert found["calculix"] != ""
     with Image.open(tmp_path / "images" / "tumour.png") as picture:
         assert picture.size == (4 * 320, 240 + 120)
     kept = {p: p.stat().st_mtime_ns for p in (tmp_path / "kept").rglob("*.*") if p.is_file()}
     # Presses to learn from, CalculiX's, our own of these, and the skin's rows.
     assert len(kept) == 4 + 2 + 2 + 1
-    assert detect(tmp_path, "--skins", "skin_2") == 0
+    assert detect(tmp_path, skins=("skin_2",))["skin_2"] == rows
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
-    again: dict[str, Any] = json.loads((tmp_path / "out" / "tumour.json").read_text())
-    assert again["skin_2"] == rows
 
 
-def test_what_cannot_be_asked_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_asked_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _name: "/bin/false")
-    for given, told in (
-        (("--seed", "-1"), "seed is -1, expected 0 or more"),
-        (("--presses", "1"), "1 simulated presses of each class, expected 2 at least"),
-        (("--judged", "0"), "judged is 0, expected 1 or more"),
-        (("--classifiers", "0"), "seeds is 0, expected 1 or more"),
-        (("--sensor", "flat_pad"), "expected 'dome': skins are pressed by a dome"),
+    given: dict[str, Any]
+    for given, words in (
+        ({"seed": -1}, "seed is -1, expected 0 or more"),
+        ({"presses": 1}, "1 simulated presses of each class, expected 2 at least"),
+        ({"judged": 0}, "judged is 0, expected 1 or more"),
+        ({"classifiers": 0}, "seeds is 0, expected 1 or more"),
+        ({"sensor": "flat_pad"}, "expected 'dome': skins are pressed by a dome"),
     ):
-        assert detect(tmp_path, *given) == 1
-        assert told in capsys.readouterr().err
+        with pytest.raises(ValueError, match=words):
+            detect(tmp_path, **given)
     monkeypatch.setattr(shutil, "which", lambda _name: None)
-    assert detect(tmp_path) == 1
-    assert "apt-get install calculix-ccx" in capsys.readouterr().err
+    with pytest.raises(CalculixMissingError, match="apt-get install calculix-ccx"):
+        detect(tmp_path)
     assert not list(tmp_path.rglob("*.json"))
     with pytest.raises(ValueError, match="no skin skin_9; known are skin_1"):
         Study(skins=("skin_9",))
 
 
-def test_the_command_offers_what_there_is() -> None:
-    assert tuple(SKINS) == SOFT_SKINS
-    assert Study().skins == SOFT_SKINS
+def test_every_skin_can_be_chosen() -> None:
+    assert tuple(SKINS) == SKIN_NAMES
 
 
 def test_only_the_sign_of_the_insert_tells_the_classes() -> None:

@@ -1,9 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Indenter classification in small: a unit is filmed, and the command told to classify it."""
+"""Indenter classification in small: a unit is filmed, and its images are classified."""
 
-import json
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,8 +15,6 @@ from work_here import open_pool_here
 
 from dotsim_ros import TactileSensor, load_sensor
 from dotsim_ros.arrays import ImageArray
-from dotsim_ros.cli.evaluate import DOMAINS as COMMAND_DOMAINS
-from dotsim_ros.cli.main import main
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit import contact
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
@@ -26,7 +23,7 @@ from dotsim_ros.measured.data_set_writer import trajectory_of_frames, write_data
 from dotsim_ros.specification import SensorSpecification, write_sensor
 from dotsim_ros.worker_pool import pool
 from studies.classification.domains import DOMAINS
-from studies.classification.presses import PressPlan
+from studies.classification.record import classification
 
 SIZE = (96, 72)
 INDENTERS = {
@@ -99,28 +96,20 @@ def rows_in(kept: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in kept.rglob("*.json")}
 
 
-def classify(unit: Path, out: Path, kept: Path, *given: str) -> int:
-    places = ["--out", f"{out}/out", "--cache", str(kept), "--images", f"{out}/images"]
-    source = ["--data", str(unit / "data"), "--sensor", str(unit / "small.yaml")]
-    few = ["--classifiers", "2", "--presses", "2", "--epochs", "1", "--workers", "1"]
-    return main(["evaluate", "classification", *source, *few, *places, *given])
+def classify(unit: Path, images: Path, kept: Path, **given: Any) -> dict[str, Any]:
+    few: dict[str, Any] = {"classifiers": 2, "presses": 2, "epochs": 1, "real_ball": False}
+    source = {"data": unit / "data", "sensor": str(unit / "small.yaml")}
+    return classification(**{**source, **few, "images": images, "cache": kept, **given})
 
 
-def test_a_table_is_printed_kept_and_not_made_again(
-    unit: Path, tmp_path: Path, kept: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert classify(unit, tmp_path, kept, "--models", "bound", "idle") == 0
-    page = capsys.readouterr().out
-    assert (tmp_path / "out" / "classification.md").read_text("utf-8") in page
-    found: dict[str, Any] = json.loads((tmp_path / "out" / "classification.json").read_text())
-    assert "(../images/classification.png)" in page
-    assert cv2.imread(str(tmp_path / "images" / "classification.png")) is not None
+def test_rows_are_made_once(unit: Path, tmp_path: Path, kept: Path) -> None:
+    found = classify(unit, tmp_path, kept, models=("bound", "idle"))
+    assert cv2.imread(str(tmp_path / "classification.png")) is not None
     assert set(DOMAINS) < set(found)
     for name in DOMAINS:
         rows = found[name]
         classes = 3 if name == "all_six" else 2
         for model, row in rows.items():
-            assert f"| {model} |" in page
             # Each indenter was filmed twice, with two frames in contact.
             assert row["frames"] == 4 * classes
             assert row["trajectories"] == 2 * classes
@@ -135,7 +124,7 @@ def test_a_table_is_printed_kept_and_not_made_again(
     assert bounds[0]["seeds"] == bounds[1]["seeds"]
     before = rows_in(kept)
     assert len(before) == 2 * len(DOMAINS)
-    assert classify(unit, tmp_path, kept, "--models", "bound", "idle") == 0
+    assert classify(unit, tmp_path, kept, models=("bound", "idle")) == found
     assert rows_in(kept) == before
 
 
@@ -143,25 +132,18 @@ def test_a_model_that_refines_the_idle_image_is_judged_too(
     unit: Path, tmp_path: Path, kept: Path
 ) -> None:
     before = rows_in(kept)
-    assert classify(unit, tmp_path, kept, "--models", "carried", "--domains", "out_of_domain") == 0
-    (path,) = rows_in(kept).keys() - before.keys()
-    row = json.loads(path.read_text("utf-8"))
+    found = classify(unit, tmp_path, kept, models=("carried",), domains=("out_of_domain",))
+    assert len(rows_in(kept).keys() - before.keys()) == 1
+    row = found["out_of_domain"]["carried"]
     assert row["frames"] == 8
     assert row["simulated"] is not None
 
 
-def test_what_cannot_be_asked_is_refused(
-    unit: Path, tmp_path: Path, kept: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert classify(unit, tmp_path, kept, "--seed", "-1") == 1
-    assert "seed is -1, expected 0 or more" in capsys.readouterr().err
-    assert classify(unit, tmp_path, kept, "--presses", "0") == 1
-    assert "0 presses of 6 frames, expected one at least" in capsys.readouterr().err
+def test_what_cannot_be_asked_is_refused(unit: Path, tmp_path: Path, kept: Path) -> None:
+    with pytest.raises(ValueError, match="seed is -1, expected 0 or more"):
+        classify(unit, tmp_path, kept, seed=-1)
+    with pytest.raises(ValueError, match="0 presses of 6 frames, expected one at least"):
+        classify(unit, tmp_path, kept, presses=0)
     (tmp_path / "empty").mkdir()
-    assert classify(unit, tmp_path, kept, "--sensor", str(tmp_path / "empty")) == 1
-    assert "holds no in_domain.yaml" in capsys.readouterr().err
-
-
-def test_the_command_offers_what_there_is() -> None:
-    assert COMMAND_DOMAINS == DOMAINS
-    assert PressPlan().count > 0
+    with pytest.raises(FileNotFoundError, match=r"holds no in_domain\.yaml"):
+        classify(unit, tmp_path, kept, sensor=str(tmp_path / "empty"))
