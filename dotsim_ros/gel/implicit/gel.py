@@ -56,7 +56,7 @@ from dotsim_ros.gel.implicit.tangent import (
     inverse_at_rest,
 )
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
-from dotsim_ros.gel.material import Material, PronySeries
+from dotsim_ros.gel.material import Material, PronySeries, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -67,13 +67,19 @@ FORGOTTEN_N = 1.0e-9
 a released marker would otherwise decay for hundreds of steps, count as contact all the while, and
 end as subnormal numbers, with which a product takes ten times as long."""
 LARGEST_SUBSTEP_M = 0.6e-3
-"""The indenter moves no farther in a substep, so that no marker passes through it."""
+"""The indenter moves no farther in a substep, so that no marker passes through it..."""
+TOUCH_SHARE = 0.05
+"""...and in a step that begins without contact by no more than this share of the grid's spacing:
+friction then follows the contact as it grows, and no marker is thrown off an edge or a tip."""
 NEAR_M = 5.0e-3
 """An indenter that is farther from the ball around the gel is on a way that touches nothing."""
 PATCH_MARGIN_M = 2.2e-3
 """Markers closer to the indenter than this are in a new patch..."""
 PATCH_KEPT_M = 1.0e-3
 """...which is kept while it holds all that are closer than this."""
+BORNE_WITHIN_M = 20.0e-6
+"""A marker that another one bears for is still borne where it leaves the indenter by less: or it
+would bear its own, be pressed, and be borne again by turns, and the force would not settle."""
 REGION_RADIUS_M = 2.4e-3
 """Cells closer than this to a marker in contact are assembled anew..."""
 REGION_MARGIN_M = 0.8e-3
@@ -82,9 +88,14 @@ REGION_GRADIENT = 0.2
 """...and cells that are strained or turned, by the norm of their displacement's gradient. Where
 cells keep the stiffness that they have at rest, Newton's method diverges once theirs is twice that:
 at 0.4, it does so in presses of 3 mm."""
-REGION_GRADIENT_KEPT = 0.25
-"""A region is kept while no cell outside is strained by more; once a search converges slowly, only
-while none is by more than `REGION_GRADIENT`."""
+LARGEST_CONTRACTION = 0.7
+"""In a gel that hardly gives in volume it does so earlier: a gradient g turns what keeps the volume,
+whose stiffness is K in place of mu, so that a step leaves g^2 K / mu of the error before it. The
+limit is lower where that would be more than this share; at 1, the force under a punch that was held
+went up and down by 0.7 % without end."""
+REGION_KEPT = 1.25
+"""A region is kept while no cell outside is strained by more than so many times the limit; once a
+search converges slowly, only while none is by more than the limit."""
 FAR_SLIDE_M = 0.1e-3
 """A marker that slides farther in a substep follows the indenter's surface, not a straight line."""
 NEIGHBOURS = 4
@@ -232,7 +243,7 @@ class ImplicitGel:
         self.environment_count, self.exact = environment_count, exact
         self.discretization = discretize(shape, skin.rest_position_m, solver.grid_spacing_m)
         d = self.discretization
-        self.points = ContactPoints(skin)
+        self.points = ContactPoints(skin, solver.grid_spacing_m)
         self.skin_weight = d.skin_interpolation.matrix(d.node_count)
         lost_bond = None if bond is None else lost_stiffness(shape, d, bond, material.law)
         self.body = ElasticBody(
@@ -251,6 +262,11 @@ class ImplicitGel:
             lost_bond=lost_bond,
         )
         self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
+        youngs_pa, bulk_pa = small_strain_moduli_pa(material.law)
+        shear_pa = 3.0 * bulk_pa * youngs_pa / (9.0 * bulk_pa - youngs_pa)
+        self._region_gradient = min(
+            REGION_GRADIENT, math.sqrt(LARGEST_CONTRACTION * shear_pa / bulk_pa)
+        )
         self._mass = d.mass_over_density * material.density_kg_m3
         local: LocalTangent | None = None
         self.refinement: Refinement | None = None
@@ -409,9 +425,24 @@ class ImplicitGel:
         path = [interpolate(start, pose, k / count) for k in near] + [pose]
         for waypoint in path:
             self.check_depth(waypoint)
-        while len(path) > 1 and world.response is None and not self._touches_rest(path[0]):
-            path.pop(0)
-        return list(path)
+        return self._from_touch(start, path) if world.response is None else list(path)
+
+    def _from_touch(self, start: Pose, path: list[Pose]) -> list[Pose | None]:
+        """Return the part of a path that touches the gel at rest, in moves that are shorter; the
+        last pose alone where none does."""
+        while len(path) > 1 and not self._touches_rest(path[0]):
+            start = path.pop(0)
+        if not self._touches_rest(path[0]):
+            return [path[0]]
+        longest_m = TOUCH_SHARE * self.discretization.spacing_m
+        short: list[Pose | None] = []
+        for waypoint in path:
+            count = max(1, math.ceil(way_m(start, waypoint, self.contact.indenter) / longest_m))
+            poses = [interpolate(start, waypoint, k / count) for k in range(1, count)]
+            short += [pose for pose in poses if short or self._touches_rest(pose)]
+            short.append(waypoint)
+            start = waypoint
+        return short
 
     def _shares_near(self, start: Pose, end: Pose) -> tuple[float, float]:
         """Return between which shares of the straight way the indenter can meet the gel at all; an
@@ -574,10 +605,14 @@ class ImplicitGel:
                 chosen, self.skin.rest_position_m, self.skin_weight, self.refinement
             )
         marker = world.patch.marker
+        is_pressed = (distance[marker] < 0.0) | (world.history.pressure_pa[marker] > 0.0)
+        if world.bearer is not None:
+            is_borne = world.bearer[marker] != marker
+            is_pressed |= is_borne & (distance[marker] < BORNE_WITHIN_M)
         world.bearer = self.points.bearers(
             marker,
             world.skin_position_m[marker],
-            (distance[marker] < 0.0) | (world.history.pressure_pa[marker] > 0.0),
+            is_pressed,
             lambda position_m: self._answer(world, pose, marker, position_m).normal,
         )
         self.contact.set_area(self.points.area_m2(world.bearer))
@@ -648,14 +683,14 @@ class ImplicitGel:
                 return tangents.exact.factor(displacement, environment)
             gradient = local.cell_gradient(displacement)
             if at_m is None:
-                limits = (REGION_GRADIENT, REGION_GRADIENT_KEPT)
+                limits = (self._region_gradient, REGION_KEPT * self._region_gradient)
                 region = self._region(
                     world, world.region, near, local, gradient, limits, environment
                 )
                 world.region = region
             else:
                 # For this substep alone: it makes each of them slower.
-                limits = (REGION_GRADIENT, REGION_GRADIENT)
+                limits = (self._region_gradient, self._region_gradient)
                 region = wide = self._region(
                     world, wide, near, local, gradient, limits, environment
                 )
