@@ -44,10 +44,8 @@ class ContactPoints:
         self._rest_area_m2 = skin.rest_area_m2
         # Of triangles with equal sides.
         apart_m = math.sqrt(2.0 / math.sqrt(3.0) * float(np.median(skin.rest_area_m2)))
-        is_close = apart_m < CLOSE_SHARE * grid_spacing_m
-        self._bearer = _bearers(
-            skin.rest_position_m, ~skin.on_base, SPACING_M if is_close else 0.0
-        )
+        self._spacing_m = SPACING_M if apart_m < CLOSE_SHARE * grid_spacing_m else 0.0
+        self._bearer = _bearers(skin.rest_position_m, ~skin.on_base, self._spacing_m)
 
     def bearers(
         self,
@@ -66,6 +64,8 @@ class ContactPoints:
             normals: the indenter's at positions (C, 3) of these.
         """
         bearer = np.arange(len(self._bearer), dtype=np.int32)
+        if self._spacing_m == 0.0:
+            return bearer
         given = marker[is_pressed & _is_flat(position_m, normals)]
         given = given[np.isin(self._bearer[given], marker[is_pressed])]
         bearer[given] = self._bearer[given]

@@ -94,8 +94,15 @@ whose stiffness is K in place of mu, so that a step leaves g^2 K / mu of the err
 limit is lower where that would be more than this share; at 1, the force under a punch that was held
 went up and down by 0.7 % without end."""
 REGION_KEPT = 1.25
-"""A region is kept while no cell outside is strained by more than so many times the limit; once a
-search converges slowly, only while none is by more than the limit."""
+"""A region is kept while no cell outside is strained by more than so many times the limit."""
+SLOW_SHARE = 0.5
+"""Once a search converges slowly, the limit is this share of it."""
+FAR_TOLERANCES = 2.0
+"""Forces out of balance far from the contact wait where they move the skin by less than about so
+many tolerances."""
+SEEN_EVERY = 8
+"""Of the skin's markers, one in so many shows how far an iteration moves the skin: they lie closer
+together than the grid can bend."""
 FAR_SLIDE_M = 0.1e-3
 """A marker that slides farther in a substep follows the indenter's surface, not a straight line."""
 NEIGHBOURS = 4
@@ -267,6 +274,8 @@ class ImplicitGel:
         self._region_gradient = min(
             REGION_GRADIENT, math.sqrt(LARGEST_CONTRACTION * shear_pa / bulk_pa)
         )
+        self._seen_weight = self.skin_weight[::SEEN_EVERY]
+        self._far_n_m = FAR_TOLERANCES * youngs_pa * d.spacing_m
         self._mass = d.mass_over_density * material.density_kg_m3
         local: LocalTangent | None = None
         self.refinement: Refinement | None = None
@@ -297,7 +306,8 @@ class ImplicitGel:
         count = int(np.ceil(np.ptp(shape.bounds_m(), axis=0)[:2].max() / CORE_CLEARANCE_M)) + 1
         base = np.linspace(lower, upper, count)
         plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
-        self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
+        self._rigid = cKDTree(np.concatenate([shape.bonded_surface(1.0e-3)[0], plane]))
+        self._skin_at_rest = cKDTree(skin.rest_position_m)
         self.trace = Trace()
         self.observer: Observer | None = None
         self.set_indenter(indenter)
@@ -375,7 +385,7 @@ class ImplicitGel:
         Raises:
             PressTooDeepError: it comes too close to what the gel is bonded to.
         """
-        clearance = self._nearest_m(self._rigid_points_m, pose, CORE_CLEARANCE_M)
+        clearance = self._nearest_m(self._rigid, pose, CORE_CLEARANCE_M)
         if clearance < CORE_CLEARANCE_M:
             raise PressTooDeepError(
                 f"the indenter at {np.round(pose.position_m * 1e3, 2).tolist()} mm comes within "
@@ -395,7 +405,10 @@ class ImplicitGel:
         response, patch = world.response, world.patch
         wrench, penetration, count = Wrench(), 0.0, 0
         if response is not None and patch is not None:
-            wrench = wrench_on_indenter(world.skin_position_m[patch.marker], response.force_n)
+            # What the gel bears. The indenter's answer at its markers is off by as much as these are
+            # from balance: a micrometre of the skin is a tenth of the pressure.
+            marker = patch.marker
+            wrench = wrench_on_indenter(world.skin_position_m[marker], world.marker_force_n[marker])
             penetration = max(0.0, -float(response.distance_m.min(initial=np.inf)))
             count = int(np.count_nonzero(response.pressure_pa))
         return GelState(
@@ -479,17 +492,18 @@ class ImplicitGel:
         """Return whether the indenter meets the gel at rest: its skin, or all of it within."""
         if self._shape.contains(pose.apply(self._inner_point_m)):
             return True
-        return self._nearest_m(self.skin.rest_position_m, pose, ONSET_M) < ONSET_M
+        return self._nearest_m(self._skin_at_rest, pose, ONSET_M) < ONSET_M
 
-    def _nearest_m(self, points_m: FloatArray, pose: Pose, reach_m: float) -> float:
-        """Return the least distance of points (N, 3) from the indenter, inf where all are farther
-        from the box around it than `reach_m`."""
-        local = (points_m - pose.position_m) @ pose.rotation()
+    def _nearest_m(self, points: cKDTree, pose: Pose, reach_m: float) -> float:
+        """Return the least distance of points from the indenter, inf where all are farther than
+        `reach_m` from the ball around it."""
         lower, upper = self.contact.indenter.bounds_m()
-        near = np.all((local > lower - reach_m) & (local < upper + reach_m), axis=1)
-        if not near.any():
+        radius_m = 0.5 * float(np.linalg.norm(upper - lower))
+        near = points.query_ball_point(pose.apply(0.5 * (lower + upper)), radius_m + reach_m)
+        if not near:
             return np.inf
-        return float(self.contact.indenter.signed_distance(local[near]).min())
+        local = (points.data[near] - pose.position_m) @ pose.rotation()
+        return float(self.contact.indenter.signed_distance(local).min())
 
     @single_threaded()
     def wrench_stiffness(self, environment: int) -> FloatArray:
@@ -690,7 +704,7 @@ class ImplicitGel:
                 world.region = region
             else:
                 # For this substep alone: it makes each of them slower.
-                limits = (self._region_gradient, self._region_gradient)
+                limits = (SLOW_SHARE * self._region_gradient,) * 2
                 region = wide = self._region(
                     world, wide, near, local, gradient, limits, environment
                 )
@@ -713,6 +727,8 @@ class ImplicitGel:
             linearise,
             at_rest,
             self.contact.least_compliance_m_n,
+            self._seen_weight,
+            self._far_n_m * self.solver.tolerance_m,
         )
 
     def _region(

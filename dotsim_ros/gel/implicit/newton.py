@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactResponse, Lag
@@ -101,6 +102,8 @@ class EquilibriumProblem:
             at the displacements (N, 3) given.
         at_rest: the step (3 N,) that answers forces (3 N,) on a gel that nothing touches.
         contact_compliance_m_n: the least of any marker against the indenter.
+        seen_weight: (M, N) weights of the nodes in markers all over the skin.
+        far_n: forces out of balance far away may wait below this.
     """
 
     patch: Patch | None
@@ -111,6 +114,8 @@ class EquilibriumProblem:
     linearise: Callable[[NearMarkers, FloatArray | None], Factor]
     at_rest: Callable[[FloatArray], FloatArray]
     contact_compliance_m_n: float
+    seen_weight: sparse.csr_matrix
+    far_n: float
 
     def at(self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag) -> Point:
         """Return the point of displacements (N, 3) and forces (C, 3) on the patch's markers."""
@@ -153,7 +158,7 @@ class Trace:
 class _NewtonStep:
     """A step of the nodes (N, 3), of the forces on the patch's markers (C, 3), and of what the
     refinement adds under them (C, 3); where it takes the markers (C, 3), how the indenter answers
-    there under which lag; how far it moves any marker that took part; the energy's slope along
+    there under which lag; how far it moves any marker of the skin; the energy's slope along
     it; whether the contact was solved."""
 
     displacement_m: FloatArray
@@ -329,7 +334,8 @@ class EquilibriumSearch:
         position = point.position_m + moved
         response = self.problem.respond(patch.marker, position, renewed)
         self.trace.add("solve", clock)
-        largest = float(np.abs(moved[rows]).max())
+        seen = np.abs(self.problem.seen_weight @ displacement)
+        largest = float(max(np.abs(moved[rows]).max(), seen.max()))
         return _NewtonStep(
             displacement,
             force,
@@ -398,7 +404,7 @@ class EquilibriumSearch:
         if isinstance(factor, LocalFactor) and not self.is_slow:
             inside = float(np.linalg.norm(right[factor.region.dof]))
             outside = np.sqrt(max(0.0, float(right @ right) - inside * inside))
-            if outside < FAR_SHARE * inside:
+            if outside < min(FAR_SHARE * inside, self.problem.far_n):
                 return factor.solve_near(right)
         return factor.solve(right)
 
