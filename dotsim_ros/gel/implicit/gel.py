@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
 from dotsim_ros.cores import single_threaded
+from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.bond import LooseBond, lost_stiffness
 from dotsim_ros.gel.discretization import discretize
@@ -245,6 +246,7 @@ class ImplicitGel:
         exact: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> None:
+        self.exclusive_use = ExclusiveUse("gel")
         self.shape, self.skin, self.material, self.solver = shape, skin, material, solver
         self.contact_specification, self.device = contact, device
         self.environment_count, self.exact = environment_count, exact
@@ -312,6 +314,7 @@ class ImplicitGel:
         self.observer: Observer | None = None
         self.set_indenter(indenter)
 
+    @exclusive(begins=True)
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and forget the state."""
         inner_point_m = _inner_point_m(indenter)
@@ -331,6 +334,7 @@ class ImplicitGel:
         )
         return inverse_at_rest(bonded)
 
+    @exclusive(begins=True)
     def set_relaxation(self, relaxation: PronySeries) -> None:
         """Replace the gel's relaxation and return to rest."""
         self.material = replace(self.material, prony=relaxation)
@@ -340,6 +344,7 @@ class ImplicitGel:
                 body.set_history(1.0, nothing, environment)
         self.reset()
 
+    @exclusive(begins=True)
     def reset(self) -> None:
         """Return every environment to rest."""
         self.worlds = [self._fresh_world() for _ in range(self.environment_count)]
@@ -351,6 +356,7 @@ class ImplicitGel:
         rest = self.skin.rest_position_m
         return World(np.zeros(shape), np.zeros(shape), np.zeros_like(rest), rest.copy())
 
+    @exclusive()
     def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
         """Move the indenter of every environment to its pose (None: away) and find the gel.
 
@@ -365,6 +371,7 @@ class ImplicitGel:
         """
         return self.follow(self.plan(poses, dt_s), dt_s)
 
+    @exclusive()
     def plan(self, poses: Sequence[Pose | None], dt_s: float) -> list[list[Pose | None]]:
         """Return the poses of the substeps on the way to a pose in every environment, and move
         nothing; arguments and errors are those of `step`."""
@@ -374,6 +381,7 @@ class ImplicitGel:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
         return [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
 
+    @exclusive()
     @single_threaded()
     def follow(self, paths: Sequence[Sequence[Pose | None]], dt_s: float) -> list[GelState]:
         """Move along paths that `plan` has found for the same duration."""
@@ -505,6 +513,7 @@ class ImplicitGel:
         local = (points.data[near] - pose.position_m) @ pose.rotation()
         return float(self.contact.indenter.signed_distance(local).min())
 
+    @exclusive()
     @single_threaded()
     def wrench_stiffness(self, environment: int) -> FloatArray:
         """Return minus the derivative (6, 6) of the wrench on the indenter by its twist, both about

@@ -23,6 +23,7 @@ import mujoco
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.sensor import TactileSensor
@@ -98,6 +99,7 @@ class MujocoCoupling:
         coupling_s: float = 0.01,
         move_m: float = 0.2e-3,
     ) -> None:
+        self.exclusive_use = ExclusiveUse("coupling")
         self.model, self.data, self.sensor = model, data, sensor
         self._mount = _frame_of(Pose() if mount is None else mount)
         self._sensor_body = _number(model, mujoco.mjtObj.mjOBJ_BODY, "body", sensor_body)
@@ -119,6 +121,7 @@ class MujocoCoupling:
         self._away: FloatArray | None = None
         self.reset()
 
+    @exclusive(begins=True)
     def reset(self) -> GelFrame:
         """Forget what was pressed, and begin from where MuJoCo's bodies are now."""
         mujoco.mj_forward(self.model, self.data)
@@ -159,6 +162,7 @@ class MujocoCoupling:
         """Return the wrench of the gel on the geom as it was solved last, sensor's base frame."""
         return Wrench(self._anchor.wrench[:3].copy(), self._anchor.wrench[3:].copy())
 
+    @exclusive()
     def step(self) -> GelFrame:
         """Move the world on by `coupling_s`, and return the gel at its end.
 
