@@ -38,7 +38,7 @@ SMALLEST_SCALE = 1.0e-3
 CONTRACTION = 0.25
 """Share of an iteration's step that the next one is expected to take, until one is measured."""
 SMALLEST_CONTRACTION = 0.15
-LEFT_SHARE = 0.3
+LEFT_SHARE = 0.2
 """Share of the tolerances that an iteration may leave to the one after it."""
 FORCE_TOLERANCE_PER_M = 1.0e3
 """Tolerance of the force on the indenter as a share of it, by the tolerance of the skin: 1 % at

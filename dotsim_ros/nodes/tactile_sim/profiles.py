@@ -52,7 +52,7 @@ EXACT = Profile(
 REALTIME = Profile(
     "realtime",
     grid_factor=1.0,
-    smallest_tolerance_m=20.0e-6,
+    smallest_tolerance_m=30.0e-6,
     largest_iterations=2,
     move_m=LARGEST_SUBSTEP_M,
     skin_error_m=1.0e-3,
