@@ -22,17 +22,14 @@ CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--cle
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
 
-# Several at a time, a file each, in the order in which they are named: long files must not come
-# last. Tests of nodes mostly wait.
-IN_ORDER := --dist loadfile --no-loadscope-reorder
-SOLVING := -n 2 $(IN_ORDER)
-WAITING := -n 3 $(IN_ORDER)
+# More than there are cores, since tests of nodes mostly wait; a file each, the longest first.
+TOGETHER := -n 3 --dist loadfile --no-loadscope-reorder
 
 # What the tests saw of bad input and faults, for docs/faults.md.
 FAULTS ?= $(OUT)/faults.json
 SECONDS ?= 60
 
-.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs results clean
+.PHONY: help setup live demo demo-loop test faults fuzz bench soak lint docs canary results clean
 
 help:
 	@echo "make setup   everything into $(VENV)"
@@ -45,6 +42,7 @@ help:
 	@echo "make bench   frame rate, latency and their split"
 	@echo "make lint    ruff, codespell, mypy and the arrows between modules"
 	@echo "make docs    the documentation as a site in $(OUT)/site, with every link checked"
+	@echo "make canary  eight short motions, compared with kept values; KEEP=1 keeps new ones"
 	@echo "make results   the tables of docs/results, for a release: NAMES=\"gap rl\" for some, LIST=1 to list"
 
 setup: $(INSTALLED)
@@ -69,8 +67,7 @@ demo-loop: setup
 test: setup
 	@rm -f $(FAULTS)
 	export $(RUN); tests="python -m pytest -rs --faults=$(FAULTS) $(PYTEST_OPTIONS)"; failed=0; \
-	$$tests $(SOLVING) test/physics test/unit || failed=1; \
-	$$tests $(WAITING) -m "not timed" test/ros || failed=1; \
+	$$tests $(TOGETHER) -m "not timed" test || failed=1; \
 	$$tests -m timed test/ros || failed=1; \
 	exit $$failed
 
@@ -96,14 +93,19 @@ lint: setup
 	$(RUN) mypy
 	$(RUN) lint-imports
 
+# KEEP=1 writes new values; the commit that does so says why they changed.
+canary: setup
+	$(RUN) python tools/canary.py $(if $(KEEP),--keep)
+
 # For a release; resumed where it was interrupted.
 results: setup
 	$(RUN) python tools/results.py $(if $(LIST),--list) $(NAMES)
+	$(RUN) python tools/results_page.py
 
 # A notice of the theme's makers about its successor is no warning about these pages.
 docs: setup
 	$(RUN) python .ci/effects_table.py --check
-	$(RUN) python .ci/profiles_table.py --check
+	$(RUN) python tools/results_page.py --check
 	NO_MKDOCS_2_WARNING=1 $(RUN) mkdocs build --strict --quiet --site-dir $(abspath $(OUT))/site
 	$(RUN) python .ci/check_links.py $(OUT)/site $(wildcard *.md)
 	@echo "open $(OUT)/site/index.html"

@@ -21,7 +21,8 @@ PARAMETER_FILES = sorted(
 ROS_FILES = [
     name
     for name in PARAMETER_FILES
-    if Path(name).parts[1] in ("drivers", "foxglove", "rviz") or len(Path(name).parts) == 2
+    if Path(name).parts[1] in ("drivers", "foxglove", "rviz", "simulators")
+    or len(Path(name).parts) == 2
 ]
 LAUNCH_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("launch/*.launch.py"))
 ROBOT_FILES = sorted(path.relative_to(HERE).as_posix() for path in HERE.glob("urdf/*.xacro"))
@@ -42,7 +43,7 @@ TEST = [
     "psutil",
     # pytest 9 breaks the launch_testing plugin of ROS 2 Jazzy
     "pytest<9",
-    # nodes are tested one after the other, all else in two processes
+    # files of tests run in three processes
     "pytest-xdist>=3.5",
 ]
 LEARNING = [
@@ -177,18 +178,23 @@ setup(
     },
     entry_points={
         "console_scripts": [
-            "calibrate = dotsim_ros.cli.executables:calibrate",
-            "closed_loop = dotsim_ros.nodes.closed_loop.node:main",
+            "dotsim_calibrate = dotsim_ros.cli.executables:calibrate",
+            "dotsim_closed_loop = dotsim_ros.nodes.executables:closed_loop",
+            "dotsim_find_gap = dotsim_ros.cli.executables:find_gap",
+            "dotsim_plan_gap = dotsim_ros.cli.executables:plan_gap",
             "dotsim_ros = dotsim_ros.cli.main:main",
-            "find_gap = dotsim_ros.cli.executables:find_gap",
-            "indenter_player = dotsim_ros.nodes.indenter_player.node:main",
-            "plan_gap = dotsim_ros.cli.executables:plan_gap",
-            "tactile_policy = dotsim_ros.nodes.tactile_policy.node:main",
-            "tactile_record = dotsim_ros.nodes.tactile_record.node:main",
-            "tactile_sim = dotsim_ros.nodes.tactile_sim.node:main",
-            "time_stepper = dotsim_ros.nodes.time_stepper.node:main",
-            "xarm_adapter = dotsim_ros.nodes.xarm_adapter.node:main",
-            "xarm_sim = dotsim_ros.nodes.xarm_sim.node:main",
+            "indenter_player = dotsim_ros.nodes.executables:indenter_player",
+            "tactile_policy = dotsim_ros.nodes.executables:tactile_policy",
+            "tactile_record = dotsim_ros.nodes.executables:tactile_record",
+            "tactile_sim = dotsim_ros.nodes.executables:tactile_sim",
+            "time_stepper = dotsim_ros.nodes.executables:time_stepper",
+            "xarm_adapter = dotsim_ros.nodes.executables:xarm_adapter",
+            "xarm_sim = dotsim_ros.nodes.executables:xarm_sim",
+            # Names of 0.1, which did not say whose they are; to be removed after 0.2.
+            "calibrate = dotsim_ros.cli.executables:calibrate_by_old_name",
+            "closed_loop = dotsim_ros.nodes.executables:closed_loop_by_old_name",
+            "find_gap = dotsim_ros.cli.executables:find_gap_by_old_name",
+            "plan_gap = dotsim_ros.cli.executables:plan_gap_by_old_name",
         ]
     },
 )

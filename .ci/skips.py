@@ -6,10 +6,11 @@
     PYTHONPATH=.ci pytest -p skips --skips FILE ...
     skips.py FILE
 
-The first adds each skip to a JSON file, what was skipped, why, and the areas of docs/faults.md that
-it would have shown answers of, and which files had tests that ran. The second fails on a skip for a
-reason that `KNOWN` does not list, or whose cause is not there, and on a file below test/ of which
-nothing ran, as where pytest leaves out a folder: a test must not stop running unseen.
+The first adds to a JSON file what was skipped, why, and the areas of docs/faults.md that it would
+have shown answers of, and which files and tests ran. The second fails on a skip for a reason that
+`KNOWN` does not list, or whose cause is not there, on a file below test/ of which nothing ran, as
+where pytest leaves out a folder, and where there are fewer tests than .ci/test_count.json says: a
+test must not stop running unseen.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ from typing import Any
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+COUNT = ROOT / ".ci" / "test_count.json"
+"""How many tests the last release had, run or skipped one by one, and how many fewer may be: those
+of files that skip themselves as a whole on some machines, and those taken out on purpose since."""
 AREA = "area"
 
 
@@ -66,6 +70,7 @@ KNOWN: dict[str, Callable[[], bool]] = {
 
 _found: list[dict[str, object]] = []
 _files: set[str] = set()
+_tests: set[str] = set()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -84,6 +89,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:
     """Note the file, and a test that was skipped; one that is known to fail is none."""
     _files.add(_file_of(report.nodeid))
+    _tests.add(report.nodeid)
     if report.skipped and not hasattr(report, "wasxfail"):
         _note(
             report, sorted({str(value) for name, value in report.user_properties if name == AREA})
@@ -115,16 +121,18 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     path: Path | None = session.config.getoption("--skips")
     if path is None or hasattr(session.config, "workerinput"):
         return
-    before = read(path) if path.is_file() else {"skips": [], "files": []}
+    before = read(path) if path.is_file() else {"skips": [], "files": [], "tests": []}
     seen = {
         "skips": [*before["skips"], *_found],
         "files": sorted({*before["files"], *_files}),
+        "tests": sorted({*before["tests"], *_tests}),
     }
     path.write_text(json.dumps(seen, indent=2) + "\n", encoding="utf-8")
 
 
 def read(path: Path) -> dict[str, list[Any]]:
-    """Return what was noted in a file: `skips`, and `files` of which tests ran or were skipped."""
+    """Return what was noted in a file: `skips`, and the `files` and `tests` that ran or were
+    skipped."""
     noted: dict[str, list[Any]] = json.loads(path.read_text(encoding="utf-8"))
     return noted
 
@@ -146,6 +154,18 @@ def left_out(files: list[str], root: Path = ROOT) -> list[str]:
     return sorted(there - set(files))
 
 
+def lost(tests: list[str], count: dict[str, int]) -> str:
+    """Return that there are too few tests, in one line; empty where there are enough."""
+    expected = count["tests"] - count["allowance"]
+    if len(tests) >= expected:
+        return ""
+    return (
+        f"{len(tests)} tests, expected at least {expected}: the last release had {count['tests']}, "
+        f"of which {count['allowance']} may be missing; find those that are not collected, or, if "
+        f"they were taken out on purpose, raise the allowance in {COUNT.name}"
+    )
+
+
 def main() -> int:
     """Check what a file notes; return the exit status."""
     noted = read(Path(sys.argv[1]))
@@ -159,7 +179,9 @@ def main() -> int:
     )
     if missing:
         print("pytest did not come to them: see how `make test` names the folders")
-    return min(len(wrong) + len(missing), 1)
+    fewer = lost(noted["tests"], json.loads(COUNT.read_text(encoding="utf-8")))
+    print(fewer or f"{len(noted['tests'])} tests")
+    return 1 if wrong or missing or fewer else 0
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SolverSpecification, load_sensor
 from dotsim_ros.tasks.environments import coupling as coupling_module
-from dotsim_ros.tasks.environments.coupling import MujocoCoupling
+from dotsim_ros.tasks.environments.coupling import CoupledFinger, MujocoCoupling
 
 GRAVITY_M_S2 = 9.81
 STEP_S = 0.5e-3
@@ -46,7 +46,7 @@ RELATIVE_CHANGE = 1e-3
 MOST_ITERATIONS = 12
 
 
-class HeldCoupling(MujocoCoupling):
+class HeldFinger(CoupledFinger):
     """The wrench of the last solution, constant."""
 
     def _predicted(self, base: Any) -> FloatArray:
@@ -57,40 +57,51 @@ class HeldCoupling(MujocoCoupling):
         return self._anchor.wrench
 
 
+class GivenFinger(CoupledFinger):
+    """A wrench that `IteratedCoupling` sets."""
+
+    held: FloatArray
+
+    def _predicted(self, base: Any) -> FloatArray:
+        return self.held
+
+
 class IteratedCoupling(MujocoCoupling):
     """The wrench of the end of each coupling time, found by relaxed repetition."""
 
-    def _predicted(self, base: Any) -> FloatArray:
-        return self._held
-
     def step(self) -> GelFrame:
-        gel = self.sensor._gel
+        gel, finger = self.sensor._gel, self.finger
+        assert isinstance(finger, GivenFinger)
         assert isinstance(gel, SingleImplicitGel)
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         begun = np.empty(mujoco.mj_stateSize(self.model, kind))
         mujoco.mj_getState(self.model, self.data, begun, kind)
-        world, before = copy.copy(gel.gel.worlds[0]), self._before
-        self._held = self._anchor.wrench.copy()
+        world, before = copy.copy(gel.gel.worlds[0]), finger._before
+        finger.held = finger._anchor.wrench.copy()
         share, last_error = 0.5, None
         for _ in range(MOST_ITERATIONS):
             mujoco.mj_setState(self.model, self.data, begun, kind)
             mujoco.mj_forward(self.model, self.data)
-            gel.gel.worlds[0], self._before = copy.copy(world), before
+            gel.gel.worlds[0], finger._before = copy.copy(world), before
             frame = super().step()
-            error = self._anchor.wrench - self._held
-            scale = max(float(np.linalg.norm(self._anchor.wrench[:3])), 1e-3)
+            error = finger._anchor.wrench - finger.held
+            scale = max(float(np.linalg.norm(finger._anchor.wrench[:3])), 1e-3)
             if float(np.linalg.norm(error[:3])) < RELATIVE_CHANGE * scale:
                 break
             if last_error is not None:
                 change = error - last_error
                 share *= -float(last_error @ change) / max(float(change @ change), 1e-30)
                 share = float(np.clip(share, 0.02, 1.0))
-            self._held = self._held + share * error
+            finger.held = finger.held + share * error
             last_error = error
         return frame
 
 
-SCHEMES = {"held": HeldCoupling, "tangent": MujocoCoupling, "iterated": IteratedCoupling}
+SCHEMES = {
+    "held": (HeldFinger, MujocoCoupling),
+    "tangent": (CoupledFinger, MujocoCoupling),
+    "iterated": (GivenFinger, IteratedCoupling),
+}
 
 
 def coupled(
@@ -109,14 +120,16 @@ def coupled(
           </worldbody>
         </mujoco>"""
     )
-    return SCHEMES[scheme](
-        model,
-        mujoco.MjData(model),
-        sensor,
-        sensor_body="sensor",
-        pressed_geom="thing",
-        coupling_s=period_s,
-    )
+    finger, coupling = SCHEMES[scheme]
+    with mock.patch.object(coupling_module, "CoupledFinger", finger):
+        return coupling(
+            model,
+            mujoco.MjData(model),
+            sensor,
+            sensor_body="sensor",
+            pressed_geom="thing",
+            coupling_s=period_s,
+        )
 
 
 def settle(scheme: str, sensor: TactileSensor, mass_kg: float, period_s: float) -> dict[str, Any]:

@@ -25,12 +25,12 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.files import write_json
+from dotsim_ros.files import shipped_names, write_json
 from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import EXACT, REALTIME
 from dotsim_ros.provenance import provenance
 from dotsim_ros.sensor import FRAME_S
-from dotsim_ros.specification import SensorSpecification, load_sensor, shipped_sensors
+from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.view.frame_rate import motion, warm_sensor
 
 GEL_PARTS, OPTICS_PARTS = ("contact", "solve"), ("depth", "image")
@@ -77,7 +77,7 @@ def main() -> None:
         f"{'gel p50':>9}{'p95':>7}{'optics p50':>12}{'p95':>7}{'unconverged':>13}"
     )
     figures: dict[str, Any] = {}
-    for name in arguments.names or shipped_sensors():
+    for name in arguments.names or shipped_names("sensors"):
         own = load_sensor(name)
         for profile in (EXACT, REALTIME):
             solver = ladder_of(profile.name, own)[0].solver

@@ -7,8 +7,8 @@
 
     sensor = TactileSensor.load("densetact2", indenter="sphere_4mm")
     frame = sensor.step(Pose.above_apex(depth_m=0.002))
-    print(frame.wrench.force_n, frame.depth_m.shape)
-    frame.save("press.png")
+    print(frame)
+    frame.save("press.png")  # image, change and range side by side
 
 `__all__` lists the public names. Each is loaded when it is first asked for, so importing this
 package loads neither Warp nor torch nor rclpy.

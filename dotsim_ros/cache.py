@@ -104,3 +104,11 @@ def store_arrays(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None
     """Keep the arrays of an answer (.npz), whole or not at all."""
     with whole_file(path) as part:
         np.savez(part, **dict(arrays))  # type: ignore[arg-type]
+
+
+def keep_arrays(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:
+    """Keep the arrays of an answer as `store_arrays`; where that fails, log it and go on."""
+    try:
+        store_arrays(path, arrays)
+    except OSError as error:
+        _log.warning("an answer is not kept, and will be computed again: %s", one_line(error))

@@ -1,7 +1,8 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Files that people and programs hand us: YAML, JSON and arrays (.npz), read within bounds.
+"""Files that people and programs give: YAML, JSON, tables (.csv) and arrays (.npz), read within
+bounds.
 
 Whatever stands in a file, reading it ends soon, takes little memory, executes nothing, and gives
 either its content or one line that names the file, what is wrong with it and what was expected.
@@ -9,6 +10,8 @@ either its content or one line that names the file, what is wrong with it and wh
 
 from __future__ import annotations
 
+import csv
+import io
 import itertools
 import json
 import math
@@ -23,6 +26,7 @@ from typing import Any
 import numpy as np
 import yaml
 from numpy.lib import format as npy_format
+from numpy.typing import NDArray
 
 from dotsim_ros.printable import cut, one_line
 
@@ -34,6 +38,7 @@ LARGEST_YAML_DEPTH = 50
 LARGEST_YAML_NODE_COUNT = 200_000
 """Aliases counted as what they stand for: a few lines of nested ones are billions of entries."""
 LARGEST_JSON_BYTES = 256_000_000
+LARGEST_TABLE_BYTES = 64_000_000
 LARGEST_ARRAYS_BYTES = 4_000_000_000
 """Of all arrays of a file together, unpacked."""
 LONGEST_EXCERPT = 60
@@ -57,6 +62,55 @@ class ArrayForm:
 
 
 _KINDS = {"number": "fiu", "whole number": "iu", "truth value": "b", "text": "U"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of texts, one column a name.
+
+    Attributes:
+        place: the file.
+        columns: the names, each there once.
+        rows: as many texts each as there are names.
+        lines: the line of the file that each row ends on.
+    """
+
+    place: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    lines: tuple[int, ...]
+
+    def texts(self, column: str) -> list[str]:
+        """Return the cells of a column.
+
+        Raises:
+            ValueError: no such column.
+        """
+        if column not in self.columns:
+            raise ValueError(
+                f"{self.place}: no column {column} among {', '.join(self.columns) or 'none'}"
+            )
+        index = self.columns.index(column)
+        return [row[index] for row in self.rows]
+
+    def numbers(self, column: str) -> NDArray[np.float64]:
+        """Return a column (N,) of finite numbers.
+
+        Raises:
+            ValueError: no such column, or a cell that is no finite number.
+        """
+        values = []
+        for line, text in zip(self.lines, self.texts(column), strict=True):
+            if not _NUMBER.fullmatch(text) or not math.isfinite(float(text)):
+                raise ValueError(
+                    f"{self.place}, line {line}, column {column}: {value_text(text)} is not a "
+                    "number; expected a finite one with a decimal point, without a unit"
+                )
+            values.append(float(text))
+        return np.array(values, dtype=np.float64)
+
+
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?", re.ASCII)
 
 
 class _BoundedLoader(yaml.SafeLoader):
@@ -132,6 +186,14 @@ _BoundedLoader.add_implicit_resolver(
 )
 
 
+def _tuple(loader: _BoundedLoader, node: yaml.SequenceNode) -> list[Any]:
+    return loader.construct_sequence(node)
+
+
+# What launch_ros makes of a list of parameters.
+_BoundedLoader.add_constructor("tag:yaml.org,2002:python/tuple", _tuple)
+
+
 def read_yaml(path: str | Path) -> Any:
     """Return what a YAML file holds: mappings by text, lists, texts, numbers, truth values, None.
 
@@ -204,6 +266,61 @@ def parse_json(text: str, place: str) -> Any:
         raise ValueError(f"{place} is no valid JSON: nested too deeply") from None
     except ValueError as error:
         raise ValueError(f"{place} is no valid JSON: {shortened(error)}") from error
+
+
+def read_table(path: str | Path) -> Table:
+    """Return a table of cells that commas divide (RFC 4180), below a line of the columns' names.
+
+    Spaces around a cell are no part of it, and empty lines no rows.
+
+    Raises:
+        FileNotFoundError: no such file.
+        OSError: it cannot be opened.
+        ValueError: it is no text, too large, has a name twice, or a row has not one cell for each
+            name; the message says the line.
+    """
+    reader = csv.reader(io.StringIO(_text_of(Path(path), LARGEST_TABLE_BYTES)), strict=True)
+    rows: list[tuple[str, ...]] = []
+    lines: list[int] = []
+    try:
+        for cells in reader:
+            row = tuple(cell.strip() for cell in cells)
+            if not any(row):
+                continue
+            _check_row(row, rows[0] if rows else (), f"{path}, line {reader.line_num}")
+            rows.append(row)
+            lines.append(reader.line_num)
+    except csv.Error as error:
+        raise ValueError(f"{path}, line {reader.line_num}: no valid CSV: {error}") from error
+    return Table(str(path), rows[0] if rows else (), tuple(rows[1:]), tuple(lines[1:]))
+
+
+def _check_row(row: tuple[str, ...], columns: tuple[str, ...], place: str) -> None:
+    """Refuse a row that has not one cell for each column, or names that are not told apart."""
+    if not columns:
+        for divider, name in ((";", "semicolons"), ("\t", "tabs")):
+            if any(divider in cell for cell in row):
+                raise ValueError(
+                    f"{place}: {name} divide the names, expected commas, and decimal points in the "
+                    "numbers; export the table again so"
+                )
+        for column, cell in enumerate(row):
+            if cell in row[:column]:
+                raise ValueError(
+                    f"{place}, column {column + 1}: the name {value_text(cell)} is there twice; "
+                    "give each column its own"
+                )
+    elif len(row) != len(columns):
+        column = min(len(row), len(columns))
+        reason = (
+            f"{value_text(row[column])} has no name above it"
+            if column < len(row)
+            else f"there is no cell under {columns[column]}"
+        )
+        raise ValueError(
+            f"{place}, column {column + 1}: {reason}; the line has {len(row)} cells, expected "
+            f"{len(columns)} as there are names. Commas divide cells: numbers need decimal points"
+        )
 
 
 def read_arrays(path: str | Path, forms: Mapping[str, ArrayForm] | None = None) -> Arrays:

@@ -5,10 +5,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
+import logging
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -18,6 +21,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from dotsim_ros.documents import value_text
+from dotsim_ros.printable import did_you_mean
+
+_log = logging.getLogger(__name__)
 
 # colcon build --symlink-install imports a link to the package, without params beside it.
 PACKAGE_ROOT = Path(str(files("dotsim_ros"))).resolve()
@@ -121,6 +129,34 @@ def parameter_path(relative: str) -> Path:
     raise FileNotFoundError(f"no parameter file {relative!r}; searched {searched}")
 
 
+def shipped_names(folder: str) -> list[str]:
+    """Return the names of what lies in a folder below `params/`: its YAML files and folders."""
+    there = parameter_path(folder).iterdir()
+    return sorted(path.stem for path in there if path.is_dir() or path.suffix == ".yaml")
+
+
+def shipped_path(folder: str, name: str, kind: str, otherwise: str) -> Path:
+    """Return the path of what a user has named in a folder below `params/`.
+
+    Args:
+        folder: such as "sensors".
+        name: of a YAML file there, without its suffix, or of a folder.
+        kind: what it is, for the message.
+        otherwise: what could be given in place of a name, for the message.
+
+    Raises:
+        FileNotFoundError: there is none; the message lists those that there are.
+    """
+    names = shipped_names(folder)
+    if name in names:
+        path = parameter_path(folder) / name
+        return path if path.is_dir() else path.with_name(f"{name}.yaml")
+    raise FileNotFoundError(
+        f"no {kind} is named {value_text(name)}{did_you_mean(name, names)}, expected one of "
+        f"{', '.join(names)}, or {otherwise}"
+    )
+
+
 def write_text(path: Path, text: str) -> None:
     """Write a text file, whole or not at all."""
     with whole_file(path) as part:
@@ -133,16 +169,74 @@ def write_json(path: Path, figures: Mapping[str, Any]) -> None:
 
 
 def cache_directory() -> Path:
-    """Return the folder of computed tables: `$DOTSIM_ROS_CACHE`, else below the user's cache."""
-    chosen = os.environ.get("DOTSIM_ROS_CACHE")
-    if chosen:
-        return Path(chosen)
-    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "dotsim_ros"
+    """Return the folder of computed tables and compiled kernels: `$DOTSIM_ROS_CACHE`, else below
+    the user's cache, else as `usable_folder`."""
+    below = os.environ.get("XDG_CACHE_HOME")
+    try:
+        default = Path(below) if below else Path.home() / ".cache"
+    except RuntimeError:  # a user without a home
+        default = None
+    return usable_folder("DOTSIM_ROS_CACHE", default and default / "dotsim_ros")
+
+
+def usable_folder(variable: str, default: Path | None) -> Path:
+    """Return a folder to keep files in, which is made: the one that an environment variable names,
+    else the default, else one for temporary files.
+
+    The last is logged, and kept in the variable for this process and those that it starts.
+
+    Raises:
+        OSError: nothing can be written to the folder for temporary files either.
+    """
+    named = os.environ.get(variable)
+    folder = expanded(named) if named else default
+    reason = "this user has no home" if folder is None else _why_not_writable(folder)
+    if folder is not None and reason is None:
+        return folder
+    temporary = _own_temporary_folder()
+    _log.warning(
+        "nothing can be kept in %s (%s), so that %s serves; set %s to a folder that can be written",
+        folder or "~",
+        reason,
+        temporary,
+        variable,
+    )
+    os.environ[variable] = str(temporary)
+    return temporary
+
+
+def _why_not_writable(folder: Path) -> str | None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            return None
+    except OSError as error:
+        return error.strerror or str(error)
+
+
+def _own_temporary_folder() -> Path:
+    folder = Path(tempfile.gettempdir()) / f"dotsim_ros-{os.getuid()}"
+    with contextlib.suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        state = folder.lstat()
+        # Compiled code is loaded from there: nobody else may have made it or may write to it.
+        is_own = stat.S_ISDIR(state.st_mode) and state.st_uid == os.getuid()
+        if is_own and not state.st_mode & 0o022 and _why_not_writable(folder) is None:
+            return folder
+    return Path(tempfile.mkdtemp(prefix="dotsim_ros-"))
+
+
+def expanded(path: str | Path) -> Path:
+    """Return a path in which a leading `~` stands for a user's home, if there is that user."""
+    try:
+        return Path(path).expanduser()
+    except (RuntimeError, ValueError):
+        return Path(path)
 
 
 def given_path(name: str) -> Path:
     """Return the path of a file or folder that a sensor names, absolute or below `params/`."""
-    path = Path(name)
+    path = expanded(name)
     return path if path.is_absolute() else parameter_path(name)
 
 

@@ -9,12 +9,17 @@ over a page, or be read as markup.
 
 from __future__ import annotations
 
+import difflib
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 
 MOST_OF_A_LABEL = 28
 """Characters of a label in a figure: more would leave the figure no room."""
+
+
+LONGEST_COMPARED = 100
+"""Characters of a name that is compared with others."""
 
 
 def printable(text: str) -> str:
@@ -27,6 +32,13 @@ def printable(text: str) -> str:
         c if c.isprintable() or c in "\n\t\u00a0" else c.encode("unicode_escape").decode()
         for c in text
     )
+
+
+def did_you_mean(name: str, names: Iterable[str]) -> str:
+    """Return a question that names the nearest of some names, with a space before it; "" where
+    none is near."""
+    near = difflib.get_close_matches(name[:LONGEST_COMPARED].lower(), list(names), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
 
 
 def one_line(text: object) -> str:

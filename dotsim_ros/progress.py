@@ -38,6 +38,46 @@ class PrintedProgress:
         print(f"{step}: {done}/{total}{left}", file=sys.stderr, flush=True)
 
 
+NOTICED_FROM_S = 2.0
+"""Who waits for less needs no explanation."""
+
+
+def say_first_time(what: str, seconds: float) -> None:
+    """Print on stderr what is computed for the first time, and how long it takes."""
+    print(
+        f"dotsim_ros: {what} for the first time, about {seconds:.0f} s; the result is kept",
+        file=sys.stderr,
+        flush=True,
+    )
+
+
+class FirstTimeNotice:
+    """Says once that something is computed, if by the rate of its parts that takes a while.
+
+    Args:
+        what: is done, such as "computing tables".
+    """
+
+    def __init__(self, what: str) -> None:
+        self._what = what
+        self._first: tuple[float, float] | None = None
+        self._is_said = False
+
+    def __call__(self, share: float) -> None:
+        now_s = time.monotonic()
+        if self._first is None:
+            # What came before the first part is not part of the rate.
+            self._first = share, now_s
+            return
+        if self._is_said:
+            return
+        self._is_said = True
+        first_share, first_s = self._first
+        left_s = (now_s - first_s) / max(share - first_share, 1e-9) * (1.0 - share)
+        if left_s > NOTICED_FROM_S:
+            say_first_time(self._what, left_s)
+
+
 def bar(share: float, note: str, *, width: int = 30) -> str:
     """Return a bar that shows how much is done, and what else is to be said."""
     done = round(width * min(1.0, max(0.0, share)))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import threading
 import time
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,8 @@ from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
-from dotsim_ros.gel.make import GelFrame, make_gel, skin_of
+from dotsim_ros.gel.make import GelFrame, body_of, make_gel, skin_of
+from dotsim_ros.gel.rest_depth import RestDepth
 from dotsim_ros.gel.solver_changes import SolverChanges
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
@@ -30,9 +32,12 @@ from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.loading import completion_network
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
+from dotsim_ros.optics.picture import frame_picture
 from dotsim_ros.optics.renderer import SkinRenderer
+from dotsim_ros.progress import FirstTimeNotice
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 from dotsim_ros.twin.force_control import pose_at_force
+from dotsim_ros.warp_runtime import say_if_kernels_compile
 
 FRAME_S = 0.04
 """Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""
@@ -56,7 +61,7 @@ class Frame:
         time_s: simulated time since the last reset.
         indenter_pose: in the base frame; None where no indenter is near.
         image: (H, W, 3) uint8, red, green, blue.
-        depth_m: (H, W) distance along the ray, NaN where no skin is seen.
+        depth_m: (H, W) range, the distance along the ray; NaN where no skin is seen.
         normal: (H, W, 3) unit normal in the optical frame, towards the camera.
         material_point_m: (H, W, 3) rest position, base frame, of the skin point that is seen.
         skin_position_m: (V, 3) skin markers, base frame.
@@ -65,6 +70,9 @@ class Frame:
         max_penetration_m: largest penetration of a marker into the indenter.
         timings_s: seconds spent on contact, solve, depth, image.
         converged: whether the gel's solver met its tolerance.
+        idle_image: (H, W, 3) uint8, the image without contact; shared by all frames, not to be
+            written to.
+        max_skin_motion_m: largest distance of a skin marker from its position at rest.
     """
 
     time_s: float
@@ -79,13 +87,26 @@ class Frame:
     max_penetration_m: float
     timings_s: dict[str, float]
     converged: bool
+    idle_image: ImageArray
+    max_skin_motion_m: float
+
+    def __repr__(self) -> str:
+        height, width = self.image.shape[:2]
+        force = ", ".join(f"{newton:.3f}" for newton in self.wrench.force_n)
+        return (
+            f"Frame at {self.time_s:.2f} s: force [{force}] N, skin moved by up to "
+            f"{1e3 * self.max_skin_motion_m:.2f} mm, "
+            f"{'converged' if self.converged else 'not converged'}, image {width} x {height} px"
+        )
 
     def save(self, path: str | Path) -> None:
-        """Write the image (.png, .jpg, .jpeg) or all arrays (.npz), whole or not at all.
+        """Write a picture (.png, .jpg, .jpeg) or all arrays (.npz), whole or not at all.
 
-        The arrays have the names of the attributes; the wrench is `force_n` and `torque_nm`, the
-        indenter's pose `indenter_position_m` and `indenter_quaternion_xyzw`, NaN where there is
-        none. `timings_s` is left out.
+        The picture shows the image, its difference to the idle image and the range (the distance
+        along the ray), as `frame_picture` draws them. The arrays have the names of the attributes;
+        the wrench is `force_n` and `torque_nm`, the indenter's pose `indenter_position_m` and
+        `indenter_quaternion_xyzw`, NaN where there is none. `timings_s`, `idle_image` and
+        `max_skin_motion_m` are left out.
 
         Args:
             path: of the file, by whose suffix the format is chosen.
@@ -96,12 +117,12 @@ class Frame:
         """
         suffix = Path(path).suffix.lower()
         if suffix in IMAGE_SUFFIXES:
-            write_image(path, self.image)
+            write_image(path, frame_picture(self.image, self.idle_image, self.depth_m))
             return
         if suffix != ".npz":
             raise ValueError(
                 f"{path} ends in {suffix or 'no suffix'}, expected {', '.join(IMAGE_SUFFIXES)} for "
-                "the frame's image or .npz for all of its arrays"
+                "the frame's picture or .npz for all of its arrays"
             )
         pose = self.indenter_pose
         with whole_file(path) as part, part.open("wb") as file:
@@ -148,7 +169,8 @@ class TactileSensor:
         specification: what the sensor is.
         indenter: what presses it.
         device: Warp's name of the device, "cpu" or "cuda:0".
-        progress: told the finished share of tables that are computed once and cached.
+        progress: called with the finished share of tables that are computed once and cached; None
+            for one line on stderr where that, or the compilation of kernels, takes seconds.
 
     Raises:
         ValueError: the specification contradicts itself; the message says where.
@@ -172,11 +194,16 @@ class TactileSensor:
         self._view = self._whole_view = _whole_view(self.camera)
         # Before the gel, whose tables take longer: a network of another sensor is refused at once.
         self._network = completion_network(specification, self.camera)
+        if progress is None:
+            say_if_kernels_compile()
+            progress = FirstTimeNotice("computing the tables of this gel")
         self._progress = progress
         self._gel = make_gel(specification, self.skin, indenter, device=device, progress=progress)
         self._solvers = SolverChanges(self._gel, specification.solver)
+        self._rest_depth = RestDepth(body_of(specification.gel), indenter)
         self._own_idle = idle_frame_of(specification, self.camera)
         self._make_images()
+        self._warn_of_misfit()
         self.markers: PrintedMarkers | None = None
         if specification.markers.columns:
             self.markers = PrintedMarkers(specification.markers, self.skin)
@@ -324,12 +351,28 @@ class TactileSensor:
             if self.specification.camera.colour == "grey":
                 self._own_idle = self._own_idle.as_grey()
             self._make_images()
+            self._warn_of_misfit()
+
+    def _warn_of_misfit(self) -> None:
+        """Warn where the idle image was not taken through this sensor's camera."""
+        sees_gel = self._renderer.render(self.skin.rest_position_m).mask
+        camera = self.specification.camera
+        reason = self._idle.misfit(sees_gel, camera.half_height_angle_deg)
+        if reason:
+            warnings.warn(
+                f"the idle image of sensor {self.specification.name!r} does not fit its camera: "
+                f"{reason}. Frames show that image where nothing moves: correct the section "
+                "camera, or name in camera.idle_image one that was taken through this camera; "
+                'with "" one is drawn',
+                stacklevel=3,
+            )
 
     @exclusive(begins=True)
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""
         self._solvers.set_indenter(indenter)
         self.indenter = indenter
+        self._rest_depth = RestDepth(body_of(self.specification.gel), indenter)
         # The explicit gel only takes its next pose for the first: it would stay pressed.
         self.reset()
 
@@ -398,6 +441,27 @@ class TactileSensor:
         placed = self._placed(pose)
         assert placed is not None
         self._gel.check_depth(placed)
+
+    def rest_depth_m(self, pose: Pose | ApexPose) -> float:
+        """Return how deep the indenter's deepest point at a pose lies in the gel at rest, in
+        metres; negative outside, where it is at least so far from the gel."""
+        placed = self._placed(pose)
+        assert placed is not None
+        return self._rest_depth(placed)
+
+    @exclusive()
+    def place(self, pose: Pose | ApexPose) -> None:
+        """Put the indenter to a pose at which it does not touch the gel, without a way there.
+
+        The gel lets go of what pressed it: one that remembers goes on from where it is, any other
+        is at rest. The next `press` leads on from this pose, and no time passes.
+
+        Args:
+            pose: of the indenter's frame, as for `press`.
+        """
+        placed = self._placed(pose)
+        assert placed is not None
+        self._gel.place(placed)
 
     @exclusive()
     def wrench_stiffness(self) -> FloatArray:
@@ -512,6 +576,10 @@ class TactileSensor:
             max_penetration_m=gel.max_penetration_m,
             timings_s=timings,
             converged=gel.converged,
+            idle_image=self.idle_image,
+            max_skin_motion_m=float(
+                np.linalg.norm(gel.skin_position_m - self.skin.rest_position_m, axis=1).max()
+            ),
         )
 
     def image_motion_px(self, before_m: FloatArray, after_m: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ from numpy.typing import ArrayLike
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import read_yaml, value_text
-from dotsim_ros.files import parameter_path, whole_file, write_text
+from dotsim_ros.files import expanded, shipped_path, whole_file, write_text
 from dotsim_ros.printable import printable
 from dotsim_ros.quantity import (
     check_fields,
@@ -418,6 +418,13 @@ class CameraSpecification:
         high=180.0,
         help="Angle from the axis that is seen at half the image's height, without distortion; at "
         f"most {WIDEST_PINHOLE_DEG:g} for a pinhole.",
+    )
+    pixel_aspect: float = quantity(
+        1.0,
+        low=0.5,
+        high=2.0,
+        help="Focal length along x over that along y, fx / fy of a calibrated camera; "
+        "half_height_angle_deg sets that along y.",
     )
     principal_point_px: tuple[float, float] = quantity(
         (319.5, 239.5),
@@ -872,14 +879,15 @@ def check_drawable(gel: GelSpecification, pattern: PatternSpecification) -> None
 
 
 def sensor_path(source: str | Path) -> Path:
-    """Return the file of a sensor, given itself or by the sensor's name."""
-    path = Path(source)
-    return path if path.suffix in (".yaml", ".yml") else parameter_path(f"sensors/{source}.yaml")
+    """Return the file of a sensor, given itself or by the sensor's name.
 
-
-def shipped_sensors() -> list[str]:
-    """Return the names of the sensors that come with the package."""
-    return sorted(path.stem for path in parameter_path("sensors").glob("*.yaml"))
+    Raises:
+        FileNotFoundError: no sensor of this name comes with the package.
+    """
+    path = expanded(source)
+    if path.suffix in (".yaml", ".yml"):
+        return path
+    return shipped_path("sensors", str(source), "sensor", "the path of a YAML file")
 
 
 def load_sensor(source: str | Path) -> SensorSpecification:
@@ -1046,6 +1054,11 @@ image. Such a file comes before the sensor's own sections `lighting` and `vignet
 up at the inner side of the upper face, the only one that is seen. `params/sensors/flat_pad.yaml` is
 one, made with the command above. A `curved_pad` differs by its upper face, which is highest in the
 middle and a part of a ball or a cylinder.
+
+**Camera.** Of a calibrated camera's CameraInfo, with K = [fx 0 cx; 0 fy cy; 0 0 1],
+`half_height_angle_deg` is `degrees(atan(height / (2 fy)))` for `plumb_bob` (projection `pinhole`)
+and `degrees(height / (2 fy))` for `equidistant`, `pixel_aspect` is fx / fy, `principal_point_px` is
+[cx, cy], and `distortion` the first four of D; a k3 of `plumb_bob` must be 0.
 
 **Noise.** `noise` adds normal noise to every image of `TactileSensor`. It is drawn by `noise.seed`
 and the frame's time since the last `reset`: the same motion after a reset gives the same images to

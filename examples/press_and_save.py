@@ -3,7 +3,8 @@
 
 """Press the sensor with a ball, print what it feels, and save what its camera sees.
 
-Writes press.png, the image, and press.npz, all arrays of the frame.
+Writes press.png, the image, its change and the distance to the skin, and press.npz, all arrays of
+the frame.
 
 python examples/press_and_save.py [FOLDER]
 """
@@ -19,7 +20,7 @@ from dotsim_ros import Pose, TactileSensor
 def main(folder: Path) -> None:
     sensor = TactileSensor.load("densetact2", indenter="sphere_4mm")
     frame = sensor.step(Pose.above_apex(depth_m=0.002))
-    print(f"force on the ball: {frame.wrench.force_n.round(3).tolist()} N")
+    print(frame)
     print(f"nearest skin that the camera sees: {1e3 * np.nanmin(frame.depth_m):.2f} mm away")
     frame.save(folder / "press.png")
     frame.save(folder / "press.npz")

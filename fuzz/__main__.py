@@ -12,6 +12,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from dotsim_ros.files import cache_directory
 from fuzz.run import TargetSummary, attempt, limit_growth, prepare_in, run_target
 from fuzz.targets import TARGETS
 
@@ -29,6 +30,7 @@ def main() -> int:
     parser.add_argument("--case", type=int, help="run one case of one target, and show its error")
     arguments = parser.parse_args()
     # Answers are words for people; a cache of the user's own is no place for them.
+    os.environ.setdefault("WARP_CACHE_PATH", str(cache_directory() / "warp"))
     with tempfile.TemporaryDirectory(prefix="fuzz_cache_") as cache:
         os.environ["DOTSIM_ROS_CACHE"] = cache
         targets = [TARGETS[name] for name in arguments.target or TARGETS]

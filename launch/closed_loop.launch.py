@@ -24,140 +24,146 @@ from launch.substitutions import (
     NotSubstitution,
 )
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from dotsim_ros.nodes.common.parameter_file import check_params_file
+from dotsim_ros.nodes.common.launch_arguments import (
+    SENSOR,
+    TIME,
+    check_arguments,
+    given,
+    given_file,
+    sensor_arguments,
+    text_of,
+)
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
-    namespace = LaunchConfiguration("namespace")
-    params_file = LaunchConfiguration("params_file")
-    one_process = LaunchConfiguration("one_process")
-    is_apart = NotSubstitution(one_process)
-    simulate_sensor = AndSubstitution(LaunchConfiguration("simulate_sensor"), is_apart)
-    simulate_arm = AndSubstitution(LaunchConfiguration("simulate_arm"), is_apart)
-    is_simulated = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
-    time = {"use_sim_time": is_simulated, "stepped": is_simulated}
+    arguments = [
+        DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=str(params / "closed_loop.yaml"),
+            description="parameters of all nodes, the policy among them; what is given by the "
+            "arguments below goes before it",
+        ),
+        DeclareLaunchArgument(
+            "policy",
+            default_value="",
+            description="the policy: a folder, or a name below params/policies; empty: as the "
+            "parameters say",
+        ),
+        DeclareLaunchArgument(
+            "path",
+            default_value="",
+            description="which of the policy's paths to follow; empty: as the parameters "
+            "say, else the first",
+        ),
+        DeclareLaunchArgument(
+            "simulate_sensor",
+            default_value="true",
+            choices=["true", "false"],
+            description="false: the real sensor's driver publishes the images",
+        ),
+        DeclareLaunchArgument(
+            "simulate_arm",
+            default_value="true",
+            choices=["true", "false"],
+            description="false: the real arm's adapter is started on its own",
+        ),
+        DeclareLaunchArgument(
+            "record",
+            default_value="false",
+            choices=["true", "false"],
+            description="record a bag in the working directory",
+        ),
+        DeclareLaunchArgument(
+            "clock",
+            default_value="realtime",
+            choices=["realtime", "simulated"],
+            description="simulated: in steps that all nodes take together, by time_stepper",
+        ),
+        DeclareLaunchArgument(
+            "participants",
+            default_value="",
+            description="file of those whom simulated time waits for, of these nodes and of "
+            "yours; empty: as the parameters say, else the shipped one",
+        ),
+        DeclareLaunchArgument(
+            "speed",
+            default_value="",
+            description="simulated seconds for each real one, 0 for as many as the machine "
+            "gives; empty: as the parameters say, else 0",
+        ),
+        DeclareLaunchArgument(
+            "one_process",
+            default_value="false",
+            choices=["true", "false"],
+            description="sensor, arm and policy in one process; both are simulated then",
+        ),
+        *sensor_arguments(),
+    ]
     return LaunchDescription(
         [
-            DeclareLaunchArgument("namespace", default_value="", description="of all topics"),
-            DeclareLaunchArgument(
-                "params_file",
-                default_value=str(params / "closed_loop.yaml"),
-                description="parameters of all nodes, the policy among them; what is given by the "
-                "arguments below goes before it",
-            ),
-            DeclareLaunchArgument(
-                "policy",
-                default_value="",
-                description="the policy: a folder, or a name below params/policies; empty: as the "
-                "parameters say",
-            ),
-            DeclareLaunchArgument(
-                "path",
-                default_value="",
-                description="which of the policy's paths to follow; empty: as the parameters "
-                "say, else the first",
-            ),
-            DeclareLaunchArgument(
-                "simulate_sensor",
-                default_value="true",
-                choices=["true", "false"],
-                description="false: the real sensor's driver publishes the images",
-            ),
-            DeclareLaunchArgument(
-                "simulate_arm",
-                default_value="true",
-                choices=["true", "false"],
-                description="false: the real arm's adapter is started on its own",
-            ),
-            DeclareLaunchArgument(
-                "record",
-                default_value="false",
-                choices=["true", "false"],
-                description="record a bag in the working directory",
-            ),
-            DeclareLaunchArgument(
-                "clock",
-                default_value="realtime",
-                choices=["realtime", "simulated"],
-                description="simulated: in steps that all nodes take together, by time_stepper",
-            ),
-            DeclareLaunchArgument(
-                "participants",
-                default_value="",
-                description="file of those whom simulated time waits for, of these nodes and of "
-                "yours; empty: as the parameters say, else the shipped one",
-            ),
-            DeclareLaunchArgument(
-                "speed",
-                default_value="",
-                description="simulated seconds for each real one, 0 for as many as the machine "
-                "gives; empty: as the parameters say, else 0",
-            ),
-            DeclareLaunchArgument(
-                "one_process",
-                default_value="false",
-                choices=["true", "false"],
-                description="sensor, arm and policy in one process; both are simulated then",
-            ),
-            OpaqueFunction(function=find_file),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_sim",
-                namespace=namespace,
-                parameters=[params_file, time],
-                condition=IfCondition(simulate_sensor),
-                output="screen",
-            ),
-            Node(
-                package="dotsim_ros",
-                executable="xarm_sim",
-                namespace=namespace,
-                parameters=[params_file, time],
-                condition=IfCondition(simulate_arm),
-                output="screen",
-            ),
-            OpaqueFunction(function=nodes_with_arguments),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_record",
-                namespace=namespace,
-                parameters=[params_file, time],
-                condition=IfCondition(LaunchConfiguration("record")),
-                # The bag appears once all that waits is written: the usual 5 s could lose it.
-                sigterm_timeout="60",
-                output="screen",
-            ),
+            *arguments,
+            OpaqueFunction(function=check_arguments, args=[arguments]),
+            OpaqueFunction(function=nodes),
         ]
     )
 
 
-def nodes_with_arguments(context: LaunchContext) -> list[Node]:
-    """Return the nodes that take arguments of the launch file as parameters, which a user may give
-    by the file as well: an argument that is not given leaves the file alone."""
-    namespace = LaunchConfiguration("namespace")
-    params_file = LaunchConfiguration("params_file")
-    one_process = LaunchConfiguration("one_process")
-    is_simulated = EqualsSubstitution(LaunchConfiguration("clock"), "simulated")
-    time = {"use_sim_time": is_simulated, "stepped": is_simulated}
-    policy = given(
-        context, str, policy=LaunchConfiguration("policy"), path=LaunchConfiguration("path")
+def nodes(context: LaunchContext) -> list[Node]:
+    """Return the nodes, with what is given here."""
+    namespace, is_simulated = (
+        text_of(context, "namespace"),
+        text_of(context, "clock") == "simulated",
     )
-    stepper = {
-        # It makes the time that the others go by, for whom a file may set this.
-        "use_sim_time": False,
-        **given(context, str, participants=LaunchConfiguration("participants")),
-        **given(context, float, speed=LaunchConfiguration("speed")),
-    }
+    time = {"use_sim_time": is_simulated, "stepped": is_simulated, **given(context, TIME)}
+    if is_simulated and not time["use_sim_time"]:
+        raise ValueError(
+            "clock is simulated and use_sim_time is false: give one of the two, or both alike"
+        )
+    given_here = given_file(
+        namespace,
+        {
+            "tactile_sim": {**time, **given(context, SENSOR)},
+            "xarm_sim": time,
+            "tactile_policy": {**time, **given(context, {"policy": str, "path": str})},
+            "tactile_record": time,
+            # It makes the time that the others go by, for whom a file may set this.
+            "time_stepper": {
+                "use_sim_time": False,
+                **given(context, {"participants": str, "speed": float}),
+            },
+        },
+    )
+    parameters = [text_of(context, "params_file"), given_here]
+    one_process = LaunchConfiguration("one_process")
+    is_apart = NotSubstitution(one_process)
     return [
         Node(
             package="dotsim_ros",
-            executable="closed_loop",
+            executable="tactile_sim",
             namespace=namespace,
-            parameters=[params_file, time, policy],
+            parameters=parameters,
+            condition=IfCondition(
+                AndSubstitution(LaunchConfiguration("simulate_sensor"), is_apart)
+            ),
+            output="screen",
+        ),
+        Node(
+            package="dotsim_ros",
+            executable="xarm_sim",
+            namespace=namespace,
+            parameters=parameters,
+            condition=IfCondition(AndSubstitution(LaunchConfiguration("simulate_arm"), is_apart)),
+            output="screen",
+        ),
+        Node(
+            package="dotsim_ros",
+            executable="dotsim_closed_loop",
+            namespace=namespace,
+            parameters=parameters,
             remappings=[("tactile_policy:~/cmd_vel", "cmd_vel")],
             condition=IfCondition(one_process),
             output="screen",
@@ -165,38 +171,28 @@ def nodes_with_arguments(context: LaunchContext) -> list[Node]:
         Node(
             package="dotsim_ros",
             executable="tactile_policy",
-            # Named, what is given is this node's and wins over what a file says of it.
-            name="tactile_policy",
             namespace=namespace,
-            parameters=[params_file, time, policy],
+            parameters=parameters,
             remappings=[("~/cmd_vel", "cmd_vel")],
             condition=UnlessCondition(one_process),
             output="screen",
         ),
         Node(
             package="dotsim_ros",
-            executable="time_stepper",
-            name="time_stepper",
+            executable="tactile_record",
             namespace=namespace,
-            parameters=[params_file, stepper],
-            condition=IfCondition(is_simulated),
+            parameters=parameters,
+            condition=IfCondition(LaunchConfiguration("record")),
+            # The bag appears once all that waits is written: the usual 5 s could lose it.
+            sigterm_timeout="60",
+            output="screen",
+        ),
+        Node(
+            package="dotsim_ros",
+            executable="time_stepper",
+            namespace=namespace,
+            parameters=parameters,
+            condition=IfCondition(EqualsSubstitution(LaunchConfiguration("clock"), "simulated")),
             output="screen",
         ),
     ]
-
-
-def given(
-    context: LaunchContext, kind: type, **arguments: LaunchConfiguration
-) -> dict[str, ParameterValue]:
-    """Return the arguments that are not empty as parameters of a type."""
-    texts = {name: argument.perform(context) for name, argument in arguments.items()}
-    return {name: ParameterValue(text, value_type=kind) for name, text in texts.items() if text}
-
-
-def find_file(context: LaunchContext) -> None:
-    """Make params_file a path, that of a shipped file where it names one.
-
-    A wrong one raises a ValueError, which ends the launch before a node starts.
-    """
-    given = LaunchConfiguration("params_file").perform(context)
-    context.launch_configurations["params_file"] = check_params_file(given)

@@ -18,9 +18,16 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from dotsim_ros.nodes.common.parameter_file import check_params_file
+from dotsim_ros.nodes.common.launch_arguments import (
+    SENSOR,
+    TIME,
+    check_arguments,
+    given,
+    given_file,
+    sensor_arguments,
+    text_of,
+)
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -32,45 +39,50 @@ def generate_launch_description() -> LaunchDescription:
     sensor_poses = ["/model/", LaunchConfiguration("sensor_model"), "/pose"]
     indenter_poses = ["/model/", LaunchConfiguration("indenter_model"), "/pose"]
     wrenches = ["/world/", world, "/wrench"]
+    arguments = [
+        DeclareLaunchArgument("world", default_value="default", description="Gazebo's world"),
+        DeclareLaunchArgument(
+            "sensor_model", default_value="arm", description="model that carries the sensor"
+        ),
+        DeclareLaunchArgument(
+            "sensor_link", default_value="arm::tool", description="link that carries it"
+        ),
+        DeclareLaunchArgument(
+            "base_z", default_value="0.05", description="of the sensor's base on that link (m)"
+        ),
+        DeclareLaunchArgument(
+            "sensor_centre_m",
+            default_value="[0.0, 0.0, -0.05]",
+            description="centre of mass of that link, in the frame of the sensor's base",
+        ),
+        DeclareLaunchArgument(
+            "indenter_model", default_value="peg", description="model that presses"
+        ),
+        DeclareLaunchArgument(
+            "indenter_link", default_value="peg::link", description="link that presses"
+        ),
+        DeclareLaunchArgument(
+            "tip_z",
+            default_value="0.02",
+            description="of the tip on that link (m); the link's +z is towards the gel",
+        ),
+        DeclareLaunchArgument(
+            "indenter_centre_m",
+            default_value="[0.0, 0.0, 0.02]",
+            description="centre of mass of that link, in the frame of the tip",
+        ),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=str(params / "simulators/gazebo.yaml"),
+            description="parameters of tactile_sim; what is given by the other arguments goes "
+            "before it",
+        ),
+        *sensor_arguments(),
+    ]
     return LaunchDescription(
         [
-            DeclareLaunchArgument("world", default_value="default", description="Gazebo's world"),
-            DeclareLaunchArgument(
-                "sensor_model", default_value="arm", description="model that carries the sensor"
-            ),
-            DeclareLaunchArgument(
-                "sensor_link", default_value="arm::tool", description="link that carries it"
-            ),
-            DeclareLaunchArgument(
-                "base_z", default_value="0.05", description="of the sensor's base on that link (m)"
-            ),
-            DeclareLaunchArgument(
-                "sensor_centre_m",
-                default_value="[0.0, 0.0, -0.05]",
-                description="centre of mass of that link, in the frame of the sensor's base",
-            ),
-            DeclareLaunchArgument(
-                "indenter_model", default_value="peg", description="model that presses"
-            ),
-            DeclareLaunchArgument(
-                "indenter_link", default_value="peg::link", description="link that presses"
-            ),
-            DeclareLaunchArgument(
-                "tip_z",
-                default_value="0.02",
-                description="of the tip on that link (m); the link's +z is towards the gel",
-            ),
-            DeclareLaunchArgument(
-                "indenter_centre_m",
-                default_value="[0.0, 0.0, 0.02]",
-                description="centre of mass of that link, in the frame of the tip",
-            ),
-            DeclareLaunchArgument(
-                "params_file",
-                default_value=str(params / "simulators/gazebo.yaml"),
-                description="parameters of tactile_sim, beside those given here",
-            ),
-            OpaqueFunction(function=find_file),
+            *arguments,
+            OpaqueFunction(function=check_arguments, args=[arguments]),
             Node(
                 package="ros_gz_bridge",
                 executable="parameter_bridge",
@@ -111,30 +123,43 @@ def generate_launch_description() -> LaunchDescription:
                     "indenter",
                 ],
             ),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_sim",
-                parameters=[
-                    LaunchConfiguration("params_file"),
-                    {
-                        "world_frame": ParameterValue(world, value_type=str),
-                        "entity_sensor": ParameterValue(sensor_link, value_type=str),
-                        "entity_sensor_centre_m": LaunchConfiguration("sensor_centre_m"),
-                        "entity_indenter": ParameterValue(indenter_link, value_type=str),
-                        "entity_indenter_centre_m": LaunchConfiguration("indenter_centre_m"),
-                    },
-                ],
-                remappings=[("entity_wrench", wrenches)],
-                output="screen",
-            ),
+            OpaqueFunction(function=sensor),
         ]
     )
 
 
-def find_file(context: LaunchContext) -> None:
-    """Make params_file a path, that of a shipped file where it names one.
-
-    A wrong one raises a ValueError, which ends the launch before a node starts.
-    """
-    given = LaunchConfiguration("params_file").perform(context)
-    context.launch_configurations["params_file"] = check_params_file(given)
+def sensor(context: LaunchContext) -> list[Node]:
+    """Return the sensor, with what is given here."""
+    links = given(
+        context,
+        {
+            "world": str,
+            "sensor_link": str,
+            "sensor_centre_m": list,
+            "indenter_link": str,
+            "indenter_centre_m": list,
+        },
+    )
+    names = {
+        "world": "world_frame",
+        "sensor_link": "entity_sensor",
+        "sensor_centre_m": "entity_sensor_centre_m",
+        "indenter_link": "entity_indenter",
+        "indenter_centre_m": "entity_indenter_centre_m",
+    }
+    given_here = {
+        **{names[name]: value for name, value in links.items()},
+        **given(context, {**SENSOR, **TIME}),
+    }
+    return [
+        Node(
+            package="dotsim_ros",
+            executable="tactile_sim",
+            parameters=[
+                text_of(context, "params_file"),
+                given_file("", {"tactile_sim": given_here}),
+            ],
+            remappings=[("entity_wrench", f"/world/{text_of(context, 'world')}/wrench")],
+            output="screen",
+        )
+    ]

@@ -3,7 +3,7 @@
 
 """Brings up two simulated sensors, the fingers of a gripper, in the namespaces left and right.
 
-ros2 launch dotsim_ros gripper.launch.py
+ros2 launch dotsim_ros gripper.launch.py sensor:=gelsight_mini
 ros2 launch dotsim_ros gripper.launch.py params_file:=drivers/dual_compressed.yaml
 
 Frames begin with left_ and right_, so that both sensors are in one tree.
@@ -14,51 +14,54 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from dotsim_ros.nodes.common.parameter_file import check_params_file
+from dotsim_ros.nodes.common.launch_arguments import (
+    SENSOR,
+    TIME,
+    check_arguments,
+    given,
+    given_file,
+    sensor_arguments,
+    text_of,
+)
+from dotsim_ros.nodes.common.parameter_file import named_parameters
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
-    params_file = LaunchConfiguration("params_file")
-    # Last, so that a file of the defaults does not undo it; and first, which gives what is said for
-    # any node its place before what the file says of one.
-    left = {"frame_prefix": "left_"}
-    right = {"frame_prefix": "right_"}
+    arguments = [
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=str(params / "tactile_sim.yaml"),
+            description="parameters of both; /left/tactile_sim and /right/tactile_sim in it "
+            "are those of one, and only there frame_prefix counts",
+        ),
+        *sensor_arguments(),
+    ]
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "params_file",
-                default_value=str(params / "tactile_sim.yaml"),
-                description="parameters of both; /left/tactile_sim and /right/tactile_sim in it "
-                "are those of one, and only there frame_prefix counts",
-            ),
-            OpaqueFunction(function=find_file),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_sim",
-                namespace="left",
-                parameters=[left, params_file, left],
-                output="screen",
-            ),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_sim",
-                namespace="right",
-                parameters=[right, params_file, right],
-                output="screen",
-            ),
+            *arguments,
+            OpaqueFunction(function=check_arguments, args=[arguments]),
+            OpaqueFunction(function=finger, args=["left"]),
+            OpaqueFunction(function=finger, args=["right"]),
         ]
     )
 
 
-def find_file(context: LaunchContext) -> None:
-    """Make params_file a path, that of a shipped file where it names one.
-
-    A wrong one raises a ValueError, which ends the launch before a node starts.
-    """
-    given = LaunchConfiguration("params_file").perform(context)
-    context.launch_configurations["params_file"] = check_params_file(given)
+def finger(context: LaunchContext, side: str) -> list[Node]:
+    """Return the sensor of one side."""
+    params_file = text_of(context, "params_file")
+    own = named_parameters(params_file, f"/{side}/tactile_sim")
+    prefix = {} if "frame_prefix" in own else {"frame_prefix": f"{side}_"}
+    given_here = {**prefix, **given(context, {**SENSOR, **TIME})}
+    return [
+        Node(
+            package="dotsim_ros",
+            executable="tactile_sim",
+            namespace=side,
+            parameters=[params_file, given_file(side, {"tactile_sim": given_here})],
+            output="screen",
+        )
+    ]

@@ -20,51 +20,60 @@ from pathlib import Path
 from ament_index_python.packages import get_package_share_directory
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
-from launch.conditions import IfCondition, UnlessCondition
+from launch.conditions import IfCondition
 from launch.substitutions import EqualsSubstitution, LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from dotsim_ros.nodes.common.parameter_file import check_params_file
+from dotsim_ros.nodes.common.launch_arguments import (
+    SENSOR,
+    TIME,
+    check_arguments,
+    given,
+    given_file,
+    sensor_arguments,
+    text_of,
+)
 
 
 def generate_launch_description() -> LaunchDescription:
     """Return the description that `ros2 launch` runs."""
     params = Path(get_package_share_directory("dotsim_ros")) / "params"
-    params_file = LaunchConfiguration("params_file")
     is_arm = EqualsSubstitution(LaunchConfiguration("source"), "arm")
-    indenter_frame = LaunchConfiguration("indenter_frame")
-    indenter = ParameterValue(indenter_frame, value_type=str)
+    arguments = [
+        DeclareLaunchArgument(
+            "source",
+            default_value="arm",
+            choices=["arm", "free_body"],
+            description="what moves: the arm with the sensor, or the body that presses",
+        ),
+        DeclareLaunchArgument(
+            "indenter_frame",
+            default_value="peg",
+            description="frame of the peg's tip, +z away from the gel; or name of the body",
+        ),
+        DeclareLaunchArgument("peg_x", default_value="0.0", description="of the tip (m)"),
+        DeclareLaunchArgument("peg_y", default_value="0.0", description="of the tip (m)"),
+        DeclareLaunchArgument("peg_z", default_value="0.0", description="of the tip (m)"),
+        DeclareLaunchArgument(
+            "peg_roll", default_value="3.14159265", description="of the tip (rad)"
+        ),
+        DeclareLaunchArgument(
+            "odom_topic",
+            default_value="/simulator/floating_base_state",
+            description="topic of the free body's odometry",
+        ),
+        DeclareLaunchArgument(
+            "params_file",
+            default_value=str(params / "simulators/mujoco_ros2_control.yaml"),
+            description="parameters of tactile_sim; what is given by the other arguments goes "
+            "before it",
+        ),
+        *sensor_arguments(),
+    ]
     return LaunchDescription(
         [
-            DeclareLaunchArgument(
-                "source",
-                default_value="arm",
-                choices=["arm", "free_body"],
-                description="what moves: the arm with the sensor, or the body that presses",
-            ),
-            DeclareLaunchArgument(
-                "indenter_frame",
-                default_value="peg",
-                description="frame of the peg's tip, +z away from the gel; or name of the body",
-            ),
-            DeclareLaunchArgument("peg_x", default_value="0.0", description="of the tip (m)"),
-            DeclareLaunchArgument("peg_y", default_value="0.0", description="of the tip (m)"),
-            DeclareLaunchArgument("peg_z", default_value="0.0", description="of the tip (m)"),
-            DeclareLaunchArgument(
-                "peg_roll", default_value="3.14159265", description="of the tip (rad)"
-            ),
-            DeclareLaunchArgument(
-                "odom_topic",
-                default_value="/simulator/floating_base_state",
-                description="topic of the free body's odometry",
-            ),
-            DeclareLaunchArgument(
-                "params_file",
-                default_value=str(params / "simulators/mujoco_ros2_control.yaml"),
-                description="parameters of tactile_sim, beside those given here",
-            ),
-            OpaqueFunction(function=find_file),
+            *arguments,
+            OpaqueFunction(function=check_arguments, args=[arguments]),
             Node(
                 package="tf2_ros",
                 executable="static_transform_publisher",
@@ -80,40 +89,31 @@ def generate_launch_description() -> LaunchDescription:
                     "--frame-id",
                     "world",
                     "--child-frame-id",
-                    indenter_frame,
+                    LaunchConfiguration("indenter_frame"),
                 ],
                 condition=IfCondition(is_arm),
             ),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_sim",
-                parameters=[params_file, {"pose_source": "tf", "indenter_frame": indenter}],
-                condition=IfCondition(is_arm),
-                output="screen",
-            ),
-            Node(
-                package="dotsim_ros",
-                executable="tactile_sim",
-                parameters=[
-                    params_file,
-                    {
-                        "pose_source": "odometry",
-                        "base_frame": "odom",
-                        "indenter_frame": indenter,
-                    },
-                ],
-                remappings=[("indenter/odometry", LaunchConfiguration("odom_topic"))],
-                condition=UnlessCondition(is_arm),
-                output="screen",
-            ),
+            OpaqueFunction(function=sensor),
         ]
     )
 
 
-def find_file(context: LaunchContext) -> None:
-    """Make params_file a path, that of a shipped file where it names one.
-
-    A wrong one raises a ValueError, which ends the launch before a node starts.
-    """
-    given = LaunchConfiguration("params_file").perform(context)
-    context.launch_configurations["params_file"] = check_params_file(given)
+def sensor(context: LaunchContext) -> list[Node]:
+    """Return the sensor, with what is given here."""
+    if text_of(context, "source") == "arm":
+        source = {"pose_source": "tf"}
+    else:
+        source = {"pose_source": "odometry", "base_frame": "odom"}
+    given_here = {**source, **given(context, {"indenter_frame": str, **SENSOR, **TIME})}
+    return [
+        Node(
+            package="dotsim_ros",
+            executable="tactile_sim",
+            parameters=[
+                text_of(context, "params_file"),
+                given_file("", {"tactile_sim": given_here}),
+            ],
+            remappings=[("indenter/odometry", text_of(context, "odom_topic"))],
+            output="screen",
+        )
+    ]

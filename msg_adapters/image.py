@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,23 @@ PIXEL_LAYOUTS: dict[str, tuple[np.dtype[Any], int]] = {
     "8UC1": (np.dtype(np.uint8), 1),
     "32FC1": (np.dtype(np.float32), 1),
 }
-"""Type of a channel and number of channels, by encoding."""
+"""Type of a channel and number of channels, by encoding, of what this package writes."""
+CAMERA_LAYOUTS: dict[str, tuple[np.dtype[Any], int]] = {
+    "rgba8": (np.dtype(np.uint8), 4),
+    "bgra8": (np.dtype(np.uint8), 4),
+    "rgb16": (np.dtype(np.uint16), 3),
+    "bgr16": (np.dtype(np.uint16), 3),
+    "mono16": (np.dtype(np.uint16), 1),
+    **dict.fromkeys(("yuv422", "uyvy", "yuv422_yuy2", "yuyv"), (np.dtype(np.uint8), 2)),
+    **dict.fromkeys(("nv12", "nv21"), (np.dtype(np.uint8), 1)),
+    **{
+        f"bayer_{pattern}{bits}": (np.dtype(f"uint{bits}"), 1)
+        for pattern in ("rggb", "bggr", "gbrg", "grbg")
+        for bits in (8, 16)
+    },
+}
+"""The same of what drivers of cameras publish besides: sensor_msgs/image_encodings.hpp, and the
+planes of NV12 and NV21 below each other."""
 
 COMPRESSED_SUFFIXES = {"png": ".png", "jpeg": ".jpg"}
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -31,14 +48,16 @@ LARGEST_PIXEL_COUNT = 2**26
 """Of a file that is unpacked: a few bytes may announce gigabytes."""
 
 
-def _layout(encoding: str) -> tuple[np.dtype[Any], int]:
-    if encoding not in PIXEL_LAYOUTS:
-        known = ", ".join(PIXEL_LAYOUTS)
+def _layout(
+    encoding: str, layouts: Mapping[str, tuple[np.dtype[Any], int]]
+) -> tuple[np.dtype[Any], int]:
+    if encoding not in layouts:
+        known = ", ".join(layouts)
         raise ValueError(
             f"image encoding {encoding[:40]!r} is not supported; expected one of {known}"
             + ("; the publisher must set the encoding" if not encoding else "")
         )
-    return PIXEL_LAYOUTS[encoding]
+    return layouts[encoding]
 
 
 def encode_image(
@@ -63,7 +82,7 @@ def encode_image(
     Raises:
         ValueError: unknown encoding, or pixels of another shape or type.
     """
-    dtype, channels = _layout(encoding)
+    dtype, channels = _layout(encoding, PIXEL_LAYOUTS)
     pixels = np.asarray(pixels)
     shape_is_right = pixels.ndim == (3 if channels > 1 else 2) and 0 not in pixels.shape
     if not shape_is_right or (channels > 1 and pixels.shape[2] != channels):
@@ -95,7 +114,11 @@ def decode_image(message: Message) -> NDArray[Any]:
         ValueError: unknown encoding, no pixels, a row shorter than its pixels, or a length of data
             other than step * height.
     """
-    dtype, channels = _layout(message.encoding)
+    return _samples(message, int(message.height), *_layout(message.encoding, PIXEL_LAYOUTS))
+
+
+def _samples(message: Message, row_count: int, dtype: np.dtype[Any], channels: int) -> NDArray[Any]:
+    """Return the (row_count, W, channels) numbers of an image, (row_count, W) of one channel."""
     height, width, step = int(message.height), int(message.width), int(message.step)
     if height == 0 or width == 0:
         raise ValueError(f"image of {width} x {height} pixels is empty")
@@ -106,37 +129,67 @@ def decode_image(message: Message) -> NDArray[Any]:
             f"{row}"
         )
     data = np.frombuffer(message.data, dtype=np.uint8)
-    if data.size != step * height:
+    if data.size != step * row_count:
+        rows_named = "height" if row_count == height else "rows"
         raise ValueError(
-            f"image holds {data.size} bytes, expected step * height = {step} * {height} = "
-            f"{step * height}"
+            f"image holds {data.size} bytes, expected step * {rows_named} = {step} * {row_count} "
+            f"= {step * row_count}"
         )
     if dtype.itemsize > 1:
         dtype = dtype.newbyteorder(">" if message.is_bigendian else "<")
-    rows = data.reshape(height, step)[:, :row]
-    if channels > 1:
-        return rows.reshape(height, width, channels)
-    return rows.view(dtype)
+    samples = data.reshape(row_count, step)[:, :row].view(dtype)
+    return samples.reshape(row_count, width, channels) if channels > 1 else samples
 
 
 def decode_rgb(message: Message) -> NDArray[np.uint8]:
-    """Return the (H, W, 3) uint8 RGB pixels of an Image in rgb8, bgr8 or mono8.
+    """Return the (H, W, 3) uint8 RGB pixels of an Image of a camera.
 
-    A view for rgb8 and bgr8.
+    Any encoding of `PIXEL_LAYOUTS` and `CAMERA_LAYOUTS` but depths. 16 bits are scaled to 8, YUV is
+    taken as BT.601 of limited range, and missing colours of a Bayer pattern are interpolated, all
+    as OpenCV does it. A view for rgb8, bgr8, rgba8 and bgra8.
 
     Raises:
-        ValueError: as `decode_image`, or an encoding that holds no colour.
+        ValueError: as `decode_image`, an encoding that holds no colour, or sides that are odd
+            where two pixels share a colour.
     """
-    if message.encoding in ("32FC1", "8UC1"):
-        raise ValueError(
-            f"image encoding {message.encoding!r} holds depth, expected rgb8, bgr8 or mono8"
-        )
-    pixels = decode_image(message)
-    if message.encoding == "bgr8":
-        return pixels[..., ::-1]
-    if message.encoding == "mono8":
-        return np.repeat(pixels[..., None], 3, axis=2)
-    return pixels
+    encoding = message.encoding
+    if encoding in ("32FC1", "8UC1"):
+        raise ValueError(f"image encoding {encoding!r} holds depth, expected colours or grey")
+    layout = _layout(encoding, PIXEL_LAYOUTS | CAMERA_LAYOUTS)
+    height, width = int(message.height), int(message.width)
+    is_planar = encoding in ("nv12", "nv21")
+    is_shared = is_planar or layout[1] == 2
+    if is_shared and (width % 2 or (is_planar and height % 2)):
+        raise ValueError(f"{encoding} needs even sides, the image has {width} x {height} pixels")
+    samples = _samples(message, height * 3 // 2 if is_planar else height, *layout)
+    if samples.dtype.itemsize == 2:
+        # 65535 becomes 255.
+        samples = ((samples.astype(np.uint32) + 128) // 257).astype(np.uint8)
+    if is_shared or encoding.startswith("bayer"):
+        return _converted(samples, encoding)
+    if samples.ndim == 2:
+        return np.repeat(samples[..., None], 3, axis=2)
+    return samples[..., 2::-1] if encoding.startswith("bgr") else samples[..., :3]
+
+
+def _converted(samples: NDArray[np.uint8], encoding: str) -> NDArray[np.uint8]:
+    import cv2
+
+    codes = {
+        "yuv422": cv2.COLOR_YUV2RGB_UYVY,
+        "uyvy": cv2.COLOR_YUV2RGB_UYVY,
+        "yuv422_yuy2": cv2.COLOR_YUV2RGB_YUY2,
+        "yuyv": cv2.COLOR_YUV2RGB_YUY2,
+        "nv12": cv2.COLOR_YUV2RGB_NV12,
+        "nv21": cv2.COLOR_YUV2RGB_NV21,
+        # OpenCV names a pattern by its second row from the second pixel on.
+        "bayer_rggb": cv2.COLOR_BayerBG2RGB,
+        "bayer_bggr": cv2.COLOR_BayerRG2RGB,
+        "bayer_gbrg": cv2.COLOR_BayerGR2RGB,
+        "bayer_grbg": cv2.COLOR_BayerGB2RGB,
+    }
+    code = codes[encoding.removesuffix("16").removesuffix("8")]
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(samples), code), dtype=np.uint8)
 
 
 def encode_compressed_image(

@@ -13,12 +13,15 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import pytest
+
+from dotsim_ros.files import cache_directory
 
 PROPERTY = "fault"
 AREAS = (
@@ -34,9 +37,13 @@ AREAS = (
     "node parameters",
     "messages",
     "simulated time",
+    "environments",
     "scale-out",
 )
 """The chapters of the table, in their order."""
+
+SECONDS = Path(__file__).parent / "seconds.json"
+"""What files of tests took on two cores, from `--durations=0`; those under 5 s are left out."""
 
 _found: list[dict[str, str]] = []
 
@@ -51,12 +58,34 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Declare the markers, and let Ctrl-C reach what the tests start: a program that a shell starts
     in the background ignores it, and so would all that it starts."""
+    # A test that keeps its tables elsewhere need not compile all kernels again.
+    os.environ.setdefault("WARP_CACHE_PATH", str(cache_directory() / "warp"))
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")
     config.addinivalue_line(
         "markers", "timed: its nodes must keep times: no other test runs beside it"
     )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pycollect_makemodule(
+    module_path: Path, parent: pytest.Collector
+) -> Generator[None, pytest.Module | None, pytest.Module | None]:
+    """Let a file that skips itself skip no other: launch_testing, which comes with a ROS
+    installation, imports it here, where pytest would take that for a skip of the whole folder."""
+    try:
+        return (yield)
+    except pytest.skip.Exception:
+        return pytest.Module.from_parent(parent, path=module_path)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Let the files that take longest begin first, so that the end does not wait for one of them,
+    and those of nodes, which mostly wait, run beside those that compute."""
+    seconds = json.loads(SECONDS.read_text(encoding="utf-8"))
+    root = SECONDS.parents[1]
+    items.sort(key=lambda item: -seconds.get(item.path.relative_to(root).as_posix(), 0))
 
 
 def pytest_collection_finish() -> None:

@@ -179,8 +179,8 @@ def is_made(name: str, commit: str) -> bool:
     if not record_of(name).is_file():
         return False
     record = json.loads(record_of(name).read_text(encoding="utf-8"))
-    sources = [record, *(record.get(key, {}) for key in ("provenance", "origin"))]
-    return record.get("sealed", False) or any(s.get("commit") == commit for s in sources)
+    source = record.get("provenance") or record.get("origin") or record
+    return record.get("sealed", False) or source.get("commit") == commit
 
 
 def make(name: str, data: Path) -> bool:

@@ -10,9 +10,8 @@ and times in those that a wave needs; see `difftactile`.
 # Warp reads kernels by its own rules, which are none of a type checker's.
 # mypy: disable-error-code="no-untyped-def, valid-type, index, operator, misc, arg-type, assignment"
 
-import warp as wp
-
 from dotsim_ros.gel.distance_field import distance_functions
+from dotsim_ros.warp_runtime import wp
 
 SCALAR = wp.float64
 VEC3 = wp.types.vector(3, SCALAR)

@@ -69,7 +69,7 @@ class CalibrationRequest:
             their information: splits of one data set then share all solves.
         solve_budget: most solves of a press. One more than there are parameters leaves each press
             where it starts.
-        indenters: folder of the indenters' meshes; None as `DataSet.indenter_mesh`.
+        indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
     """
 
     data_set: DataSet

@@ -4,9 +4,10 @@
 """Replay real presses through the running node, record it, and show what it published.
 
 Starts tactile_sim, tactile_record and indenter_player as processes of their own, which talk over
-DDS. Leaves the bag OUT/presses, the video OUT/presses.mp4 and the contact sheet OUT/presses.png.
-Needs ROS 2.
-DDS stays on this machine unless the environment names a Fast DDS profile.
+DDS. They go on in steps of simulated time together: what comes out does not depend on what else the
+machine does. Leaves the bag OUT/presses, the video OUT/presses.mp4 and the contact sheet
+OUT/presses.png. Needs ROS 2. DDS stays on this machine unless the environment names a Fast DDS
+profile.
 
 example:
   dotsim_ros demo --out out/demo
@@ -21,8 +22,11 @@ from pathlib import Path
 
 from dotsim_ros.cli._made import made_anew
 
+SENSOR, RECORDER, PLAYER = "tactile_sim", "tactile_record", "indenter_player"
 START_TIMEOUT_S = 180.0
 """A first start compiles the gel's kernels."""
+LAST_FRAMES_S = 0.5
+"""Simulated time after the last pose, for the frames that show it."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -37,33 +41,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
+    from dotsim_ros.measured.bag_hash import bag_sha256
     from dotsim_ros.nodes.common.processes import NodeProcess
     from dotsim_ros.nodes.common.transport import stay_local
+    from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
+    from dotsim_ros.nodes.loop.observer import LoopObserver
+    from dotsim_ros.nodes.simulated_time.participants import Participant
+    from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings
+    from dotsim_ros.progress import PrintedProgress
     from dotsim_ros.view.bag import ViewRequest, view_bag
     from dotsim_ros.view.timeline import ViewTopics
 
     stay_local()
     bag: Path = arguments.out / "presses"
+    numbers, depth_m = list(range(arguments.presses)), 1e-3 * arguments.depth_mm
+    played = PlayerParameters(source="presses", press_numbers=tuple(numbers), depth_limit_m=depth_m)
+    duration_s = program_of(played).motion.duration_s
+    parameters = {
+        SENSOR: {},
+        RECORDER: {"output": bag},
+        PLAYER: {"source": "presses", "press_numbers": numbers, "depth_limit_m": depth_m},
+    }
+    told = PrintedProgress()
     with made_anew(arguments.out, "presses"), ExitStack() as stack:
-        sensor = NodeProcess("tactile_sim", {})
-        stack.callback(sensor.stop)
-        sensor.wait_for_line("ready:", timeout_s=START_TIMEOUT_S)
-        recorder = NodeProcess("tactile_record", {"output": bag})
-        stack.callback(recorder.stop)
-        recorder.wait_for_line("receiving /image_raw", timeout_s=START_TIMEOUT_S)
-        player = NodeProcess(
-            "indenter_player",
-            {
-                "source": "presses",
-                "subscriber_count": 2,
-                "press_numbers": str(list(range(arguments.presses))),
-                "depth_limit_m": 1e-3 * arguments.depth_mm,
-                "exit_at_end": "true",
-            },
+        processes = {}
+        for name, own in parameters.items():
+            processes[name] = NodeProcess(name, {**own, "use_sim_time": True, "stepped": True})
+            stack.callback(processes[name].stop)
+        for name, line in ((SENSOR, "ready:"), (RECORDER, "recording /"), (PLAYER, "ready:")):
+            processes[name].wait_for_line(line, timeout_s=START_TIMEOUT_S)
+        observer = LoopObserver({})
+        stack.callback(observer.close)
+        stepper = Stepper(
+            observer.beside, dict.fromkeys(processes, Participant()), StepperSettings()
         )
-        stack.callback(player.stop)
-        statuses = {player.executable: player.wait()}
-        statuses |= {node.executable: node.stop() for node in (recorder, sensor)}
+        stepper.advance(
+            duration_s + LAST_FRAMES_S, lambda share: told("presses, %", int(100 * share), 100)
+        )
+        statuses = {name: node.stop() for name, node in reversed(processes.items())}
     failed = [f"{name} ended with status {status}" for name, status in statuses.items() if status]
     if failed:
         raise OSError("; ".join(failed))
@@ -77,6 +92,8 @@ def run(arguments: argparse.Namespace) -> int:
         column_count=6,
         rest=None,
     )
-    for path in [bag, *view_bag(request, print)]:
+    shown = view_bag(request, print)
+    print(f"bag {bag_sha256(bag)}")
+    for path in [bag, *shown]:
         print(path)
     return 0

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     add = parser.add_argument
     add("--sensor", default="densetact2", metavar="FILE", help="the sensor's file, or its name")
-    add("--indenter", default="sphere_4mm", metavar="FILE", help="a ball's file, or its name")
+    add("--indenter", default="sphere_4mm", metavar="FILE", help="a ball's name or definition")
     add("--paths", nargs="+", metavar="PATH", help="line, arc, figure_eight, press (all)")
     add("--episodes", type=int, default=24, metavar="N", help="motions (24)")
     add(

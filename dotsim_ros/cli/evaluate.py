@@ -30,23 +30,23 @@ another (ccx must be installed).
 docs/evaluation.md says what the figures mean.
 
 examples:
-  dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out docs/results
+  dotsim_ros evaluate geometry --data DIR --sensor calibrated/ --out out/results
   dotsim_ros evaluate geometry --data DIR --models ours tacto --splits held_out --out out
-  dotsim_ros evaluate geometry_later --data LATER --fit-data DIR --sensor FILE --out docs/results
-  dotsim_ros evaluate optics --data DIR --sensor sensor_a --out docs/results
+  dotsim_ros evaluate geometry_later --data LATER --fit-data DIR --sensor FILE --out out/results
+  dotsim_ros evaluate optics --data DIR --sensor sensor_a --out out/results
   dotsim_ros evaluate optics --data DIR --sensor FILE --models idle carried ours --splits hard
-  dotsim_ros evaluate gelsight --data real/gelsight --out docs/results
-  dotsim_ros evaluate gelsight_taxim --data real/gelsight_taxim --out docs/results
-  dotsim_ros evaluate real_pair --data real/densetact --out docs/results
-  dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out docs/results
-  dotsim_ros evaluate gap --sets DIR --sensor DIR/sensor_a.yaml --out docs/results
-  dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out docs/results
-  dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out docs/results
-  dotsim_ros evaluate rl --seeds 5 --episodes 100 --out docs/results
-  dotsim_ros evaluate classification --data DIR --sensor FOLDER --gelsight DIR --out docs/results
-  dotsim_ros evaluate tumour --presses 30 --judged 6 --out docs/results
-  dotsim_ros evaluate real_force --data real/gelsight_mini_force --out docs/results
-  dotsim_ros evaluate real_cylinders --data real/ecoflex_compression --out docs/results
+  dotsim_ros evaluate gelsight --data real/gelsight --out out/results
+  dotsim_ros evaluate gelsight_taxim --data real/gelsight_taxim --out out/results
+  dotsim_ros evaluate real_pair --data real/densetact --out out/results
+  dotsim_ros evaluate gap --data DIR --sensor sensor_a --nulls 200 --out out/results
+  dotsim_ros evaluate gap --sets DIR --sensor DIR/sensor_a.yaml --out out/results
+  dotsim_ros evaluate runtime --data DIR --presses 1_sphere_0 2_cone_3 --out out/results
+  dotsim_ros evaluate trajectory --policy densetact2_sphere --trials 10 --out out/results
+  dotsim_ros evaluate rl --seeds 5 --episodes 100 --out out/results
+  dotsim_ros evaluate classification --data DIR --sensor FOLDER --gelsight DIR --out out/results
+  dotsim_ros evaluate tumour --presses 30 --judged 6 --out out/results
+  dotsim_ros evaluate real_force --data real/gelsight_mini_force --out out/results
+  dotsim_ros evaluate real_cylinders --data real/ecoflex_compression --out out/results
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--data", type=Path, required=subject is not gap, help="folder of a data set"
         )
         subject.add_argument(
-            "--out", type=Path, default=Path("docs/results"), help="folder of the files"
+            "--out", type=Path, default=Path("out/results"), help="folder of the files"
         )
         subject.add_argument("--json", type=Path, help="write the figures here as well")
         subject.add_argument("--seed", type=int, default=0, help="seed of the draws (0)")
@@ -283,7 +283,7 @@ def _add_trajectory_arguments(trajectory: argparse.ArgumentParser) -> None:
         default=CLOCKS[0],
         help="how time passes (simulated); in real time the table is trajectory_realtime",
     )
-    add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
+    add("--out", type=Path, default=Path("out/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the image")
     add("--json", type=Path, help="write the figures here as well")
     add("--cache", type=Path, help="folder of the trials run before (the user's cache)")
@@ -309,7 +309,7 @@ def _add_rl_arguments(rl: argparse.ArgumentParser) -> None:
         "on: learning_rate, discount, entropy_share, rollout, epochs, mini_batches",
     )
     add_worker_arguments(rl)
-    add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
+    add("--out", type=Path, default=Path("out/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the pictures")
     add("--json", type=Path, help="write the figures here as well")
     add("--cache", type=Path, help="folder of what was learnt before (the user's cache)")
@@ -325,7 +325,7 @@ def _add_tumour_arguments(tumour: argparse.ArgumentParser) -> None:
     add("--classifiers", type=int, default=3, help="of each skin (3)")
     add("--epochs", type=int, default=25, help="of a classifier's training (25)")
     add("--seed", type=int, default=0, help="seed of the draws (0)")
-    add("--out", type=Path, default=Path("docs/results"), help="folder of the files")
+    add("--out", type=Path, default=Path("out/results"), help="folder of the files")
     add("--images", type=Path, default=Path("docs/images"), help="folder of the picture")
     add("--json", type=Path, help="write the figures here as well")
     add("--cache", type=Path, help="folder of the presses solved before (the user's cache)")

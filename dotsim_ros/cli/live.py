@@ -46,7 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sensor", help=f"name below params/sensors or a YAML file ({SENSOR})")
     parser.add_argument(
         "--indenter",
-        help=f"name below params/indenters, or a YAML, STL, OBJ or PLY file ({INDENTER})",
+        help="name below params/indenters, a YAML, STL, OBJ or PLY file, or a definition such as "
+        f"'sphere(radius_m=0.003)' ({INDENTER})",
     )
     parser.add_argument("--profile", help=f"exact, realtime or fast ({PROFILE})")
     parser.add_argument(
@@ -102,6 +103,7 @@ def _has_screen() -> bool:
 
 def _simulated(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
     """Return what presses a sensor of this process until Ctrl-C."""
+    from dotsim_ros.files import shipped_names
     from dotsim_ros.nodes.live_page.simulated import SimulatedSubject
     from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
     from dotsim_ros.specification import load_sensor
@@ -111,15 +113,9 @@ def _simulated(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
     profile = arguments.profile or PROFILE
     if profile not in PROFILES:
         raise ValueError(f"--profile is {profile!r}, expected one of {', '.join(PROFILES)}")
-    sensor = arguments.sensor or SENSOR
-    if _is_name(sensor) and sensor not in _shipped("sensors"):
-        raise ValueError(
-            f"no sensor is named {sensor!r}, expected one of {', '.join(_shipped('sensors'))}, or "
-            "the path of a YAML file"
-        )
-    specification = load_sensor(sensor)
+    specification = load_sensor(arguments.sensor or SENSOR)
     name, indenter = _indenter(arguments.indenter or INDENTER)
-    names = list(dict.fromkeys([*_shipped("indenters"), name]))
+    names = list(dict.fromkeys([*shipped_names("indenters"), name]))
 
     def show(desk: LiveDesk) -> int:
         subject = SimulatedSubject(
@@ -147,6 +143,7 @@ def _attached(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
             "--attach needs ROS 2, which is not there: source /opt/ros/jazzy, or "
             "pip install 'dotsim_ros[ros,live]'"
         ) from error
+    from dotsim_ros.files import shipped_names
     from dotsim_ros.nodes.common.spin import run_node
     from dotsim_ros.nodes.live_page.attachment import LiveAttachment
 
@@ -155,7 +152,7 @@ def _attached(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
     def show(desk: LiveDesk) -> int:
         return run_node(
             lambda: LiveAttachment(
-                desk, node_name=arguments.node, indenters=_shipped("indenters"), indenter=drawn
+                desk, node_name=arguments.node, indenters=shipped_names("indenters"), indenter=drawn
             ),
             arguments=["--ros-args", *arguments.ros_args],
         )
@@ -171,22 +168,8 @@ def _indenter(given: str) -> tuple[str, Indenter]:
     """
     from dataclasses import replace
 
-    from dotsim_ros.geometry.indenter import load_indenter
+    from dotsim_ros.geometry.indenter import is_definition, load_indenter
 
-    if _is_name(given) and given not in _shipped("indenters"):
-        raise ValueError(
-            f"no indenter is named {given!r}, expected one of {', '.join(_shipped('indenters'))}, "
-            "or the path of a YAML, STL, OBJ or PLY file"
-        )
-    name = Path(given).stem
-    return name, replace(load_indenter(given), name=name)
-
-
-def _is_name(given: str) -> bool:
-    return not Path(given).suffix and Path(given).name == given
-
-
-def _shipped(folder: str) -> list[str]:
-    from dotsim_ros.files import parameter_path
-
-    return sorted(path.stem for path in parameter_path(folder).glob("*.yaml"))
+    found = load_indenter(given)
+    name = found.name if is_definition(given) else Path(given).stem
+    return name, replace(found, name=name)

@@ -125,6 +125,7 @@ def _run(verb: str, rest: Sequence[str]) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):
         # A name that the terminal cannot show must not end a command.
         sys.stdout.reconfigure(errors="backslashreplace")
+    _expand_homes(parsed)
     try:
         _check_outputs(parsed)
         return int(module.run(parsed))
@@ -132,6 +133,17 @@ def _run(verb: str, rest: Sequence[str]) -> int:
         # One line, whatever stands in the names that it repeats.
         print(f"dotsim_ros {verb}: {one_line(error)}", file=sys.stderr)
         return FAILED
+
+
+def _expand_homes(parsed: argparse.Namespace) -> None:
+    """Put the user's home for a leading `~` of paths: shells leave it in `--out=~/report`."""
+    from dotsim_ros.files import expanded
+
+    for name, value in vars(parsed).items():
+        if isinstance(value, Path):
+            setattr(parsed, name, expanded(value))
+        elif isinstance(value, list):
+            setattr(parsed, name, [expanded(v) if isinstance(v, Path) else v for v in value])
 
 
 def _check_outputs(parsed: argparse.Namespace) -> None:

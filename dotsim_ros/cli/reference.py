@@ -48,7 +48,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the verb takes."""
     add = parser.add_argument
     add("--sensor", default="densetact2", help="name or YAML file of the sensor (densetact2)")
-    add("--indenter", nargs="+", default=["sphere_4mm"], help="names or files (sphere_4mm)")
+    add(
+        "--indenter",
+        nargs="+",
+        default=["sphere_4mm"],
+        help="names or definitions (sphere_4mm)",
+    )
     add("--out", type=Path, default=Path("out/reference"), help="the data set (out/reference)")
     add(
         "--depth-mm",

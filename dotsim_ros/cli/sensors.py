@@ -42,11 +42,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the list, and write it and the pictures."""
-    from dotsim_ros.files import write_json
+    from dotsim_ros.files import shipped_names, write_json
     from dotsim_ros.provenance import provenance
-    from dotsim_ros.specification import shipped_sensors
 
-    shipped = shipped_sensors()
+    shipped = shipped_names("sensors")
     names = arguments.names or shipped
     unknown = [name for name in names if name not in shipped]
     if unknown:

@@ -115,12 +115,13 @@ class SeenImage:
         pixels: (H, W, 3) linear to the sensor's numbers, 0 to 255, not rounded.
         idle: (H, W, 3) the same without contact.
         centre_px: (2,) x and y of the optical axis.
-        focal_px: pixels a radian at the optical axis.
+        focal_px: pixels a radian at the optical axis, along y.
         flow_px_s: (H, W, 2) how fast the image moves; zero where it is not known.
         depth_m: (H, W) distance of the skin along each pixel's ray; NaN where no skin is seen.
         normal: (H, W, 3) unit normal of the skin, optical frame, on the camera's side; NaN where
             no skin is seen.
         projection: of the camera, as a sensor's file names it.
+        pixel_aspect: the focal length along x over that along y.
     """
 
     stamp_s: float
@@ -133,6 +134,12 @@ class SeenImage:
     depth_m: FloatArray
     normal: FloatArray
     projection: str = FisheyeCamera.projection
+    pixel_aspect: float = 1.0
+
+    @property
+    def focal_x_px(self) -> float:
+        """Pixels a radian at the optical axis, along x."""
+        return self.pixel_aspect * self.focal_px
 
 
 MotionFilter = Callable[[float, Pose, FloatArray], Pose]

@@ -217,6 +217,7 @@ class LiveEffects:
                     depth_m=frame.depth_m.astype(np.float64),
                     normal=frame.normal.astype(np.float64),
                     projection=sensor.camera.projection,
+                    pixel_aspect=sensor.camera.pixel_aspect,
                 )
             )
             return np.clip(np.rint(pixels), 0.0, 255.0).astype(np.uint8)

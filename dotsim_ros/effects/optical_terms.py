@@ -92,7 +92,9 @@ def undistorted_camera(image: SeenImage) -> Camera:
     """Return the camera of an image, in its own frame, without its distortion, which is not known
     to an effect."""
     height, width = image.pixels.shape[:2]
-    return CAMERAS[image.projection](width, height, image.focal_px, image.centre_px)
+    return CAMERAS[image.projection](
+        width, height, image.focal_px, image.centre_px, pixel_aspect=image.pixel_aspect
+    )
 
 
 def pixel_places(image: SeenImage) -> tuple[FloatArray, FloatArray]:
@@ -123,6 +125,7 @@ class FixedResampling:
             *map(float, image.centre_px),
             float(image.focal_px),
             image.projection,
+            image.pixel_aspect,
         )
         if geometry != self._geometry:
             self._x, self._y = self._source(image)

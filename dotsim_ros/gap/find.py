@@ -27,7 +27,7 @@ from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest, Progress
 from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.data_set import DataSet, read_data_set
+from dotsim_ros.measured.data_set import DataSet, indenter_files, read_data_set
 from dotsim_ros.measured.measurement import holds_skin_or_force
 from dotsim_ros.replacement import finish_replacement
 from dotsim_ros.specification import SensorSpecification, given_sensor
@@ -115,7 +115,7 @@ def find_gap(
     for path in (indenters, discrepancy, optical_noise):
         if path is not None and not Path(path).exists():
             raise FileNotFoundError(f"there is nothing at {path}")
-    if indenters is not None and not any(Path(indenters).glob("*.stl")):
+    if indenters is not None and not indenter_files(Path(indenters)):
         raise ValueError(f"indenters is {indenters}, expected a folder of meshes, NAME.stl each")
     # That a file of the user's cannot be read says nothing about the data.
     load_discrepancy(_path(discrepancy))

@@ -19,9 +19,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind
+from dotsim_ros.warp_runtime import wp
 
 SPHERE = wp.constant(int(IndenterKind.SPHERE))
 BOX = wp.constant(int(IndenterKind.BOX))

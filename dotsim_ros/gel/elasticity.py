@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 from scipy import sparse
 
@@ -22,6 +21,7 @@ from dotsim_ros.arrays import IndexArray
 from dotsim_ros.gel.discretization import Discretization
 from dotsim_ros.gel.elastic_kernels import elastic_kernels
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
+from dotsim_ros.warp_runtime import wp
 
 Array = NDArray[np.floating]
 

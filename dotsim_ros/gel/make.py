@@ -56,6 +56,9 @@ class Gel(Protocol):
     def step(self, pose: Pose | None, dt_s: float) -> GelFrame:
         """Move the indenter to a pose and find the gel."""
 
+    def place(self, pose: Pose) -> None:
+        """Put the indenter where it touches nothing, without a way there."""
+
     def reset(self) -> None:
         """Return to rest."""
 
@@ -127,6 +130,9 @@ class SingleImplicitGel:
         self.reset, self.set_indenter = gel.reset, gel.set_indenter
         self.check_depth = gel.check_depth
 
+    def place(self, pose: Pose) -> None:
+        self.gel.place(0, pose)
+
     def wrench_stiffness(self) -> FloatArray:
         return self.gel.wrench_stiffness(0)
 
@@ -148,7 +154,7 @@ class SingleExplicitGel:
 
     def __init__(self, gel: ExplicitGel) -> None:
         self._gel = gel
-        self.reset, self.set_indenter = gel.reset, gel.set_indenter
+        self.reset, self.set_indenter, self.place = gel.reset, gel.set_indenter, gel.place
 
     def check_depth(self, pose: Pose) -> None:
         """Refuse nothing: the explicit gel has no depth that it cannot take."""

@@ -140,14 +140,15 @@ class Camera(ABC):
     Attributes:
         width: pixels along x.
         height: pixels along y.
-        focal_px: pixels a radian near the optical axis.
+        focal_px: pixels a radian near the optical axis, along y.
         principal_point_px: (2,) where the optical axis meets the image, x then y.
         distortion: (4,) coefficients of the projection.
         pose: the optical frame (z forward, x right, y down) in the base frame.
+        pixel_aspect: the focal length along x over that along y.
 
     Raises:
-        ValueError: a size or the focal length is not positive, or a number is missing or not
-            finite.
+        ValueError: a size, the focal length or the aspect is not positive, or a number is missing
+            or not finite.
     """
 
     projection: ClassVar[str]
@@ -159,14 +160,17 @@ class Camera(ABC):
     principal_point_px: FloatArray
     distortion: FloatArray = field(default_factory=lambda: np.zeros(4))
     pose: Pose = field(default_factory=Pose)
+    pixel_aspect: float = 1.0
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
             raise ValueError(
                 f"image size is {self.width}x{self.height}, expected at least one pixel each way"
             )
-        if not (np.isfinite(self.focal_px) and self.focal_px > 0.0):
-            raise ValueError(f"focal_px is {self.focal_px}, expected a positive number")
+        for name in ("focal_px", "pixel_aspect"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0.0):
+                raise ValueError(f"{name} is {value}, expected a positive number")
         for name, length in (("principal_point_px", 2), ("distortion", 4)):
             array = np.array(getattr(self, name), dtype=np.float64).reshape(-1)
             if array.shape != (length,) or not np.all(np.isfinite(array)):
@@ -193,7 +197,13 @@ class Camera(ABC):
             pose=Pose(
                 np.asarray(specification.position_m), np.asarray(specification.quaternion_xyzw)
             ),
+            pixel_aspect=specification.pixel_aspect,
         )
+
+    @property
+    def focal_xy_px(self) -> FloatArray:
+        """Return the focal lengths (2,) along x and y, fx and fy of CameraInfo."""
+        return np.array([self.pixel_aspect * self.focal_px, self.focal_px])
 
     @staticmethod
     @abstractmethod
@@ -312,12 +322,12 @@ class FisheyeCamera(Camera):
         across = np.hypot(points[..., 0], points[..., 1])
         angle = np.arctan2(across, points[..., 2])
         seen = (angle <= self.widest_angle_rad) & ((across > 0.0) | (points[..., 2] > 0.0))
-        radius = np.where(seen, self.focal_px * distorted_angle(angle, self.distortion), np.nan)
+        radius = np.where(seen, distorted_angle(angle, self.distortion), np.nan)
         direction = points[..., :2] / np.where(across > 0.0, across, 1.0)[..., None]
-        return radius[..., None] * direction + self.principal_point_px
+        return self.focal_xy_px * radius[..., None] * direction + self.principal_point_px
 
     def unproject(self, pixels: ArrayLike) -> FloatArray:
-        offset = (np.asarray(pixels, dtype=np.float64) - self.principal_point_px) / self.focal_px
+        offset = (np.asarray(pixels, dtype=np.float64) - self.principal_point_px) / self.focal_xy_px
         distorted = np.hypot(offset[..., 0], offset[..., 1])
         angle = angle_from_distorted(distorted, self.distortion)
         across = np.sin(angle) / np.where(distorted > 0.0, distorted, 1.0)
@@ -367,10 +377,10 @@ class PinholeCamera(Camera):
         across = points[..., :2] / np.where(height > 0.0, height, np.nan)
         seen = np.hypot(across[..., :1], across[..., 1:]) <= self._widest_tangent
         place = _brown(np.where(seen, across, np.nan), self.distortion)
-        return self.focal_px * place + self.principal_point_px
+        return self.focal_xy_px * place + self.principal_point_px
 
     def unproject(self, pixels: ArrayLike) -> FloatArray:
-        place = (np.asarray(pixels, dtype=np.float64) - self.principal_point_px) / self.focal_px
+        place = (np.asarray(pixels, dtype=np.float64) - self.principal_point_px) / self.focal_xy_px
         across = _from_brown(place, self.distortion, self._widest_tangent)
         direction = np.concatenate([across, np.ones_like(across[..., :1])], axis=-1)
         direction /= np.linalg.norm(direction, axis=-1, keepdims=True)

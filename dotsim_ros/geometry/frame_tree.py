@@ -96,7 +96,7 @@ class FrameTree:
         if known is not None and not (is_static or known.is_static):
             step_s = (stamp_ns - known.stamp_ns) / NANOSECONDS_PER_SECOND
             if step_s < -self.maximum_step_s:
-                self._forget_motion()
+                self.forget_motion()
                 known = None
             elif step_s < 0.0:
                 raise OutOfOrderError(
@@ -116,6 +116,11 @@ class FrameTree:
         self._edges[child] = edge
         if is_new:
             self._find_between()
+
+    def forget_motion(self) -> None:
+        """Forget all that moves: time begins again. What is static stays."""
+        self._edges = {name: edge for name, edge in self._edges.items() if edge.is_static}
+        self._find_between()
 
     def locate(self, target: str, source: str) -> tuple[Pose, int] | None:
         """Return the pose of the source in the target and its time in nanoseconds, or None where
@@ -207,6 +212,3 @@ class FrameTree:
                 del self._edges[name]
                 self._between = frozenset()
                 raise
-
-    def _forget_motion(self) -> None:
-        self._edges = {name: edge for name, edge in self._edges.items() if edge.is_static}

@@ -10,32 +10,40 @@ radius r has its centre at (0, 0, r).
 from __future__ import annotations
 
 import functools
-import hashlib
 import inspect
+import logging
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import is_number, parse_yaml, read_yaml, value_text
-from dotsim_ros.files import parameter_path
+from dotsim_ros.files import expanded, shipped_path
+from dotsim_ros.geometry.closed_mesh import MESH_SUFFIXES, IndenterMesh, read_closed_surface
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
+from dotsim_ros.printable import did_you_mean
 
-MESH_SUFFIXES = (".stl", ".obj", ".ply")
 MAXIMUM_EXTENT_M = 0.2
 MINIMUM_EXTENT_M = 2.0e-4
-UNITS_M = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254}
-MAXIMUM_TRIANGLE_COUNT = 2_000_000
+UNITS_M = {"metres": 1.0, "millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254}
+LIKELY_EXTENT_M = 1.0e-3
+"""A shorter mesh is rather in another unit than an indenter."""
+AXIS_TOLERANCE_M = 1.0e-6
 GRID_MARGIN_M = 0.004
+OTHER_FORMS = (
+    "the path of a YAML, STL, OBJ or PLY file, or a definition such as sphere(radius_m=0.003)"
+)
 LARGEST_LEVER_M = 0.02
 """Points farther from an indenter's tip do not count where it turns."""
+
+_log = logging.getLogger(__name__)
 
 _CALL = re.compile(r"(\w+)\((.*)\)", re.DOTALL)
 _ARGUMENT = re.compile(r"(^|,)\s*(\w+)\s*=")
@@ -56,44 +64,6 @@ class IndenterKind(IntEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class IndenterMesh:
-    """A closed surface: vertices_m (V, 3) in the indenter's frame, triangles (T, 3) int32,
-    counter-clockwise seen from outside.
-
-    Surfaces of the same vertices and triangles are equal, so that recordings which each read their
-    indenter's file share what takes seconds to compute.
-    """
-
-    vertices_m: FloatArray
-    triangles: NDArray[np.int32]
-
-    @functools.cached_property
-    def _digest(self) -> bytes:
-        return hashlib.sha256(self.vertices_m.tobytes() + self.triangles.tobytes()).digest()
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, IndenterMesh) and self._digest == other._digest
-
-    def __hash__(self) -> int:
-        return hash(self._digest)
-
-    @functools.cached_property
-    def _bounds_m(self) -> FloatArray:
-        return np.array([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)])
-
-    def bounds_m(self) -> FloatArray:
-        """Return the lower and upper corner (2, 3) of a box around the surface."""
-        return self._bounds_m
-
-    def signed_distance(self, points_m: FloatArray) -> FloatArray:
-        """Return the signed distance (N,) in metres at points (N, 3); float32."""
-        # Loaded on use: primitives need no Warp.
-        from dotsim_ros.geometry.mesh_distance import mesh_signed_distance
-
-        return mesh_signed_distance(self, points_m)
-
-
-@dataclass(frozen=True, eq=False)
 class Indenter:
     """A rigid indenter; build one with `sphere`, `box`, `flat_punch`, `cone`, `lying_cylinder`,
     `capsule`, `torus`, `load_mesh` or `load_indenter`.
@@ -107,6 +77,7 @@ class Indenter:
             indenter's frame.
         mesh: the surface of a mesh, else None.
         name: for logs and tables.
+        file_unit_m: metres that a unit of the file was taken for, of a mesh that comes from one.
     """
 
     kind: IndenterKind
@@ -114,6 +85,7 @@ class Indenter:
     mount: Pose = field(default_factory=Pose)
     mesh: IndenterMesh | None = None
     name: str = ""
+    file_unit_m: float | None = None
 
     def signed_distance(self, points_m: ArrayLike) -> FloatArray:
         """Return the signed distance (N,) in metres at points (N, 3) of the indenter's frame.
@@ -260,55 +232,71 @@ def load_mesh(
         path: an STL, OBJ or PLY file.
         scale: metres per unit of the file (0.001 for millimetres); None: the file is in metres.
         away_axis: the file's axis that points away from the gel, turned onto +z.
-        origin: "file" keeps the file's origin; "tip" moves the lowest point to z = 0.
+        origin: "file" keeps the file's origin; "tip" moves the lowest point there, of a level face
+            or edge its middle.
 
-    Repairs that change no surface are tried (merging vertices, dropping empty and doubled
-    triangles, turning triangles outwards); holes are not filled.
+    Repairs that change no surface are made (merging vertices, dropping empty and doubled triangles,
+    turning bodies outwards); holes are not filled.
 
     Raises:
         FileNotFoundError: no such file.
         ValueError: not a mesh, empty, not finite, not closed, too many triangles, or of a size
             that cannot press a fingertip sensor (a file in millimetres read as metres, say).
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no mesh file {path}")
-    if path.suffix.lower() not in MESH_SUFFIXES:
-        raise ValueError(f"{path}: expected a mesh file of {', '.join(MESH_SUFFIXES)}")
+    path = expanded(path)
     if scale is not None and not (np.isfinite(scale) and scale > 0.0):
         raise ValueError(f"scale must be a positive number, got {scale}")
     if away_axis not in _TURN_TO_Z:
         raise ValueError(f"away_axis must be one of {sorted(_TURN_TO_Z)}, got {away_axis!r}")
     if origin not in ("file", "tip"):
         raise ValueError(f"origin must be 'file' or 'tip', got {origin!r}")
-    vertices, triangles = _read_closed_surface(path)
-    vertices = (vertices * (1.0 if scale is None else scale)) @ _TURN_TO_Z[away_axis].T
-    _check_extent(path, float(np.ptp(vertices, axis=0).max()))
+    vertices, triangles = read_closed_surface(path)
+    unit_m = 1.0 if scale is None else scale
+    vertices = (vertices * unit_m) @ _TURN_TO_Z[away_axis].T
+    _check_extent(path, float(np.ptp(vertices, axis=0).max()), unit_m)
     if origin == "tip":
-        vertices = vertices - np.array([0.0, 0.0, vertices[:, 2].min()])
+        vertices = vertices - _lowest_point(vertices)
     mesh = IndenterMesh(np.ascontiguousarray(vertices), triangles)
-    return Indenter(IndenterKind.MESH, (), mesh=mesh, name=path.stem)
+    return Indenter(IndenterKind.MESH, (), mesh=mesh, name=path.stem, file_unit_m=unit_m)
 
 
-def load_indenter(source: str | Path | Mapping[str, Any]) -> Indenter:
-    """Return an indenter from a definition.
+def _lowest_point(vertices: FloatArray) -> FloatArray:
+    """Return the lowest vertex (3,); of a face, an edge or a ring of them its middle."""
+    # Files of 32-bit numbers hold a level face with their rounding errors.
+    rounding = 1e-6 * np.abs(vertices).max()
+    lowest = vertices[vertices[:, 2] <= vertices[:, 2].min() + rounding]
+    return np.asarray((lowest.min(axis=0) + lowest.max(axis=0)) / 2.0)
+
+
+def load_indenter(source: str | Path | Mapping[str, Any], *, folder: str | Path = "") -> Indenter:
+    """Return an indenter from a name, a file or a definition.
 
     Args:
-        source: a mapping (`kind` and the factory's arguments; for `kind: mesh` a `path`), the path
-            of a YAML file with such a mapping, the path of a mesh in metres, or the name of a file
-            in `params/indenters` without `.yaml`.
+        source: the name of a file in `params/indenters` without `.yaml`; the path of a mesh in
+            metres, or of a YAML file with a definition; or a definition: a mapping (`kind` and the
+            factory's arguments; for `kind: mesh` a `path`), or one as text, such as
+            `sphere(radius_m=0.003)` or, as YAML has it, `{kind: sphere, radius_m: 0.003}`.
+            Programs that read what they are given as YAML, such as `ros2 param set`, take braces
+            for a mapping, which no parameter of ROS can be.
+        folder: that the path of a definition's mesh is relative to.
 
     Raises:
         FileNotFoundError: no such file or name.
         ValueError: the definition is not valid; the message says what was expected.
     """
     if isinstance(source, Mapping):
-        return _from_mapping(source, "indenter definition", Path())
-    path = Path(source)
+        return _from_mapping(source, "indenter definition", Path(folder))
+    if isinstance(source, str) and is_definition(source):
+        definition = parse_yaml(_as_yaml(source.strip()), "indenter")
+        found = _from_mapping(definition, "indenter definition", Path(folder))
+        # So that two of one kind have not one name.
+        is_named = found.mesh is not None or "name" in definition
+        return found if is_named else replace(found, name=source.strip())
+    path = expanded(source)
     if path.suffix.lower() in MESH_SUFFIXES:
         return load_mesh(path)
     if path.suffix.lower() not in (".yaml", ".yml"):
-        path = parameter_path(f"indenters/{source}.yaml")
+        path = shipped_path("indenters", str(source), "indenter", OTHER_FORMS)
     elif not path.is_file():
         raise FileNotFoundError(f"no indenter file {path}")
     definition = read_yaml(path)
@@ -317,25 +305,19 @@ def load_indenter(source: str | Path | Mapping[str, Any]) -> Indenter:
     return _from_mapping(definition, str(path), path.parent)
 
 
-def indenter_from_text(text: str) -> Indenter:
-    """Return the indenter of a name, a path, or a definition as one line.
+def is_definition(text: str) -> bool:
+    """Return whether a text defines an indenter, rather than that it names one."""
+    return text.lstrip().startswith("{") or _CALL.fullmatch(text.strip()) is not None
 
-    A definition is `sphere(radius_m=0.003)`, or in braces what a YAML file of it holds. Programs
-    that read what they are given as YAML, such as `ros2 param set`, take braces for a mapping,
-    which no parameter of ROS can be.
 
-    Raises:
-        FileNotFoundError: no such file or name.
-        ValueError: the definition is not valid; the message says what was expected.
-    """
-    called = _CALL.fullmatch(text.strip())
-    if called is not None:
-        kind, values = called.groups()
-        named = _ARGUMENT.sub(r"\1 \2: ", values)
-        text = f"{{kind: {kind}, {named}}}"
-    if not text.lstrip().startswith("{"):
-        return load_indenter(text)
-    return load_indenter(parse_yaml(text, "indenter"))
+def _as_yaml(text: str) -> str:
+    """Return the mapping that a definition as text stands for."""
+    called = _CALL.fullmatch(text)
+    if called is None:
+        return text
+    kind, values = called.groups()
+    named = _ARGUMENT.sub(r"\1 \2: ", values)
+    return f"{{kind: {kind}, {named}}}"
 
 
 def _from_mapping(definition: Mapping[str, Any], where: str, folder: Path) -> Indenter:
@@ -344,26 +326,23 @@ def _from_mapping(definition: Mapping[str, Any], where: str, folder: Path) -> In
     name = arguments.pop("name", None)
     if not isinstance(kind, str) or kind not in (*_FACTORIES, "mesh"):
         expected = ", ".join([*sorted(_FACTORIES), "mesh"])
-        raise ValueError(f"{where}: kind must be one of {expected}, got {value_text(kind)}")
+        question = did_you_mean(str(kind), [*_FACTORIES, "mesh"])
+        raise ValueError(
+            f"{where}: kind must be one of {expected}, got {value_text(kind)}{question}"
+        )
     if not isinstance(name, str | None):
         raise ValueError(f"{where}: name must be text, got {value_text(name)}")
     factory: Callable[..., Indenter] = load_mesh if kind == "mesh" else _FACTORIES[kind]
     _check_arguments(kind, factory, arguments, where)
     if kind == "mesh":
-        arguments["path"] = folder / arguments["path"]
+        arguments["path"] = folder / expanded(arguments["path"])
     try:
         indenter = factory(**arguments)
     except FileNotFoundError as error:
         raise FileNotFoundError(f"{where}: {error}") from error
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
-    return Indenter(
-        indenter.kind,
-        indenter.parameters,
-        indenter.mount,
-        indenter.mesh,
-        indenter.name if name is None else name,
-    )
+    return indenter if name is None else replace(indenter, name=name)
 
 
 def _check_arguments(
@@ -416,65 +395,63 @@ def _check_rounding(radius_m: float, largest_m: float) -> None:
         raise ValueError(f"the rounding must lie within 0 to {largest_m:.6g} m, got {radius_m}")
 
 
-def _check_extent(path: Path, extent_m: float) -> None:
-    if extent_m > MAXIMUM_EXTENT_M:
-        units = [
-            f"in {unit}: it is then {1e3 * scale * extent_m:.3g} mm long: scale={scale:g}"
-            for unit, scale in UNITS_M.items()
-            if MINIMUM_EXTENT_M <= scale * extent_m <= MAXIMUM_EXTENT_M
-        ]
-        raise ValueError(
-            f"{path}: the mesh is {extent_m:.4g} m long, at most {MAXIMUM_EXTENT_M} m expected; "
-            f"is it in another unit ({'; or '.join(units) or 'none that is known'})? Load it "
-            "with that scale; a mesh of a data set is in metres: export it anew"
+def _check_extent(path: Path, extent_m: float, unit_m: float) -> None:
+    if MINIMUM_EXTENT_M <= extent_m <= MAXIMUM_EXTENT_M:
+        return
+    bound = (
+        f"at most {MAXIMUM_EXTENT_M} m"
+        if extent_m > MAXIMUM_EXTENT_M
+        else f"at least {MINIMUM_EXTENT_M} m"
+    )
+    raise ValueError(
+        f"{path}: the mesh is {extent_m:.4g} m long, {bound} expected; is it in another unit "
+        f"({_other_units(extent_m / unit_m, MAXIMUM_EXTENT_M)}), or scaled once too often? Load it "
+        "with that scale; a mesh of a data set is in metres: export it again"
+    )
+
+
+def _other_units(extent: float, largest_m: float) -> str:
+    """Return in which units a mesh of a length in its file's unit has the size of an indenter."""
+    units = [
+        f"in {unit}: it is then {1e3 * scale * extent:.3g} mm long: scale={scale:g}"
+        for unit, scale in UNITS_M.items()
+        if LIKELY_EXTENT_M <= scale * extent <= largest_m
+    ]
+    return "; or ".join(units) or "none that is known"
+
+
+def warn_of_misfit(indenter: Indenter, skin_m: FloatArray) -> None:
+    """Log what makes it doubtful that a mesh was read in its unit and with its origin.
+
+    Args:
+        indenter: other than a mesh of a file, there is no doubt.
+        skin_m: (V, 3) vertices of the gel's skin.
+    """
+    if indenter.file_unit_m is None:
+        return
+    lower, upper = indenter.bounds_m()
+    extent_m, width_m = float((upper - lower).max()), float((upper - lower)[:2].max())
+    gel_width_m = float(np.ptp(skin_m, axis=0)[:2].max())
+    if width_m > gel_width_m or extent_m < LIKELY_EXTENT_M:
+        units = _other_units(extent_m / indenter.file_unit_m, gel_width_m)
+        _warn_once(
+            f"the mesh {indenter.name!r} is {1e3 * width_m:.3g} mm wide and "
+            f"{1e3 * extent_m:.3g} mm long, the gel {1e3 * gel_width_m:.3g} mm wide; is the mesh "
+            f"in another unit ({units})?"
         )
-    if extent_m < MINIMUM_EXTENT_M:
-        raise ValueError(
-            f"{path}: the mesh is {extent_m:.4g} m long, at least {MINIMUM_EXTENT_M} m expected; "
-            "is it in metres, and scaled once too often?"
+    if np.any(lower[:2] > AXIS_TOLERANCE_M) or np.any(upper[:2] < -AXIS_TOLERANCE_M):
+        (left, front, _), (right, back, _) = 1e3 * lower, 1e3 * upper
+        _warn_once(
+            f"the mesh {indenter.name!r} reaches from {left:.3g} to {right:.3g} mm along x and "
+            f"from {front:.3g} to {back:.3g} mm along y, past its own axis x = y = 0, where poses "
+            "place it; 'origin: tip' in its definition moves its lowest point there"
         )
 
 
-def _read_closed_surface(path: Path) -> tuple[FloatArray, NDArray[np.int32]]:
-    import trimesh  # half a second, and primitives do without
-
-    try:
-        mesh: Any = trimesh.load(path, force="mesh", process=True)
-    except Exception as error:  # the readers raise whatever their parsers meet
-        raise ValueError(f"{path}: not a readable mesh: {value_text(str(error))}") from error
-    faces = getattr(mesh, "faces", None)
-    if faces is None or len(faces) == 0:
-        raise ValueError(f"{path}: the mesh has no triangles")
-    if len(faces) > MAXIMUM_TRIANGLE_COUNT:
-        raise ValueError(
-            f"{path}: {len(faces)} triangles, at most {MAXIMUM_TRIANGLE_COUNT} expected; "
-            "simplify it"
-        )
-    if np.shape(mesh.vertices)[1:] != (3,):
-        raise ValueError(f"{path}: its vertices have no 3 coordinates; write the mesh anew")
-    if np.shape(faces)[1:] != (3,) or not 0 <= np.min(faces) <= np.max(faces) < len(mesh.vertices):
-        raise ValueError(f"{path}: triangles name vertices that are not there; write the mesh anew")
-    if not np.all(np.isfinite(mesh.vertices)):
-        raise ValueError(f"{path}: a vertex is not finite")
-    if not (mesh.is_watertight and mesh.is_winding_consistent and mesh.volume > 0.0):
-        mesh.update_faces(mesh.nondegenerate_faces())
-        mesh.update_faces(mesh.unique_faces())
-        trimesh.repair.fix_normals(mesh, multibody=True)
-    if len(mesh.faces) == 0:
-        raise ValueError(f"{path}: every triangle of the mesh is empty")
-    if not mesh.is_watertight:
-        raise ValueError(
-            f"{path}: the mesh is not closed ({_open_edge_count(mesh)} edges do not join exactly "
-            "two triangles); close its holes in a mesh editor, they are not filled here"
-        )
-    if not mesh.is_winding_consistent or not mesh.volume > 0.0:
-        raise ValueError(f"{path}: the mesh's triangles do not enclose a volume; check its normals")
-    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int32)
-
-
-def _open_edge_count(mesh: Any) -> int:
-    _, count = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    return int(np.sum(count != 2))
+@functools.lru_cache(maxsize=256)
+def _warn_once(text: str) -> None:
+    # A gel is given the same indenter in every trial of a fit.
+    _log.warning(text)
 
 
 def _turn(away: str) -> FloatArray:

@@ -13,10 +13,10 @@ from collections.abc import Hashable
 from typing import Protocol
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.warp_runtime import wp
 
 # Triangles of metre coordinates have areas of 1e-9 m^2, whose squares underflow towards the
 # tolerances of float32 geometry; millimetres are well scaled.

@@ -22,6 +22,7 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.documents import is_number, value_text
+from dotsim_ros.files import expanded
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import (
@@ -134,7 +135,11 @@ class LiveDesk:
         with self._lock:
             self._show_live("skin", payload)
             if moment.force_n is not None:
-                self._history.append((1e-9 * moment.stamp_ns, *moment.force_n.tolist()))
+                stamp_s = 1e-9 * moment.stamp_ns
+                if self._history and stamp_s < self._history[-1][0]:
+                    # Time has begun again.
+                    self._history.clear()
+                self._history.append((stamp_s, *moment.force_n.tolist()))
             recorder = self._recorder
         if recorder is not None:
             self._record(recorder, partial(recorder.add_skin, moment))
@@ -247,7 +252,7 @@ class LiveDesk:
         if not isinstance(given, str) or not given or "\0" in given:
             raise ValueError(f"the bag is {value_text(given)}, expected a name or a path")
         # Relative to the recordings; an absolute path stays itself.
-        path = self._recordings / Path(given).expanduser()
+        path = self._recordings / expanded(given)
         # A bag takes seconds to read, and other pages go on meanwhile.
         threading.Thread(target=self._read, args=(path,), name="bag", daemon=True).start()
 

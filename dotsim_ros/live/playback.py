@@ -40,7 +40,8 @@ from dotsim_ros.view.timeline import (
 
 LARGEST_MOMENT_COUNT = 1500
 """A minute at 25 Hz, some 200 MB; of a longer bag as many are shown, evenly spread."""
-POSE_ENDINGS = ("indenter/pose", "indenter/state")
+POSE_ENDINGS = ("indenter/state", "indenter/pose")
+"""The pose that a frame shows first: the commanded one may be ahead of it."""
 POSE_TYPE = "geometry_msgs/msg/PoseStamped"
 
 
@@ -136,13 +137,13 @@ class _Poses:
 
 
 def _indenter(path: Path, there: dict[str, str]) -> Indenter | None:
-    """Return what pressed, where the bag names a shipped shape."""
+    """Return what pressed, where the bag names a shipped shape or defines one."""
     if there.get(NAME_TOPIC) != NAME_TYPE:
         return None
     with BagReader(path, Tolerance.UNFINISHED) as reader:
         name = next((str(each.message().data) for each in reader.messages(NAME_TOPIC)), "")
     # Never a path: a bag may come from anywhere.
-    if not re.fullmatch(r"\w{1,100}", name):
+    if not re.fullmatch(r"(?!mesh)\w{1,100}(\([\w=., \[\]+-]{1,200}\))?", name):
         return None
     try:
         return load_indenter(name)

@@ -75,12 +75,15 @@ class PressRecorder:
                 types=BAG_TYPES,
             )
         if moment.pose is not None:
-            messages["/indenter/pose"] = msg_adapters.encode_pose_stamped(
-                moment.pose.position_m,
-                moment.pose.quaternion_xyzw,
-                stamp_ns=stamp_ns,
-                frame_id=BASE_FRAME,
-                types=BAG_TYPES,
+            # The page knows the pose that the skin shows: of a recording, that is both.
+            messages["/indenter/pose"] = messages["/indenter/state"] = (
+                msg_adapters.encode_pose_stamped(
+                    moment.pose.position_m,
+                    moment.pose.quaternion_xyzw,
+                    stamp_ns=stamp_ns,
+                    frame_id=BASE_FRAME,
+                    types=BAG_TYPES,
+                )
             )
         if self._indenter_name and not self.frame_count:
             messages[NAME_TOPIC] = BAG_TYPES.make(NAME_TYPE, data=self._indenter_name)

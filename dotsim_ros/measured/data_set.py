@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.documents import ArrayForm, read_arrays, read_yaml, value_text
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.files import expanded
+from dotsim_ros.geometry.closed_mesh import MESH_SUFFIXES
+from dotsim_ros.geometry.indenter import Indenter, is_definition, load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, skin_of_triangles
 from dotsim_ros.measured.trajectory import (
     BASE_FRAME,
@@ -22,10 +24,13 @@ from dotsim_ros.measured.trajectory import (
     Trajectory,
     read_trajectory,
 )
+from dotsim_ros.printable import did_you_mean
 from dotsim_ros.specification import LARGEST_LENGTH_M
 
 INDEX = "dataset.yaml"
 SKIN_MESH = "skin_mesh.npz"
+INDENTER_SUFFIXES = (*MESH_SUFFIXES, ".yaml")
+"""Of the files of indenters, in the order in which they are looked for."""
 SKIN_FORMS = {
     "rest_position_m": ArrayForm((None, 3)),
     "triangles": ArrayForm((None, 3), "whole number"),
@@ -47,7 +52,7 @@ class DataSetEntry:
     Attributes:
         name: the bag's name.
         bag: its folder.
-        indenter: name of the indenter.
+        indenter: name of the indenter, or its definition.
         frame_count: how many frames it says to hold.
         has_images: whether it says to hold images.
         base_frame: name of the sensor's base frame in its messages.
@@ -133,35 +138,45 @@ class DataSet:
         """Return the files of the images without contact."""
         return tuple(sorted(self.directory.glob("idle_*.png")))
 
-    def indenter_mesh(self, indenter: str, folder: str | Path | None = None) -> Path:
-        """Return the mesh file of an indenter, in metres, tip at the origin, +z off the gel.
+    def indenter_file(self, indenter: str, folder: str | Path | None = None) -> Path:
+        """Return the file of an indenter: a mesh in metres, tip at the origin, +z off the gel, or
+        a YAML file that describes one.
 
-        Every command looks for meshes by this rule.
+        Every command looks for indenters by this rule.
 
         Args:
             indenter: its name.
-            folder: of meshes, where alone it is looked for; None looks into the data set's own
+            folder: of the files, where alone it is looked for; None looks into the data set's own
                 `indenters`, and then into those of the data sets beside it, by their names.
 
         Raises:
-            FileNotFoundError: no such mesh; the text lists where it was looked for.
+            FileNotFoundError: no such file; the text lists where it was looked for.
         """
         if folder is not None:
-            places = [Path(folder)]
+            places = [expanded(folder)]
         else:
             own = self.directory / "indenters"
             beside = sorted(self.directory.resolve().parent.glob("*/indenters"))
             places = [own, *(place for place in beside if place != own.resolve())]
         for place in places:
-            if (place / f"{indenter}.stl").is_file():
-                return place / f"{indenter}.stl"
+            for suffix in INDENTER_SUFFIXES:
+                if (place / f"{indenter}{suffix}").is_file():
+                    return place / f"{indenter}{suffix}"
         first, *others = places
-        known = ", ".join(sorted(mesh.stem for mesh in first.glob("*.stl"))) or "no indenter"
+        names = [path.stem for path in indenter_files(first)]
+        known = ", ".join(names) or "no indenter"
         also = f", nor in {', '.join(map(str, others))}" if others else ""
         raise FileNotFoundError(
-            f"no mesh {indenter}.stl in {first}, which holds {known}{also}; put it into {first}, "
-            "or name the folder of the meshes (--indenters of calibrate, find-gap and plan-gap)"
+            f"no mesh {indenter}.stl{did_you_mean(indenter, names)} in {first}, which holds "
+            f"{known}{also}; put it into {first}, "
+            "or name the folder of the meshes (--indenters of calibrate, find-gap and plan-gap), "
+            "or write what it is in place of its name, such as 'sphere(radius_m=0.004)'"
         )
+
+
+def indenter_files(folder: Path) -> list[Path]:
+    """Return the files of indenters in a folder, by name."""
+    return sorted(path for path in folder.glob("*") if path.suffix in INDENTER_SUFFIXES)
 
 
 def _bag(directory: Path, record: Any, place: str) -> Path:
@@ -170,7 +185,7 @@ def _bag(directory: Path, record: Any, place: str) -> Path:
         raise ValueError(
             f"{place}: expected a mapping with the key 'bag', got {value_text(record)}"
         )
-    bag = directory / record["bag"]
+    bag = directory / expanded(record["bag"])
     # A name of NUL characters, or of 5,000, is no path that can be asked for.
     is_there = False
     with suppress(ValueError, OSError):
@@ -189,7 +204,7 @@ def _entry(directory: Path, index: int, record: Any, base_frame: str) -> DataSet
     return DataSetEntry(
         name=bag.name,
         bag=bag,
-        indenter=_mesh_name(record.get("indenter", ""), f"{place}: indenter"),
+        indenter=_indenter_name(record.get("indenter", ""), f"{place}: indenter"),
         frame_count=frames,
         has_images=bool(record.get("images", False)),
         base_frame=base_frame,
@@ -221,12 +236,12 @@ def _positive(value: Any, place: str) -> float:
     return float(value)
 
 
-def _mesh_name(value: Any, place: str) -> str:
+def _indenter_name(value: Any, place: str) -> str:
     is_name = isinstance(value, str) and Path(value).name == value and value.isprintable()
     if not is_name or len(value) > LONGEST_NAME:
         raise ValueError(
             f"{place} is {value_text(value)}, expected the name of a mesh in indenters/, without "
-            ".stl"
+            ".stl, or a definition such as 'sphere(radius_m=0.004)'"
         )
     return str(value)
 
@@ -241,7 +256,7 @@ def read_data_set(directory: str | Path) -> DataSet:
         FileNotFoundError: no index there, or a bag that it names is not.
         ValueError: the index is no YAML, or not of the documented form.
     """
-    directory = Path(directory)
+    directory = expanded(directory)
     index = directory / INDEX
     if not index.is_file():
         raise FileNotFoundError(f"{directory} is no data set: it holds no {INDEX}")
@@ -278,16 +293,20 @@ def read_data_set(directory: str | Path) -> DataSet:
     )
 
 
-def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None) -> Indenter:
-    """Return an indenter by its name.
+def find_indenter(data_set: DataSet, name: str, indenters: str | Path | None = None) -> Indenter:
+    """Return an indenter by its name, or by a definition in its place.
 
     Args:
         data_set: that names it.
-        name: of the indenter.
-        indenters: folder of meshes; None as `DataSet.indenter_mesh`.
+        name: of the indenter, or a definition as `load_indenter` takes it.
+        indenters: folder of their files; None as `DataSet.indenter_file`.
 
     Raises:
-        FileNotFoundError: no mesh of this name; the text lists where it was looked for.
-        ValueError: it is no closed mesh in metres.
+        FileNotFoundError: no file of this name; the text lists where it was looked for.
+        ValueError: it is no closed mesh in metres, or no valid definition.
     """
-    return load_mesh(data_set.indenter_mesh(name, indenters))
+    if is_definition(name):
+        found = load_indenter(name, folder=indenters or data_set.directory / "indenters")
+    else:
+        found = load_indenter(data_set.indenter_file(name, indenters))
+    return replace(found, name=name)

@@ -76,7 +76,7 @@ def read_measurement(
     Args:
         directory: the folder that holds dataset.yaml.
         own_skin: of the sensor's file, used where the data set has no mesh of its own.
-        indenters: folder of the indenters' meshes; None as `DataSet.indenter_mesh`.
+        indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
         topics: where the channels lie.
 
     Raises:

@@ -89,7 +89,7 @@ def read_observation(
         skin: at rest; the data set's, or the sensor's own where it has none.
         has_vertices: whether the clouds list the skin's vertices; where not, they may differ.
         topics: where the channels lie.
-        indenters: folder of the indenters' meshes; None as `DataSet.indenter_mesh`.
+        indenters: folder of the indenters' meshes; None as `DataSet.indenter_file`.
         indenter_of: finds an indenter by its name instead.
 
     Raises:

@@ -15,12 +15,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import warp as wp
 from scipy.spatial import KDTree
 from scipy.spatial.distance import cdist
 
 from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.geometry.skin_mesh import face_vectors
+from dotsim_ros.warp_runtime import wp
 
 SAMPLE_COUNT = 2048
 SIGNIFICANT_SHARE = 0.01

@@ -14,8 +14,9 @@ from collections import defaultdict
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import DTypeLike, NDArray
+
+from dotsim_ros.warp_runtime import wp
 
 AnyArray = NDArray[Any]
 

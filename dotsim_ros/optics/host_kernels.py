@@ -16,9 +16,8 @@ bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
 # Kernels are Warp's language, whose types are none of a type checker's.
 # mypy: ignore-errors
 
-import warp as wp
-
 from dotsim_ros.optics.kernels import NO_TRIANGLE, Lens
+from dotsim_ros.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -132,8 +131,11 @@ def rasterize(
     bottom = wp.max(wp.max(p0[1], p1[1]), p2[1])
     # An edge of length s images as a curve of curvature below edge_curvature / focal, which bulges
     # out of the box of its ends by at most a curvature's eighth of s^2; s^2 is at most 2 extent^2.
+    # Where the focal lengths differ, that holds in angles.
     extent = wp.max(right - left, bottom - top)
-    margin = 0.25 * lens.edge_curvature * extent * extent / lens.focal_px + 0.01
+    least = wp.min(lens.focal_x, lens.focal_y)
+    bulge = wp.max(lens.focal_x, lens.focal_y) / (least * least)
+    margin = 0.25 * lens.edge_curvature * extent * extent * bulge + 0.01
     x_first = wp.max(int(wp.ceil(left - margin)), 0)
     x_last = wp.min(int(wp.floor(right + margin)), triangle_seen.shape[1] - 1)
     y_first = wp.max(int(wp.ceil(top - margin)), row_first)

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,11 @@ from dotsim_ros.specification import (
 
 DARK_LEVEL = 10
 """Grey level up to which a pixel counts as unlit."""
+MOST_LIT_BEYOND, MOST_DARK_WITHIN = 0.05, 0.15
+"""Shares of the pixels that may be lit beyond the gel, by what holds it, and dark within it, under
+a lens mount or in a dim corner: of the shipped sensors at most 0.006 and 0.07 are."""
+MOST_LENS_CHANGE = 0.1
+"""By which share the angle of a lens may differ; that of sensor_a moved by 0.01 when fitted."""
 
 
 @dataclass(frozen=True)
@@ -191,17 +196,40 @@ class IdleFrame:
         vignetting: of its camera.
         fine: (2 H - 1, 2 W - 1, 3) uint8, the image with samples half-way between its own; None
             where they are not known.
+        half_height_angle_deg: of the lens that it was taken through; None where it is not known.
     """
 
     image: ImageArray
     lighting: Lighting = field(default_factory=Lighting)
     vignetting: Vignetting = field(default_factory=Vignetting)
     fine: ImageArray | None = None
+    half_height_angle_deg: float | None = None
 
     def as_grey(self) -> IdleFrame:
         """Return what a camera sees that tells no colours apart, in three equal channels."""
         fine = None if self.fine is None else _grey(self.fine)
-        return IdleFrame(_grey(self.image), self.lighting.as_grey(), self.vignetting, fine)
+        return replace(self, image=_grey(self.image), lighting=self.lighting.as_grey(), fine=fine)
+
+    def misfit(self, sees_gel: BoolArray, half_height_angle_deg: float) -> str:
+        """Return why this image was not taken through a camera, or "" where it may have been.
+
+        Args:
+            sees_gel: (H, W) where the camera sees the untouched gel.
+            half_height_angle_deg: of its lens.
+        """
+        lit = lit_region(self.image)
+        beyond, dark = float(np.mean(lit & ~sees_gel)), float(np.mean(sees_gel & ~lit))
+        taken_deg = self.half_height_angle_deg or half_height_angle_deg
+        if abs(half_height_angle_deg / taken_deg - 1.0) > MOST_LENS_CHANGE:
+            return (
+                f"it was taken through a lens that sees {taken_deg:g} degrees at half the height, "
+                f"and the camera's sees {half_height_angle_deg:g}"
+            )
+        if beyond > MOST_LIT_BEYOND:
+            return f"in {beyond:.0%} of its pixels it is lit where the camera sees no gel"
+        if dark > MOST_DARK_WITHIN:
+            return f"in {dark:.0%} of its pixels it is dark where the camera sees gel"
+        return ""
 
 
 def _grey(image: ImageArray) -> ImageArray:
@@ -242,10 +270,11 @@ def read_idle_frame(
 ) -> IdleFrame:
     """Read an idle frame and bring it to the sensor's camera.
 
-    A YAML file of the same name beside the image may describe it, in three optional sections:
-    `disc` (the fields of LitDisc; without it the image must show the camera's own view), and
-    `lighting` and `vignetting` as a sensor's file has them. So may an image NAME_fine.png of
-    samples between the image's pixels, as train-optics learns it.
+    A YAML file of the same name next to the image may describe it, in four optional sections:
+    `disc` (the fields of LitDisc; without it the image must show the camera's own view), `lens`
+    (its half_height_angle_deg, that of the camera that took the image), and `lighting` and
+    `vignetting` as a sensor's file has them. So may an image NAME_fine.png of samples between the
+    image's pixels, as train-optics learns it.
 
     Args:
         path: of the image.
@@ -260,8 +289,11 @@ def read_idle_frame(
     image = _read_image(path)
     description = path.with_suffix(".yaml")
     disc, lighting, vignetting = None, lighting or Lighting(), vignetting or Vignetting()
+    lens_deg = None
     if description.exists():
-        disc, lighting, vignetting = read_description(description)
+        read = _read_sections(description)
+        disc, lens_deg = read.disc, read.half_height_angle_deg
+        lighting, vignetting = read.lights()
     try:
         fitted = fit_idle_image(image, camera, disc=disc)
         fine = None
@@ -274,7 +306,7 @@ def read_idle_frame(
                 fitted, fine = enlarged_fine(fine, fitted, camera.width, camera.height)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    return IdleFrame(fitted, lighting, vignetting, fine)
+    return IdleFrame(fitted, lighting, vignetting, fine, lens_deg)
 
 
 def _read_image(path: Path) -> ImageArray:
@@ -290,20 +322,46 @@ def _numbers(section: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _read_sections(
-    path: Path,
-) -> tuple[LitDisc | None, LightingSpecification, VignettingSpecification]:
+@dataclass(frozen=True)
+class _Description:
+    """What the file next to an idle image says: None for what it does not."""
+
+    disc: LitDisc | None
+    half_height_angle_deg: float | None
+    lighting: LightingSpecification
+    vignetting: VignettingSpecification
+
+    def lights(self) -> tuple[Lighting, Vignetting]:
+        return (
+            Lighting.from_specification(self.lighting),
+            Vignetting.from_specification(self.vignetting),
+        )
+
+
+def _read_sections(path: Path) -> _Description:
     try:
         document = read_yaml(path) or {}
-        unknown = sorted(map(str, set(document) - {"disc", "lighting", "vignetting"}))
+        known = ("disc", "lens", "lighting", "vignetting")
+        unknown = sorted(map(str, set(document) - set(known)))
         if unknown:
-            raise ValueError(f"unknown sections {unknown}; known are disc, lighting, vignetting")
-        disc = LitDisc(**_numbers(document["disc"])) if "disc" in document else None
-        lighting = section_from(LightingSpecification, "lighting", document.get("lighting"))
-        vignetting = section_from(VignettingSpecification, "vignetting", document.get("vignetting"))
+            raise ValueError(f"unknown sections {unknown}; known are {', '.join(known)}")
+        lens_deg = None
+        if "lens" in document:
+            lens = _numbers(document["lens"])
+            lens_deg = lens.get("half_height_angle_deg", 0.0)
+            if len(lens) != 1 or not 0.0 < lens_deg <= 180.0:
+                raise ValueError(
+                    f"lens is {document['lens']}, expected half_height_angle_deg, above 0 and at "
+                    "most 180 degrees"
+                )
+        return _Description(
+            LitDisc(**_numbers(document["disc"])) if "disc" in document else None,
+            lens_deg,
+            section_from(LightingSpecification, "lighting", document.get("lighting")),
+            section_from(VignettingSpecification, "vignetting", document.get("vignetting")),
+        )
     except (TypeError, ValueError, AttributeError) as error:
         raise ValueError(f"{path} describes no idle image: {error}") from error
-    return disc, lighting, vignetting
 
 
 def read_description(path: Path) -> tuple[LitDisc | None, Lighting, Vignetting]:
@@ -313,12 +371,8 @@ def read_description(path: Path) -> tuple[LitDisc | None, Lighting, Vignetting]:
         ValueError: an entry is unknown, missing, of the wrong type or out of range; the message
             names the file.
     """
-    disc, lighting, vignetting = _read_sections(path)
-    return (
-        disc,
-        Lighting.from_specification(lighting),
-        Vignetting.from_specification(vignetting),
-    )
+    read = _read_sections(path)
+    return (read.disc, *read.lights())
 
 
 def description_of(sensor: SensorSpecification) -> Path | None:
@@ -346,8 +400,8 @@ def stated_lights(
     description = description_of(sensor)
     if description is None:
         return sensor.lighting, sensor.vignetting
-    _, lighting, vignetting = _read_sections(description)
-    return lighting, vignetting
+    read = _read_sections(description)
+    return read.lighting, read.vignetting
 
 
 def lights_of(sensor: SensorSpecification) -> tuple[Lighting, Vignetting]:

@@ -18,7 +18,6 @@ from typing import Protocol
 
 import cv2
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
@@ -30,6 +29,7 @@ from dotsim_ros.optics.frame_memory import FrameMemory
 from dotsim_ros.optics.idle import check_fine, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
+from dotsim_ros.warp_runtime import wp
 
 RIM_PX = 2
 """Width of the soft rim of the lit disc, whose colours are not spread outwards."""

@@ -9,7 +9,7 @@ A pixel that sees no skin has the triangle NO_TRIANGLE.
 # Kernels are Warp's language, whose types are none of a type checker's.
 # mypy: ignore-errors
 
-import warp as wp
+from dotsim_ros.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
 
@@ -22,10 +22,12 @@ _NAN = wp.constant(float("nan"))
 
 @wp.struct
 class Lens:
-    """A projection: pixels a radian at the axis, principal point, coefficients, widest angle imaged
-    and its cotangent, whether it is a pinhole, and how strongly straight edges bend."""
+    """A projection: pixels a radian at the axis along x and y, principal point, coefficients,
+    widest angle imaged and its cotangent, whether it is a pinhole, and how strongly straight edges
+    bend."""
 
-    focal_px: float
+    focal_x: float
+    focal_y: float
     principal_x: float
     principal_y: float
     distortion: wp.vec4
@@ -47,15 +49,18 @@ def projected(point: wp.vec3, lens: Lens):
         radial = 1.0 + around * (k[0] + around * k[1])
         return wp.vec2(
             lens.principal_x
-            + lens.focal_px * (x * radial + 2.0 * k[2] * x * y + k[3] * (around + 2.0 * x * x)),
+            + lens.focal_x * (x * radial + 2.0 * k[2] * x * y + k[3] * (around + 2.0 * x * x)),
             lens.principal_y
-            + lens.focal_px * (y * radial + k[2] * (around + 2.0 * y * y) + 2.0 * k[3] * x * y),
+            + lens.focal_y * (y * radial + k[2] * (around + 2.0 * y * y) + 2.0 * k[3] * x * y),
         )
     angle = wp.min(wp.atan2(across, point[2]), lens.widest_angle)
     square = angle * angle
     growth = 1.0 + square * (k[0] + square * (k[1] + square * (k[2] + square * k[3])))
-    scale = lens.focal_px * angle * growth / wp.max(across, 1.0e-12)
-    return wp.vec2(lens.principal_x + scale * point[0], lens.principal_y + scale * point[1])
+    scale = angle * growth / wp.max(across, 1.0e-12)
+    return wp.vec2(
+        lens.principal_x + lens.focal_x * scale * point[0],
+        lens.principal_y + lens.focal_y * scale * point[1],
+    )
 
 
 @wp.kernel

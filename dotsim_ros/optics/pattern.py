@@ -18,7 +18,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import warp as wp
 import yaml
 from scipy import ndimage
 
@@ -38,6 +37,7 @@ from dotsim_ros.specification import (
     check_drawable,
     load_sensor,
 )
+from dotsim_ros.warp_runtime import wp
 
 SUPERSAMPLING = 3
 """Rays a pixel along each axis."""

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from dotsim_ros.arrays import BoolArray, Float32Array, IndexArray
@@ -31,6 +30,7 @@ from dotsim_ros.optics.visibility import (
     VisibilityFinder,
     lens_of,
 )
+from dotsim_ros.warp_runtime import wp
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class View:
     """What the camera sees of one shape of the skin. Every array belongs to this view alone.
 
     Attributes:
-        depth_m: (H, W) distance along the ray; NaN where no skin is seen.
+        depth_m: (H, W) range, the distance along the ray; NaN where no skin is seen.
         normal: (H, W, 3) unit normal in the optical frame, on the camera's side; NaN where no
             skin is seen.
         material_point_m: (H, W, 3) where the skin point that is seen lies at rest, in the base

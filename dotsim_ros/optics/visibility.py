@@ -19,12 +19,12 @@ from enum import Enum
 from typing import Any, Protocol
 
 import numpy as np
-import warp as wp
 
 from dotsim_ros.arrays import Float32Array, IndexArray
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands
+from dotsim_ros.warp_runtime import wp
 
 _MILLIMETRES = 1e3
 
@@ -63,7 +63,7 @@ class VisibilityFinder(Protocol):
 def lens_of(camera: Camera) -> Any:
     """Return the camera's model as the kernels' struct."""
     lens = kernels.Lens()
-    lens.focal_px = camera.focal_px
+    lens.focal_x, lens.focal_y = camera.focal_xy_px
     lens.principal_x, lens.principal_y = camera.principal_point_px
     lens.distortion = wp.vec4(*camera.distortion)
     lens.widest_angle = camera.widest_angle_rad

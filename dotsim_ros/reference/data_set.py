@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from dotsim_ros.documents import read_yaml
-from dotsim_ros.geometry.indenter import Indenter, load_indenter
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import INDEX, read_data_set
+from dotsim_ros.measured.data_set import INDEX, find_indenter, read_data_set
 from dotsim_ros.measured.trajectory import Trajectory, read_trajectory
 from dotsim_ros.specification import SensorSpecification, sensor_from
 
@@ -57,7 +57,7 @@ def read_solved_presses(directory: Path) -> tuple[SkinMesh, list[SolvedPress]]:
             )
         sensor = sensor_from(record["sensor"], f"{directory / INDEX}, {entry.name}")
         if entry.indenter not in indenters:
-            indenters[entry.indenter] = load_indenter(data_set.indenter_mesh(entry.indenter))
+            indenters[entry.indenter] = find_indenter(data_set, entry.indenter)
         # A spacing's decimal point in the name is no suffix.
         trajectory = replace(read_trajectory(entry.bag), name=entry.name)
         presses.append(SolvedPress(sensor, indenters[entry.indenter], trajectory, record))

@@ -228,21 +228,37 @@ def read_steps(folder: Path, deck: Deck) -> tuple[SolvedStep, ...]:
 
 
 def read_tables(path: Path) -> list[tuple[str, str, FloatArray]]:
-    """Return quantity, set and rows (node, x, y, z) of each table in a .dat file."""
+    """Return quantity, set and rows (node, x, y, z) of each table in a .dat file.
+
+    Raises:
+        ValueError: a row is not four numbers, as where the file ends early.
+    """
     if not path.is_file():
         return []
-    tables: list[tuple[str, str, list[str]]] = []
-    for line in path.read_text(encoding="ascii").splitlines():
+    tables: list[tuple[str, str, list[list[float]]]] = []
+    for number, line in enumerate(path.read_text(encoding="ascii").splitlines(), start=1):
         heading = _HEADING.match(line)
         if heading:
             tables.append((heading.group(1), heading.group(2), []))
         elif line.strip() and tables:
-            tables[-1][2].append(line)
+            tables[-1][2].append(_row_of(line, f"{path}, line {number}"))
     return [
-        (quantity, name, np.array([row.split() for row in rows], dtype=np.float64))
+        (quantity, name, np.array(rows, dtype=np.float64))
         for quantity, name, rows in tables
         if rows
     ]
+
+
+def _row_of(line: str, place: str) -> list[float]:
+    try:
+        row = [float(cell) for cell in line.split()]
+    except ValueError:
+        row = []
+    if len(row) != 4:
+        raise ValueError(
+            f"{place}: {line.strip()[:80]!r} is not a node and three numbers; solve the press again"
+        )
+    return row
 
 
 def read_efforts(path: Path) -> dict[int, tuple[int, int]]:

@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
+from dotsim_ros.cache import PHYSICS, content_key, keep_arrays, load_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory, short_name
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
+from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.reading import read_press_images
 from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
@@ -186,9 +186,7 @@ def read_filmed_data(
             "record or name more presses"
         )
     skin = skin_of(sensor.gel)
-    indenters = {
-        entry.indenter: load_mesh(data_set.indenter_mesh(entry.indenter)) for entry in entries
-    }
+    indenters = {entry.indenter: find_indenter(data_set, entry.indenter) for entry in entries}
     check(
         idle,
         [
@@ -368,7 +366,7 @@ class _Follower:
                 f"{press.name}: the gel could not follow its poses: {error}"
             ) from error
         position = found.skin_position_m.astype(np.float32)
-        store_arrays(path, {"skin_position_m": position})
+        keep_arrays(path, {"skin_position_m": position})
         return position
 
     def _key(self, press: Press, indenter: Indenter) -> str:

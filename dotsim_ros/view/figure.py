@@ -13,9 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
+from dotsim_ros.optics.picture import BACKGROUND, CHANGE_GAIN
 from dotsim_ros.view.panels import (
-    BACKGROUND,
-    CHANGE_GAIN,
     DEPTH_COLOURS,
     SKIN_COLOURS,
     Ranges,

@@ -12,13 +12,11 @@ import matplotlib
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.optics.picture import BACKGROUND, change_image
 from dotsim_ros.view.skin_map import SkinMap, rest_position_m
 from dotsim_ros.view.timeline import BagMoment
 
-BACKGROUND = (16, 20, 26)
 SKIN_MAP_PX = 480
-CHANGE_GAIN = 3.0
-"""A press changes most pixels by a few tens of grey levels; this makes it plain to see."""
 
 DEPTH_COLOURS = "viridis_r"
 SKIN_COLOURS = "inferno"
@@ -129,8 +127,7 @@ class PanelImages:
             return None
         if moment.image.shape != self._first_image.shape:
             raise ValueError("the images of the bag change their size")
-        difference = moment.image.astype(np.float32) - self._first_image
-        return np.clip(127.5 + CHANGE_GAIN * difference, 0.0, 255.0).astype(np.uint8)
+        return change_image(moment.image, self._first_image)
 
     def _depth(self, moment: BagMoment) -> ImageArray | None:
         if moment.depth_m is None or self.ranges.depth_m is None:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -24,6 +25,7 @@ COLUMN_INCHES = 2.6
 PLOT_INCHES = 2.3
 DOTS_PER_INCH = 110
 CONTACT_FRACTION = 0.1
+LABEL_CHARACTERS = 12
 
 
 def strongest_stamps(
@@ -92,7 +94,10 @@ def write_sheet(
                     axes.imshow(image, interpolation="antialiased")
                 if row == 0:
                     axes.set_title(_caption(moment, forces, start_ns))
-            row_axes[0].set_ylabel(TITLES[name].replace(", ", ",\n"))
+            # Horizontal: an image may be lower than its label is long.
+            row_axes[0].set_ylabel(
+                textwrap.fill(TITLES[name], LABEL_CHARACTERS), rotation=0, ha="right", va="center"
+            )
             scale = colour_scale(name, images.ranges)
             if scale is not None:
                 figure.colorbar(scale, ax=row_axes, fraction=0.02, pad=0.01)
@@ -110,7 +115,8 @@ def write_sheet(
                 markersize=7,
             )
         with whole_file(path) as temporary, boxes_for_missing_glyphs():
-            figure.savefig(temporary, format="png")
+            # The layout keeps no room for labels that are longer than their axes; this does.
+            figure.savefig(temporary, format="png", bbox_inches="tight", pad_inches=0.15)
 
 
 def _caption(moment: BagMoment, forces: Forces | None, start_ns: int) -> str:

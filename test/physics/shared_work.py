@@ -21,7 +21,7 @@ from dotsim_ros.cache import content_key
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.implicit import gel, tangent
 from dotsim_ros.gel.implicit.tangent import inverse_of_positive
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.measured import data_set
 
 KEPT_GRIDS = 8
@@ -65,11 +65,11 @@ def share(patch: pytest.MonkeyPatch) -> None:
         inverse.flags.writeable = False
         return inverse
 
-    def kept_mesh(path: Path) -> Indenter:
+    def kept_indenter(path: Path) -> Indenter:
         key = content_key((), path.name, path.read_bytes())
-        mesh: Indenter = meshes.get(key, lambda: load_mesh(path))
+        mesh: Indenter = meshes.get(key, lambda: load_indenter(path))
         return mesh
 
     patch.setattr(gel, "discretize", kept_grid)
     patch.setattr(tangent, "inverse_of_positive", kept_inverse)
-    patch.setattr(data_set, "load_mesh", kept_mesh)
+    patch.setattr(data_set, "load_indenter", kept_indenter)

@@ -3,6 +3,8 @@
 
 """The gel in a MuJoCo world: weight, momentum, stability and refinement of the coupling."""
 
+import re
+from collections.abc import Callable
 from dataclasses import replace
 
 import mujoco
@@ -10,10 +12,11 @@ import numpy as np
 import pytest
 
 from dotsim_ros.gel.implicit.gel import PressTooDeepError
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SolverSpecification, load_sensor
-from dotsim_ros.tasks.environments.coupling import MujocoCoupling
+from dotsim_ros.tasks.environments.coupling import Finger, MujocoCoupling, MujocoGripper
 
 APEX_M = 15.75e-3
 GRAVITY_M_S2 = 9.81
@@ -140,6 +143,21 @@ def test_the_stiffness_is_the_derivative_of_the_wrench(sensor: TactileSensor) ->
     assert change_n / 20e-6 == pytest.approx(stiffness[2, 2], rel=0.1)
 
 
+def test_the_stiffness_is_the_derivative_where_markers_slip(sensor: TactileSensor) -> None:
+    sensor.set_indenter(load_indenter("sphere_4mm"))
+    stiffness, force_n = {}, {}
+    # As in a slide that is half way to the limit, and next to it; then all of them slip.
+    for slid_um in (0, 50, 100, 150, 200, 250, 300, 350, 355, 400, 450, 500, 505, 550, 600):
+        pose = Pose(np.array([1e-6 * slid_um, 0.0, APEX_M - 0.5e-3]))
+        force_n[slid_um] = sensor.press(pose).wrench.force_n[0]
+        stiffness[slid_um] = sensor.wrench_stiffness()[0, 0]
+    for slid_um in (350, 500):
+        change_n = force_n[slid_um] - force_n[slid_um + 5]
+        assert change_n / 5e-6 == pytest.approx(stiffness[slid_um], rel=0.05)
+    assert stiffness[350] < 0.9 * stiffness[0]
+    assert abs(stiffness[600]) < 0.1 * stiffness[0]
+
+
 def test_a_body_that_is_pushed_through_the_gel_is_refused(sensor: TactileSensor) -> None:
     coupling = on_top(sensor, BALL, mass_kg=5.0, height_m=APEX_M + 4.1e-3)
 
@@ -181,3 +199,143 @@ def test_a_plane_cannot_press(sensor: TactileSensor) -> None:
             sensor_body="sensor",
             pressed_geom="floor",
         )
+
+
+BALL_M, BALL_KG = 6.0e-3, 0.02
+TWO = ("left", "right")
+
+
+@pytest.fixture(scope="module")
+def pair(sensor: TactileSensor) -> list[TactileSensor]:
+    return [sensor, TactileSensor.load(sensor.specification)]
+
+
+def ball_between(
+    gap_m: float, *, finger: str = "", gravity: float = GRAVITY_M_S2
+) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """Return a world with a free ball between two domes, and so wide a gap at each of them."""
+    away_m = APEX_M + BALL_M + gap_m
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco>
+          <option timestep="0.001" gravity="0 0 {-gravity}" integrator="implicitfast"/>
+          <worldbody>
+            <body name="ball">
+              <freejoint/>
+              <geom name="ball" type="sphere" size="{BALL_M}" mass="{BALL_KG}"/>
+            </body>
+            <body name="left" pos="{-away_m} 0 0" zaxis="1 0 0">{finger}</body>
+            <body name="right" pos="{away_m} 0 0" zaxis="-1 0 0">{finger}</body>
+          </worldbody>
+        </mujoco>"""
+    )
+    return model, mujoco.MjData(model)
+
+
+def gripper(
+    sensors: list[TactileSensor], model: mujoco.MjModel, data: mujoco.MjData
+) -> MujocoGripper:
+    fingers = [Finger(each, name, "ball") for each, name in zip(sensors, TWO, strict=True)]
+    return MujocoGripper(model, data, fingers)
+
+
+def force_on_the_ball(held: MujocoGripper) -> np.ndarray:
+    """Return the force of all gels (3,) in the world."""
+    return np.sum([f.base_pose().rotation() @ f.wrench().force_n for f in held.fingers], axis=0)
+
+
+def test_two_sensors_hold_a_ball_by_friction_in_one_world(pair: list[TactileSensor]) -> None:
+    model, data = ball_between(-0.4e-3)
+    held = gripper(pair, model, data)
+    # What the caller puts there acts too, and stays.
+    data.xfrc_applied[1, 1] = 0.05
+    given = data.xfrc_applied.copy()
+    for _ in range(30):
+        gels = held.step()
+    assert data.time == pytest.approx(0.3)
+    weight_n = BALL_KG * GRAVITY_M_S2
+    assert force_on_the_ball(held) == pytest.approx([0.0, -0.05, weight_n], abs=0.01 * weight_n)
+    squeeze_n = [gel.wrench.force_n[2] for gel in gels]
+    assert squeeze_n[0] == pytest.approx(squeeze_n[1], rel=0.01)
+    assert 0.5 < squeeze_n[0] < 1.0
+    assert np.array_equal(data.xfrc_applied, given)
+    # It hangs on the sheared gels, and has not slipped.
+    assert -0.2e-3 < data.qpos[2] < -0.02e-3
+    assert np.abs(data.qvel[:3]).max() < 1e-4
+
+
+def test_a_ball_slips_from_two_sensors_with_too_little_friction(pair: list[TactileSensor]) -> None:
+    contact = replace(pair[0].specification.contact, friction_coefficient=0.1)
+    smooth = [TactileSensor.load(replace(each.specification, contact=contact)) for each in pair]
+    model, data = ball_between(-0.4e-3)
+    held = gripper(smooth, model, data)
+    for _ in range(20):
+        held.step()
+    assert data.qpos[2] < -10e-3
+    assert not force_on_the_ball(held).any()
+
+
+def test_momentum_of_a_ball_and_two_fingers_is_kept(pair: list[TactileSensor]) -> None:
+    finger = '<freejoint/><inertial mass="0.1" pos="0 0 0.005" diaginertia="1e-5 1e-5 1e-5"/>'
+    model, data = ball_between(0.2e-3, finger=finger, gravity=0.0)
+    # Beside the axis, so that all turn; each moves towards the ball.
+    data.qpos[1] = 1.0e-3
+    data.qvel[6], data.qvel[12] = 0.05, -0.03
+    held = gripper(pair, model, data)
+
+    def momentum() -> np.ndarray:
+        mujoco.mj_subtreeVel(model, data)
+        linear = [model.body_mass[body] * data.subtree_linvel[body] for body in (1, 2, 3)]
+        turning = [
+            data.subtree_angmom[body] + np.cross(data.subtree_com[body], linear[body - 1])
+            for body in (1, 2, 3)
+        ]
+        return np.concatenate([np.sum(linear, axis=0), np.sum(turning, axis=0)])
+
+    begun, largest_n = momentum(), np.zeros(2)
+    for _ in range(15):
+        forces_n = [np.linalg.norm(gel.wrench.force_n) for gel in held.step()]
+        largest_n = np.maximum(largest_n, forces_n)
+    assert np.all(largest_n > 0.1)
+    scale = 0.1 * 0.05
+    assert momentum()[:3] == pytest.approx(begun[:3], abs=1e-5 * scale)
+    assert momentum()[3:] == pytest.approx(begun[3:], abs=0.01 * scale * APEX_M)
+
+
+@pytest.mark.fault("environments", "a coupling for each of two sensors of one MuJoCo world")
+def test_a_second_coupling_of_a_world_is_refused(
+    pair: list[TactileSensor], answered: Callable[..., None]
+) -> None:
+    model, data = ball_between(-0.4e-3)
+
+    def couple(name: str) -> MujocoCoupling:
+        return MujocoCoupling(model, data, pair[0], sensor_body=name, pressed_geom="ball")
+
+    first = couple("left")
+    with pytest.raises(ValueError, match=r"a coupling already.* make one MujocoGripper") as refused:
+        couple("right")
+    answered(str(refused.value))
+    first.step()
+    assert data.time == pytest.approx(0.01)
+    del first
+    couple("right").step()
+    assert data.time == pytest.approx(0.02)
+
+
+def test_fingers_need_sensors_of_their_own(pair: list[TactileSensor]) -> None:
+    model, data = ball_between(-0.4e-3)
+    with pytest.raises(ValueError, match="2 fingers have 1 sensors"):
+        gripper([pair[0], pair[0]], model, data)
+    with pytest.raises(ValueError, match="one or more fingers"):
+        MujocoGripper(model, data, [])
+
+
+def test_a_time_step_that_is_too_long_is_warned_of(sensor: TactileSensor) -> None:
+    mass_kg = 0.001
+    light = on_top(sensor, BALL, mass_kg=mass_kg, height_m=APEX_M + 3.5e-3)
+    stiffness_n_m = sensor.wrench_stiffness()[2, 2]
+    with pytest.warns(UserWarning, match="time step of 1 ms is too long") as warned:
+        light.step()
+    assert len(warned) == 1
+    stated_s = 1e-3 * float(re.findall(r"less than ([\d.]+) ms", str(warned[0].message))[0])
+    # h (h + 2 c) K / m is 4, with c of 2 ms.
+    assert stated_s * (stated_s + 4e-3) * stiffness_n_m / mass_kg == pytest.approx(4.0, rel=0.02)

@@ -3,12 +3,18 @@
 
 """The environments for learning: Gymnasium's rules, repeatable episodes, and bad actions."""
 
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 import dotsim_ros.tasks.environments  # noqa: F401
+from dotsim_ros.specification import load_sensor
 from dotsim_ros.tasks.environments.ball import (
     LARGEST_SPEED_M_S,
     FollowEnvironment,
@@ -30,6 +36,7 @@ def tangential(environment: BoxYawEnvironment) -> np.int64:
     return np.int64(np.argmax(MOVES @ np.array([-y, x]) / lengths))
 
 
+PADS = ("gelsight_mini", "digit")
 NAMES = ("DenseTactPress-v0", "DenseTactFollow-v0", "DenseTactBoxYaw-v0")
 
 
@@ -166,8 +173,9 @@ def test_a_press_with_a_rule_reaches_its_force() -> None:
     assert total == pytest.approx(2.0, abs=0.15)
 
 
-def test_the_expert_follows_its_path() -> None:
-    environment = FollowEnvironment(observation="wrench", duration_s=2.0)
+@pytest.mark.parametrize("sensor", ["densetact2", *PADS])
+def test_the_expert_follows_its_path(sensor: str) -> None:
+    environment = FollowEnvironment(observation="wrench", duration_s=2.0, sensor=sensor)
     expert = Expert(environment.path, look_ahead_s=0.0)
     environment.reset(seed=0)
     ended, total = False, 0.0
@@ -183,14 +191,88 @@ def test_the_expert_follows_its_path() -> None:
     assert total > 20.0
 
 
-@pytest.mark.parametrize("action", [np.full(3, np.nan), np.zeros(2), np.array([0, np.inf, 0])])
-def test_a_ball_that_is_sent_nowhere_stays(action: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    "action",
+    [
+        np.full(3, np.nan),
+        np.zeros(2),
+        np.zeros((1, 3)),
+        np.array([0, np.inf, 0]),
+        np.float32([1.5, 0, -3]),
+        [0.0, -1.0 - 1e-5, 0.0],
+        {"velocity": 1.0},
+    ],
+)
+def test_a_ball_that_is_sent_nowhere_stays(action: Any) -> None:
     environment = PressEnvironment(observation="wrench")
     environment.reset(seed=0)
     before = environment.position_m.copy()
-    with pytest.raises(ValueError, match="expected three finite numbers"):
+    with pytest.raises(ValueError, match="expected three finite numbers from -1 to 1"):
         environment.step(action)
     assert np.array_equal(environment.position_m, before)
+    # Rounding is no fault: it is the largest speed.
+    environment.step(np.array([1.0 + 1e-7, 0.0, 0.0]))
+    assert environment.position_m - before == pytest.approx([0.32e-3, 0.0, 0.0], abs=1e-12)
+
+
+@pytest.mark.fault("environments", "an action of 1.5 in one of two worlds")
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_an_action_out_of_range_is_refused_in_every_world(
+    mode: str, answered: Callable[..., None]
+) -> None:
+    worlds = gymnasium.make_vec(
+        "DenseTactPress-v0", num_envs=2, vectorization_mode=mode, observation="wrench"
+    )
+    try:
+        worlds.reset(seed=0)
+        with pytest.raises(ValueError, match="expected three finite numbers from -1") as refused:
+            worlds.step(np.float32([[0, 0, 0], [0, 0, 1.5]]))
+    finally:
+        worlds.close()
+    answered(str(refused.value))
+
+
+@pytest.mark.parametrize("sensor", [*PADS, "densetact2"])
+def test_a_press_begins_half_a_millimetre_above_the_skin_and_reaches_its_force(sensor: str) -> None:
+    environment = PressEnvironment(observation="wrench", sensor=sensor)
+    for seed in range(3):
+        environment.reset(seed=seed)
+        skin_m = environment.gel.skin_position_m - environment.position_m  # type: ignore[union-attr]
+        above_m = environment.sensor.indenter.signed_distance(skin_m).min()
+        assert above_m == pytest.approx(0.5e-3, abs=0.03e-3)
+    there = late = False
+    while not (there or late):
+        lacking = 1.0 - environment.force_n()
+        move = np.array([0.0, 0.0, -0.5 * lacking])
+        _, _, there, late, info = environment.step(move)
+    assert info["force_n"] == pytest.approx(1.0, rel=0.1)
+
+
+def test_a_pad_comes_down_on_the_box_and_turns_it() -> None:
+    environment = BoxYawEnvironment(observation="wrench", sensor="digit")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        environment.reset(seed=0)
+    apex_m = float(environment.data.mocap_pos[0, 2] - environment.sensor.skin.apex_m[2])
+    depth_m = 2.0 * environment.task.half_height_m - apex_m
+    least_m, largest_m = environment.task.depth_m
+    assert least_m <= depth_m <= largest_m
+    ended = False
+    while not ended:
+        _, _, there, late, info = environment.step(tangential(environment))
+        ended = there or late
+    assert there
+    assert info["yaw_deg"] == pytest.approx(10.0, abs=2.0)
+
+
+def test_a_path_that_is_too_deep_for_a_thin_pad_is_refused() -> None:
+    pad = load_sensor("digit")
+    gel = replace(
+        pad.gel, shape="flat_pad", face_radius_m=(0.0, 0.0), pad_size_m=(0.02, 0.03, 0.002)
+    )
+    thin = replace(pad, gel=gel, solver=replace(pad.solver, grid_spacing_m=0.001, refined=False))
+    with pytest.raises(ValueError, match="path 'line' is too deep for the gel of 'digit'"):
+        FollowEnvironment(observation="wrench", sensor=thin, path="line")
 
 
 def test_a_ball_pushed_through_the_gel_ends_the_episode_with_the_reason() -> None:

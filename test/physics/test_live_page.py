@@ -230,7 +230,7 @@ def test_wrong_commands_are_refused_in_one_line(
 
     port = str(live.server.port)
     assert f"port {port} cannot be used: another program listens there" in said("--port", port)
-    assert "no sensor is named 'densetact9', expected one of densetact2," in said(
+    assert "no sensor is named 'densetact9' (did you mean 'densetact2'?), expected one of" in said(
         "--sensor", "densetact9"
     )
     assert "no indenter is named 'spoon', expected one of box_edge," in said("--indenter", "spoon")
@@ -347,9 +347,10 @@ def test_a_recorded_press_is_a_bag_that_the_page_scrubs_through(
     bag = live.recordings / "one"
     recorded = read_trajectory(
         bag,
-        topics=Topics(wrench="/wrench", skin="/points", image="/image_raw/compressed"),
+        topics=Topics("/indenter/state", "/wrench", "/points", "/image_raw/compressed"),
     )
     assert recorded.wrench is not None
+    assert recorded.pose is not None
     assert recorded.wrench.force_n[-1, 2] == recorded.wrench.force_n[:, 2].max() > 0.1
 
     tab.page.fill("#path", "one")

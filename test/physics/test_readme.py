@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+from dotsim_ros.optics.picture import TITLE_HEIGHT_PX
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -27,4 +29,5 @@ def test_the_lines_of_python_press_and_save(
     exec(code[0], names)
     frame = names["frame"]
     assert frame.wrench.force_n[2] > 0.0  # type: ignore[attr-defined]
-    assert Image.open("press.png").size == frame.image.shape[1::-1]  # type: ignore[attr-defined]
+    height, width = frame.image.shape[:2]  # type: ignore[attr-defined]
+    assert Image.open("press.png").size == (3 * width, height + TITLE_HEIGHT_PX)

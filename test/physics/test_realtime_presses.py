@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 from dotsim_ros.files import parameter_path
-from dotsim_ros.gel.make import make_gel, skin_of
-from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.gel.make import body_of, make_gel, skin_of
+from dotsim_ros.gel.rest_depth import RestDepth
+from dotsim_ros.geometry.indenter import load_indenter, way_m
 from dotsim_ros.measured.shipped_presses import read_presses
 from dotsim_ros.nodes.indenter_player.parameters import SHIPPED_PRESSES
 from dotsim_ros.nodes.tactile_sim.profiles import EXACT, REALTIME, solver_of
-from dotsim_ros.nodes.tactile_sim.pursuit import pursue
+from dotsim_ros.nodes.tactile_sim.pursuit import CommandedPath
 from dotsim_ros.specification import load_sensor
 
 SPEED_M_S = 5.0e-3
@@ -59,24 +60,22 @@ def test_a_press_in_real_time_keeps_the_force_of_the_exact_solver(
     motion = _motion(sensor, depth_m)
     quick, exact = (_gel(sensor, indenter, profile) for profile in (REALTIME, EXACT))
     random = np.random.default_rng(0)
-    time_s, pose, skin_m = 0.0, motion.at(0.0), quick.skin.rest_position_m
+    path = CommandedPath(
+        way_m=lambda start, end: way_m(start, end, indenter),
+        depth_m=RestDepth(body_of(sensor.gel), indenter),
+    )
+    time_s = 0.0
     forces_n, errors_m = [], []
     while time_s < motion.duration_s:
         step_s = FRAME_S * (1.0 + irregularity * random.uniform(-1.0, 1.0))
         time_s += step_s
-        pose = pursue(
-            pose,
-            motion.at(time_s),
-            indenter=indenter,
-            skin_position_m=skin_m,
-            limit_m=REALTIME.move_m,
-        )
+        path.add(motion.at(time_s))
+        pose = path.advance(REALTIME.move_m).pose
         shown, expected = quick.step([pose], step_s)[0], exact.step([pose], step_s)[0]
-        skin_m = shown.skin_position_m
         forces_n.append(
             [np.linalg.norm(state.wrench.force_n) for state in (shown, expected)],
         )
-        errors_m.append(np.abs(skin_m - expected.skin_position_m).max())
+        errors_m.append(np.abs(shown.skin_position_m - expected.skin_position_m).max())
     force_n, expected_n = np.array(forces_n).T
     assert np.abs(force_n - expected_n).max() < 0.03 * expected_n.max()
     assert max(errors_m) < 0.25e-3

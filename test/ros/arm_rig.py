@@ -15,7 +15,7 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from harness import spin_in_background
+from harness import PATIENCE_S, spin_in_background
 from rcl_interfaces.srv import SetParametersAtomically
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
@@ -23,7 +23,6 @@ from std_srvs.srv import Trigger
 
 import msg_adapters
 
-PATIENCE_S = 20.0
 TOPICS: dict[str, type] = {
     "ee_pose": PoseStamped,
     "ee_twist": TwistStamped,

@@ -34,21 +34,10 @@ TIMED = {
     "test_tactile_policy_loop",
     "test_xarm_sim",
 }
-"""Files whose nodes must keep times: their tests run one at a time, the others three."""
-
-
-LONG = (
-    "test_simulated_loop",
-    "test_effects_overlay",
-    "test_time_stepper",
-    "test_ros_examples",
-    "test_demo",
-)
-"""Files that begin first, so that the end does not wait for one of them."""
+"""Files whose nodes must keep times: no other test runs beside theirs."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: item.path.stem not in LONG)
     for item in items:
-        if item.path.stem in TIMED:
+        if item.path.stem in TIMED and item.path.parent == Path(__file__).parent:
             item.add_marker("timed")

@@ -34,6 +34,7 @@ class FreeClock:
         self.is_standing = False
         self._now_ns = round(1e9 * start_s)
         self._step_ns = round(1e9 * PERIOD_S * speed)
+        self._leap_ns = 0
         self._context = rclpy.Context()
         rclpy.init(context=self._context)
         self.node = rclpy.create_node("free_clock", context=self._context)
@@ -48,6 +49,10 @@ class FreeClock:
         """Return the time that was last told."""
         return self._now_ns
 
+    def jump(self, seconds: float) -> None:
+        """Go on from another time; it is told next."""
+        self._leap_ns = round(1e9 * seconds)
+
     def close(self) -> None:
         """Leave the graph."""
         self._stop.set()
@@ -59,6 +64,8 @@ class FreeClock:
         due_s = time.monotonic()
         while not self._stop.wait(max(0.0, due_s - time.monotonic())):
             due_s += PERIOD_S
+            leap_ns, self._leap_ns = self._leap_ns, 0
+            self._now_ns += leap_ns
             if not self.is_standing:
                 self._now_ns += self._step_ns
             self._publisher.publish(Clock(clock=msg_adapters.encode_stamp(self._now_ns)))

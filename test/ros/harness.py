@@ -33,7 +33,7 @@ import msg_adapters
 
 INTERRUPTS = Path(__file__).parents[2] / "benchmarks" / "interrupts.py"
 START_PATIENCE_S = 120.0
-PATIENCE_S = 30.0
+PATIENCE_S = 120.0
 APEX_M = 0.01575
 # Some 3 MB each.
 KEPT_FRAMES = 100

@@ -3,8 +3,7 @@
 
 """What a launch file starts, with which ROS arguments, where the library `launch` is not installed.
 
-It comes with a ROS installation only. What launch files of this package use of it stands in here,
-and a node's parameters come in the order and under the names that launch_ros writes them.
+It comes with a ROS installation only. What launch files of this package use of it stands in here.
 """
 
 from __future__ import annotations
@@ -18,16 +17,27 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import yaml
-
 ROOT = Path(__file__).parents[2]
+SHARED = "dotsim_ros.nodes.common.launch_arguments"
+
+
+class Configurations(dict[str, str]):
+    """Arguments of a launch, and which of them were read."""
+
+    def __init__(self, given: Mapping[str, str]) -> None:
+        super().__init__(given)
+        self.read: set[str] = set()
+
+    def __getitem__(self, name: str) -> str:
+        self.read.add(name)
+        return super().__getitem__(name)
 
 
 class Context:
     """The arguments of a launch, by name."""
 
     def __init__(self, given: Mapping[str, str]) -> None:
-        self.launch_configurations = dict(given)
+        self.launch_configurations = Configurations(given)
 
 
 @dataclass(frozen=True)
@@ -38,11 +48,18 @@ class Substitution:
 
 
 @dataclass(frozen=True)
-class ParameterValue:
-    """A parameter of a type."""
+class Argument:
+    """An argument of a launch file."""
 
-    value: Any
-    value_type: type
+    name: str
+    default_value: str
+
+
+@dataclass(frozen=True)
+class Log:
+    """A line of the log."""
+
+    msg: str
 
 
 @dataclass(frozen=True)
@@ -66,20 +83,38 @@ class Started:
     """A node that is started.
 
     Attributes:
+        package: that it comes from.
         executable: its program.
-        arguments: all of it, from `--ros-args` on.
+        arguments: all of it, with those after `--ros-args`.
     """
 
+    package: str
     executable: str
     arguments: list[str]
 
 
-def started(name: str, folder: Path, **given: str) -> list[Started]:
-    """Return the nodes of this package that a launch file starts.
+@dataclass(frozen=True)
+class Launched:
+    """What became of a launch file.
+
+    Attributes:
+        nodes: that are started.
+        log: its lines.
+        declared: names of its arguments.
+        read: names of those that were read.
+    """
+
+    nodes: list[Started]
+    log: list[str]
+    declared: set[str]
+    read: set[str]
+
+
+def launched(name: str, **given: str) -> Launched:
+    """Return what a launch file starts.
 
     Args:
         name: of the file below launch.
-        folder: for files of parameters.
         given: arguments of the launch.
     """
     with _stand_in():
@@ -91,57 +126,55 @@ def started(name: str, folder: Path, **given: str) -> list[Started]:
         specification.loader.exec_module(module)
         entities = module.generate_launch_description()
         context = Context(given)
-        nodes = [node for entity in entities for node in _visited(entity, context)]
-    return [
-        Started(node.executable, _arguments(node, context, folder))
-        for node in nodes
-        if node.package == "dotsim_ros" and node.condition(context)
-    ]
+        visited = [found for entity in entities for found in _visited(entity, context)]
+    nodes = [node for node in visited if isinstance(node, Node) and node.condition(context)]
+    return Launched(
+        [Started(node.package, node.executable, _arguments(node, context)) for node in nodes],
+        [line.msg for line in visited if isinstance(line, Log)],
+        {entity.name for entity in entities if isinstance(entity, Argument)},
+        context.launch_configurations.read,
+    )
 
 
-def _visited(entity: Any, context: Context) -> list[Node]:
+def started(name: str, **given: str) -> list[Started]:
+    """Return the nodes of this package that a launch file starts; as `launched`."""
+    return [node for node in launched(name, **given).nodes if node.package == "dotsim_ros"]
+
+
+def _visited(entity: Any, context: Context) -> list[Node | Log]:
     if isinstance(entity, Node):
+        # It may name a shipped file, or none: the launch ends then before any node starts.
+        assert "params_file" in context.launch_configurations.read
         return [entity]
-    if isinstance(entity, tuple):
-        argument, default = entity
-        context.launch_configurations.setdefault(argument, default)
+    if isinstance(entity, Log):
+        return [entity]
+    if isinstance(entity, Argument):
+        context.launch_configurations.setdefault(entity.name, entity.default_value)
         return []
-    return entity(context) or []
+    return [found for each in entity(context) or () for found in _visited(each, context)]
 
 
-def _arguments(node: Node, context: Context, folder: Path) -> list[str]:
+def _arguments(node: Node, context: Context) -> list[str]:
     namespace = "/" + _text(node.namespace, context).strip("/")
-    arguments = ["--ros-args", "-r", f"__ns:={namespace}"]
-    if node.name:
-        arguments += ["-r", f"__node:={node.name}"]
-    for entry in node.parameters:
-        path = _text(entry, context) if isinstance(entry, Substitution) else ""
-        if not path:
-            values = {name: _value(value, context) for name, value in entry.items()}
-            # Of a node whose name launch does not know they are for any.
-            section = f"{namespace.rstrip('/')}/{node.name}" if node.name else "/**"
-            path = str(folder / f"launch_params_{len(list(folder.iterdir()))}.yaml")
-            Path(path).write_text(yaml.dump({section: {"ros__parameters": values}}))
+    arguments = [_text(argument, context) for argument in node.arguments]
+    arguments += ["--ros-args", "-r", f"__ns:={namespace}"]
+    for path in node.parameters:
         arguments += ["--params-file", path]
     for old, new in node.remappings:
-        arguments += ["-r", f"{old}:={new}"]
+        arguments += ["-r", f"{_text(old, context)}:={_text(new, context)}"]
     return arguments
 
 
 def _text(value: Any, context: Context) -> str:
+    if isinstance(value, list):
+        return "".join(_text(part, context) for part in value)
     return value.perform(context) if isinstance(value, Substitution) else str(value)
 
 
-def _value(value: Any, context: Context) -> Any:
-    if isinstance(value, ParameterValue):
-        return value.value_type(_text(value.value, context))
-    if isinstance(value, str | Substitution):
-        return yaml.safe_load(_text(value, context))
-    return value
-
-
 def _is_true(value: Any, context: Context) -> bool:
-    return _text(value, context) == "true"
+    text = _text(value, context)
+    assert text in ("true", "false")
+    return text == "true"
 
 
 def _word(is_so: bool) -> str:
@@ -170,8 +203,9 @@ def _stand_in() -> Iterator[None]:
         ),
     }
     actions = {
-        "DeclareLaunchArgument": lambda name, default_value, **_: (name, default_value),
-        "OpaqueFunction": lambda function: function,
+        "DeclareLaunchArgument": lambda name, default_value, **_: Argument(name, default_value),
+        "LogInfo": Log,
+        "OpaqueFunction": lambda function, args=(): lambda context: function(context, *args),
     }
     modules = {
         "launch": {"LaunchContext": Context, "LaunchDescription": list},
@@ -180,11 +214,11 @@ def _stand_in() -> Iterator[None]:
         "launch.substitutions": substitutions,
         "launch_ros": {},
         "launch_ros.actions": {"Node": Node},
-        "launch_ros.parameter_descriptions": {"ParameterValue": ParameterValue},
         "ament_index_python": {},
         "ament_index_python.packages": {"get_package_share_directory": lambda _: str(ROOT)},
     }
-    kept = {name: sys.modules.get(name) for name in modules}
+    # What launch files share uses the library too.
+    kept = {name: sys.modules.pop(name, None) for name in (*modules, SHARED)}
     for name, members in modules.items():
         module = ModuleType(name)
         module.__dict__.update(members)
@@ -194,6 +228,6 @@ def _stand_in() -> Iterator[None]:
     finally:
         for name, module in kept.items():
             if module is None:
-                del sys.modules[name]
+                sys.modules.pop(name, None)
             else:
                 sys.modules[name] = module

@@ -17,6 +17,7 @@ from threading import Event, Lock, Thread
 from typing import Any
 
 import numpy as np
+import pytest
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TwistStamped, WrenchStamped
@@ -55,6 +56,8 @@ def with_white_spot(crop: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
 
 def write_network(folder: Path) -> Path:
     """Write a small real policy whose output is `FOLLOWED`, or NaN where a spot is white."""
+    for name in ("torch", "onnxscript"):
+        pytest.importorskip(name, reason="writes a network: pip install '.[learning]'")
     import torch
     from torch import Tensor, nn
 

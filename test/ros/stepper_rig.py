@@ -16,7 +16,7 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped
-from harness import Executable, spin_in_background
+from harness import PATIENCE_S, Executable, spin_in_background
 from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from std_srvs.srv import SetBool, Trigger
@@ -24,7 +24,6 @@ from std_srvs.srv import SetBool, Trigger
 import msg_adapters
 
 MODULE = "dotsim_ros.nodes.time_stepper.node"
-PATIENCE_S = 30.0
 TICK_S = 0.02
 BEAT_S = 0.05
 

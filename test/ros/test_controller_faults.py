@@ -10,8 +10,6 @@ from collections.abc import Iterator
 
 import pytest
 
-pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
-
 from dotsim_ros.nodes.loop.closed_loop import POSE_DELAY_S, LoopFault, TimedFault
 from dotsim_ros.nodes.loop.controller_run import Controller, ControllerLoop, ControllerRun
 

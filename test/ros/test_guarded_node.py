@@ -11,7 +11,9 @@ from collections.abc import Iterator
 import pytest
 import rclpy
 from harness import spin_in_background
-from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
@@ -74,6 +76,22 @@ def test_a_message_that_breaks_a_callback_is_counted_and_the_next_one_heard(
     answered(status.message)
 
 
+def test_a_parameter_that_the_node_does_not_have_is_refused_with_the_nearest_name(
+    fragile: Fragile,
+) -> None:
+    fragile.declare_parameter("rate_hz", 1.0)
+    client = fragile.create_client(SetParameters, "fragile/set_parameters")
+    asked = [Parameter(name, value=2.0).to_parameter_msg() for name in ("ratehz", "rate_hz", "foo")]
+    future = client.call_async(SetParameters.Request(parameters=asked))
+    wait(future.done)
+    assert [result.reason for result in future.result().results] == [
+        "the node has no parameter 'ratehz': is it rate_hz?",
+        "",
+        "the node has no parameter 'foo'",
+    ]
+    assert fragile.get_parameter("rate_hz").value == 2.0
+
+
 def test_a_call_that_breaks_a_callback_is_answered_with_the_reason(fragile: Fragile) -> None:
     client = fragile.create_client(Trigger, "work")
     future = client.call_async(Trigger.Request())
@@ -96,6 +114,49 @@ def test_overriding_one_topic_leaves_the_others_as_they_were(fragile: Fragile) -
     ]
     found = [publisher.qos_profile.reliability for publisher in publishers]
     assert found == [ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE]
+
+
+@pytest.mark.fault("messages", "a publisher that offers less than a node's input asks for")
+def test_an_input_takes_what_its_publishers_offer(fragile: Fragile, answered) -> None:
+    heard: list[str] = []
+    asked = QoSProfile(
+        depth=10,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL,
+    )
+    fragile.create_subscription(String, "latched", lambda m: heard.append(m.data), asked)
+    offered = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+    weak = fragile.create_publisher(String, "latched", offered)
+    # Each lack is seen by itself: the subscription is opened again twice.
+    wait(weak.get_subscription_count)
+    strong = fragile.create_publisher(
+        String, "latched", QoSProfile(depth=10, reliability=ReliabilityPolicy.RELIABLE)
+    )
+    wait(strong.get_subscription_count)
+
+    def all_heard() -> bool:
+        # One of best effort may be lost.
+        weak.publish(String(data="weak"))
+        return "weak" in heard
+
+    wait(all_heard)
+    strong.publish(String(data="strong"))
+    wait(lambda: "strong" in heard)
+    assert fragile.count_subscribers("latched") == 1
+    assert fragile.failure_status() == []
+
+    # What cannot be asked for less is reported, with what cures it.
+    lossless = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL, deadline=rclpy.duration.Duration(seconds=1)
+    )
+    fragile.create_subscription(String, "hurried", lambda m: heard.append(m.data), lossless)
+    slow = fragile.create_publisher(String, "hurried", 10)
+    wait(fragile.failure_status)
+    (status,) = fragile.failure_status()
+    assert "nothing comes on hurried: a publisher offers another deadline" in status.message
+    assert "qos_overrides./hurried.subscription.deadline" in status.message
+    assert not slow.get_subscription_count()
+    answered(status.message)
 
 
 def test_a_time_that_no_stamp_holds_is_none(fragile: Fragile) -> None:

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import rclpy
+from free_clock import free_clock
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from harness import PATIENCE_S, refused_starts, running, spin_in_background, with_parameters
 from rclpy.qos import HistoryPolicy, QoSProfile
@@ -279,3 +280,31 @@ def refusals():
 def test_bad_parameters_are_refused_with_the_reason(refusals, reason):
     assert reason in refusals[reason]
     assert "Traceback" not in refusals[reason]
+
+
+def test_where_time_begins_again_the_motion_does_and_a_leap_is_left_out():
+    parameters = {"use_sim_time": True, "depth_m": 0.002, "hold_s": 30.0}
+    with (
+        free_clock(speed=1.0) as clock,
+        listening() as listener,
+        running(MODULE, parameters=parameters),
+    ):
+        listener.wait_for(30)
+        clock.jump(20.0)
+        count = len(listener.poses)
+        listener.wait_for(count + 30)
+        clock.jump(-70.0)
+        count = len(listener.poses)
+        listener.wait_for(count + 60)
+    stamps_s, heights_m = 1e-9 * listener.stamps_ns(), listener.positions_m()[:, 2]
+    steps_s = np.diff(stamps_s)
+    (leap,) = np.flatnonzero(steps_s > 1.0)
+    (back,) = np.flatnonzero(steps_s < 0.0)
+    assert leap < back
+    assert steps_s[[leap, back]] == pytest.approx([20.0, -70.0], abs=2.0)
+    # Every hundredth of a second, over the leap too, and from the first pose after the return.
+    even = np.delete(steps_s, [leap, back])
+    assert even == pytest.approx(np.full(len(even), 0.01), abs=1e-6)
+    assert np.abs(np.diff(heights_m)[: back - 1]).max() < 6e-5
+    assert heights_m[back + 1] == heights_m[0]
+    assert np.array_equal(heights_m[back + 1 :][:30], heights_m[:30])

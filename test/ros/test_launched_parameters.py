@@ -18,11 +18,12 @@ import rclpy
 import yaml
 from geometry_msgs.msg import PoseStamped
 from harness import Client, running
-from launched import Started, started
+from launched import Started, launched, started
 
 import msg_adapters
 from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.parameter_file import named_parameters, parameters_of
+from dotsim_ros.nodes.common.reasons import nearest
 from dotsim_ros.nodes.indenter_player.launched import BASE_FRAME
 from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
@@ -58,6 +59,11 @@ def of_node(nodes: list[Started], executable: str, node: str = "") -> dict[str, 
     return read_by_ros(found.arguments, node or executable)
 
 
+@pytest.fixture(autouse=True)
+def _temporary_files_go_with_the_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+
+
 @pytest.fixture
 def write(tmp_path: Path) -> WriteFile:
     """Return what writes a file of parameters, in the order of its sections."""
@@ -71,14 +77,6 @@ def write(tmp_path: Path) -> WriteFile:
     return write_file
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """Return an empty folder."""
-    path = tmp_path / "launch"
-    path.mkdir()
-    return path
-
-
 LOOP = "closed_loop.launch.py"
 MINE = {"policy": "mine", "path": "my_path"}
 POLICIES = {
@@ -90,40 +88,41 @@ POLICIES = {
 
 @pytest.mark.parametrize("how", POLICIES)
 @pytest.mark.parametrize("one_process", ["false", "true"])
-def test_the_loop_takes_the_policy_of_a_file(
-    write: WriteFile, folder: Path, how: str, one_process: str
-) -> None:
-    nodes = started(LOOP, folder, params_file=write(POLICIES[how]), one_process=one_process)
-    executable = "closed_loop" if one_process == "true" else "tactile_policy"
+def test_the_loop_takes_the_policy_of_a_file(write: WriteFile, how: str, one_process: str) -> None:
+    nodes = started(LOOP, params_file=write(POLICIES[how]), one_process=one_process)
+    executable = "dotsim_closed_loop" if one_process == "true" else "tactile_policy"
     found = of_node(nodes, executable, "tactile_policy")
     assert (found["policy"], found["path"]) == ("mine", "my_path")
 
 
 @pytest.mark.parametrize("how", POLICIES)
+@pytest.mark.parametrize("one_process", ["false", "true"])
 def test_a_policy_that_is_given_to_the_loop_goes_before_its_file(
-    write: WriteFile, folder: Path, how: str
+    write: WriteFile, how: str, one_process: str
 ) -> None:
     # A name that YAML would read as a number is a name.
-    nodes = started(LOOP, folder, params_file=write(POLICIES[how]), path="8")
-    found = of_node(nodes, "tactile_policy")
-    assert (found["policy"], found["path"]) == ("mine", "8")
+    path = write(POLICIES[how])
+    nodes = started(LOOP, params_file=path, path="1e5", one_process=one_process)
+    executable = "dotsim_closed_loop" if one_process == "true" else "tactile_policy"
+    found = of_node(nodes, executable, "tactile_policy")
+    assert (found["policy"], found["path"]) == ("mine", "1e5")
 
 
-def test_the_loop_has_a_policy_of_its_own(folder: Path) -> None:
-    found = of_node(started(LOOP, folder), "tactile_policy")
+def test_the_loop_has_a_policy_of_its_own() -> None:
+    found = of_node(started(LOOP), "tactile_policy")
     assert (found["policy"], found["path"]) == ("densetact2_sphere", "")
 
 
-def test_the_stepper_takes_its_parameters_from_the_file_too(write: WriteFile, folder: Path) -> None:
+def test_the_stepper_takes_its_parameters_from_the_file_too(write: WriteFile) -> None:
     own = {"speed": 2.0, "patience_s": 9.0}
     path = write({"/**": {"use_sim_time": True}, "/**/time_stepper": own})
-    nodes = started(LOOP, folder, params_file=path, clock="simulated")
+    nodes = started(LOOP, params_file=path, clock="simulated")
     found = of_node(nodes, "time_stepper")
     # It is what makes the time that the others go by.
     assert found == {**own, "use_sim_time": False}
-    nodes = started(LOOP, folder, params_file=path, clock="simulated", speed="1")
+    nodes = started(LOOP, params_file=path, clock="simulated", speed="1")
     assert of_node(nodes, "time_stepper")["speed"] == 1.0
-    found = of_node(started(LOOP, folder, clock="simulated"), "time_stepper")
+    found = of_node(started(LOOP, clock="simulated"), "time_stepper")
     assert found == {"use_sim_time": False, "patience_s": 600.0}
 
 
@@ -131,26 +130,26 @@ def prefixes(nodes: list[Started]) -> list[str]:
     return [read_by_ros(node.arguments, "tactile_sim")["frame_prefix"] for node in nodes]
 
 
-def test_the_fingers_of_a_gripper_have_frames_of_their_own(write: WriteFile, folder: Path) -> None:
-    assert prefixes(started("gripper.launch.py", folder)) == ["left_", "right_"]
+def test_the_fingers_of_a_gripper_have_frames_of_their_own(write: WriteFile) -> None:
+    assert prefixes(started("gripper.launch.py")) == ["left_", "right_"]
     of_one = {"/**": {"frame_prefix": ""}, "/right/tactile_sim": {"frame_prefix": "thumb_"}}
-    nodes = started("gripper.launch.py", folder, params_file=write(of_one))
+    nodes = started("gripper.launch.py", params_file=write(of_one))
     assert prefixes(nodes) == ["left_", "thumb_"]
     of_one.pop("/**")
-    nodes = started("gripper.launch.py", folder, params_file=write(of_one))
+    nodes = started("gripper.launch.py", params_file=write(of_one))
     assert prefixes(nodes) == ["left_", "thumb_"]
 
 
 @pytest.mark.parametrize("name", ["dual_compressed", "dual_difference", "dual_raw"])
-def test_the_frames_of_a_driver_of_two_stay_its_own(folder: Path, name: str) -> None:
-    nodes = started("gripper.launch.py", folder, params_file=f"drivers/{name}.yaml")
+def test_the_frames_of_a_driver_of_two_stay_its_own(name: str) -> None:
+    nodes = started("gripper.launch.py", params_file=f"drivers/{name}.yaml")
     assert prefixes(nodes) == ["", ""]
     found = [read_by_ros(node.arguments, "tactile_sim") for node in nodes]
     assert [each["base_frame"] for each in found] == ["left_densetact_base", "right_densetact_base"]
 
 
-def test_a_finger_takes_poses_in_its_own_frame(folder: Path) -> None:
-    left, _ = started("gripper.launch.py", folder)
+def test_a_finger_takes_poses_in_its_own_frame() -> None:
+    left, _ = started("gripper.launch.py")
     coarse = {"grid_spacing_m": 0.0048, "rate_hz": 10.0}
     with running(parameters=coarse, arguments=left.arguments):
         client = Client(topics={})
@@ -177,12 +176,8 @@ PAD = {"sensor": "digit", "frame_prefix": "left_", "base_frame": "pad", "rate_hz
 
 
 @pytest.mark.parametrize("section", ["/**", "/**/tactile_sim", "/finger/tactile_sim"])
-def test_the_player_presses_the_sensor_of_the_file(
-    write: WriteFile, folder: Path, section: str
-) -> None:
-    nodes = started(
-        SENSOR, folder, params_file=write({section: PAD}), namespace="finger", play="true"
-    )
+def test_the_player_presses_the_sensor_of_the_file(write: WriteFile, section: str) -> None:
+    nodes = started(SENSOR, params_file=write({section: PAD}), namespace="finger", play="true")
     found = of_node(nodes, "indenter_player")
     assert (found["sensor"], found["frame_id"]) == ("digit", "left_pad")
     assert (found["source"], found["subscriber_count"]) == ("presses", 1)
@@ -190,29 +185,27 @@ def test_the_player_presses_the_sensor_of_the_file(
     assert found["rate_hz"] == 0.0
 
 
-def test_what_a_file_says_of_the_player_counts_unless_it_is_given(
-    write: WriteFile, folder: Path
-) -> None:
+def test_what_a_file_says_of_the_player_counts_unless_it_is_given(write: WriteFile) -> None:
     own = {"source": "slide", "frame_id": "stage", "rate_hz": 50.0, "subscriber_count": 3}
     path = write({"/**": PAD, "/**/indenter_player": own})
-    found = of_node(started(SENSOR, folder, params_file=path, play="true"), "indenter_player")
+    found = of_node(started(SENSOR, params_file=path, play="true"), "indenter_player")
     assert {name: found[name] for name in own} == own
-    nodes = started(SENSOR, folder, params_file=path, play="true", source="press")
+    nodes = started(SENSOR, params_file=path, play="true", source="press")
     assert of_node(nodes, "indenter_player")["source"] == "press"
 
 
-def test_without_a_file_the_player_presses_the_default_sensor(folder: Path) -> None:
-    nodes = started(SENSOR, folder, play="true", record="true")
+def test_without_a_file_the_player_presses_the_default_sensor() -> None:
+    nodes = started(SENSOR, play="true", record="true")
     found = of_node(nodes, "indenter_player")
     assert (found["sensor"], found["frame_id"]) == ("densetact2", BASE_FRAME)
     assert TactileSimParameters().base_frame == BASE_FRAME
     assert found["subscriber_count"] == 2
 
 
-def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile, folder: Path) -> None:
+def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile) -> None:
     own = {"exit_at_end": True, "hold_s": 0.0, "depth_m": 0.001}
     path = write({"/**": PAD, "/**/indenter_player": own})
-    nodes = started(SENSOR, folder, params_file=path, play="true", source="press")
+    nodes = started(SENSOR, params_file=path, play="true", source="press")
     (player,) = [node for node in nodes if node.executable == "indenter_player"]
     client = Client(topics={})
     try:
@@ -227,8 +220,8 @@ def test_a_launched_player_meets_the_face_of_a_pad(write: WriteFile, folder: Pat
         client.close()
 
 
-def test_the_recorder_takes_its_topics_from_the_file(write: WriteFile, folder: Path) -> None:
-    nodes = started(SENSOR, folder, params_file="drivers/run_camera.yaml", record="true")
+def test_the_recorder_takes_its_topics_from_the_file(write: WriteFile) -> None:
+    nodes = started(SENSOR, params_file="drivers/run_camera.yaml", record="true")
     found = of_node(nodes, "tactile_record")
     driver = yaml.safe_load(parameter_path("drivers/run_camera.yaml").read_text())
     sensor = driver["/**"]["ros__parameters"]
@@ -236,11 +229,11 @@ def test_the_recorder_takes_its_topics_from_the_file(write: WriteFile, folder: P
     assert {sensor["image_topic"], sensor["wrench_topic"]} < set(recorded)
 
 
-def test_effects_that_are_given_go_before_the_file(write: WriteFile, folder: Path) -> None:
+def test_effects_that_are_given_go_before_the_file(write: WriteFile) -> None:
     path = write({"/**": {"effects": "any.yaml"}, "/**/tactile_sim": {"effects": "mine.yaml"}})
-    found = of_node(started(SENSOR, folder, params_file=path), "tactile_sim")
+    found = of_node(started(SENSOR, params_file=path), "tactile_sim")
     assert found["effects"] == "mine.yaml"
-    nodes = started(SENSOR, folder, params_file=path, effects="found.yaml")
+    nodes = started(SENSOR, params_file=path, effects="found.yaml")
     assert of_node(nodes, "tactile_sim")["effects"] == "found.yaml"
 
 
@@ -276,23 +269,39 @@ CLASSES = {
     "time_stepper": TimeStepperParameters,
     "xarm_sim": XarmSimParameters,
 }
-LAUNCHES = {
+NAMES = {"dotsim_closed_loop": ("xarm_sim", "tactile_policy", "tactile_sim")}
+"""Of the nodes of an executable, where they are not its own."""
+GAZEBO, MUJOCO, GRIPPER = "gazebo.launch.py", "mujoco_ros2_control.launch.py", "gripper.launch.py"
+LAUNCHES: dict[str, tuple[str, dict[str, str]]] = {
     "the loop": (LOOP, {"clock": "simulated", "speed": "2", "path": "line", "record": "true"}),
+    "the loop in one process": (LOOP, {"one_process": "true"}),
     "a driver's sensor": (
         SENSOR,
         {"params_file": "drivers/run_camera.yaml", "play": "true", "record": "true"},
     ),
     "a sensor with effects": (SENSOR, {"effects": "found.yaml", "play": "true"}),
+    "a gripper": (GRIPPER, {}),
+    "Gazebo": (GAZEBO, {}),
+    "MuJoCo's arm": (MUJOCO, {}),
+    "MuJoCo's free body": (MUJOCO, {"source": "free_body"}),
 }
 
 
+def named(nodes: list[Started]) -> list[tuple[str, dict[str, Any]]]:
+    """Return the name and the parameters of each node."""
+    return [
+        (name, read_by_ros(node.arguments, name))
+        for node in nodes
+        for name in NAMES.get(node.executable, (node.executable,))
+    ]
+
+
 @pytest.mark.parametrize("what", LAUNCHES)
-def test_nodes_can_take_what_they_are_launched_with(folder: Path, what: str) -> None:
-    name, given = LAUNCHES[what]
-    for node in started(name, folder, **given):
-        kind = CLASSES[node.executable]
+def test_nodes_can_take_what_they_are_launched_with(what: str) -> None:
+    launch, given = LAUNCHES[what]
+    for node, found in named(started(launch, **given)):
+        kind = CLASSES[node]
         fields = {field.name: field.default for field in dataclasses.fields(kind)}
-        found = read_by_ros(node.arguments, node.executable)
         values = {
             name: tuple(value) if isinstance(value, list) else value
             for name, value in found.items()
@@ -302,3 +311,82 @@ def test_nodes_can_take_what_they_are_launched_with(folder: Path, what: str) -> 
         for field, value in values.items():
             # ROS refuses an int for a float, which the class itself would take.
             assert type(value) is type(fields[field]), field
+        # What is for another node of the file must not be taken for a slip.
+        assert not [name for name in set(found) - set(fields) if nearest(name, fields)]
+
+
+@pytest.mark.parametrize("what", LAUNCHES)
+def test_every_launch_file_takes_the_sensor_that_is_given(write: WriteFile, what: str) -> None:
+    launch, given = LAUNCHES[what]
+    of_file = {"sensor": "flat_pad", "indenter": "cone", "profile": "exact", "rate_hz": 10.0}
+    asked = {"sensor": "digit", "indenter": "8", "profile": "fast", "rate_hz": 30.0}
+    texts = {**asked, "rate_hz": "30", "use_sim_time": "true"}
+    path = write({"/**": {"sensor": "cone"}, "/**/tactile_sim": of_file})
+    for texts_given, expected in (({}, of_file), (texts, asked)):
+        nodes = named(started(launch, **{**given, **texts_given, "params_file": path}))
+        sensors = [found for name, found in nodes if name == "tactile_sim"]
+        assert len(sensors) == (2 if launch == GRIPPER else 1)
+        assert [{name: found[name] for name in expected} for found in sensors] == [
+            expected for _ in sensors
+        ]
+    assert {found["use_sim_time"] for name, found in nodes if name != "time_stepper"} == {True}
+
+
+def test_the_player_presses_the_sensor_that_is_given(write: WriteFile) -> None:
+    path = write({"/**": PAD, "/**/indenter_player": {"sensor": "flat_pad"}})
+    nodes = started(SENSOR, params_file=path, play="true", sensor="gelslim")
+    assert of_node(nodes, "indenter_player")["sensor"] == "gelslim"
+
+
+def test_in_simulated_time_every_node_of_the_loop_but_the_stepper_is_stepped() -> None:
+    for one_process in ("false", "true"):
+        nodes = started(LOOP, clock="simulated", record="true", one_process=one_process)
+        found = {name: (each["use_sim_time"], each.get("stepped")) for name, each in named(nodes)}
+        assert found.pop("time_stepper") == (False, None)
+        assert set(found) == {"tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"}
+        assert set(found.values()) == {(True, True)}
+
+
+@pytest.mark.parametrize(
+    ("launch", "given", "reason"),
+    [
+        (SENSOR, {"rate_hz": "fast"}, "rate_hz is 'fast', expected a number"),
+        (SENSOR, {"use_sim_time": "1"}, "use_sim_time is '1', expected true or false"),
+        (GAZEBO, {"sensor_centre_m": "[0, up]"}, r"'\[0, up\]', expected a list of numbers"),
+        (LOOP, {"clock": "simulated", "use_sim_time": "false"}, "give one of the two"),
+    ],
+)
+def test_an_argument_of_another_type_ends_the_launch(
+    launch: str, given: dict[str, str], reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        started(launch, **given)
+
+
+@pytest.mark.parametrize("launch", sorted({launch for launch, _ in LAUNCHES.values()}))
+def test_a_launch_file_uses_its_arguments_and_names_those_that_it_may_not_know(launch: str) -> None:
+    found = launched(launch, ratehz="5", robot="mine")
+    assert found.declared <= found.read
+    assert found.log == [
+        "the launch argument ratehz is not known and has no effect: is it rate_hz?"
+    ]
+    with pytest.raises(ValueError, match="no node is started: no file nowhere"):
+        launched(launch, params_file="nowhere.yaml")
+
+
+def test_gazebo_s_names_go_to_the_bridge_the_frames_and_the_sensor() -> None:
+    given = {"world": "w", "sensor_model": "m", "sensor_link": "m::l", "indenter_link": "p::l"}
+    nodes = launched(GAZEBO, **given, sensor_centre_m="[0, 0, 1]").nodes
+    bridge, base, tip, sensor = (node.arguments for node in nodes)
+    assert bridge[:4] == [
+        "/model/m/pose@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V",
+        "/model/peg/pose@tf2_msgs/msg/TFMessage[gz.msgs.Pose_V",
+        "/clock@rosgraph_msgs/msg/Clock[gz.msgs.Clock",
+        "/world/w/wrench@ros_gz_interfaces/msg/EntityWrench]gz.msgs.EntityWrench",
+    ]
+    assert [base[3], tip[5]] == ["m::l", "p::l"]
+    assert sensor[-1] == "entity_wrench:=/world/w/wrench"
+    found = read_by_ros(sensor, "tactile_sim")
+    assert (found["world_frame"], found["entity_sensor"]) == ("w", "m::l")
+    assert (found["entity_indenter"], found["entity_sensor_centre_m"]) == ("p::l", [0.0, 0.0, 1.0])
+    assert found["entity_indenter_centre_m"] == [0.0, 0.0, 0.02]

@@ -213,6 +213,35 @@ def sending(press: SimulatorPress, bad: Sequence[Callable[[int], object]]) -> Ca
     return send
 
 
+def test_odometry_moves_the_indenter_on_between_its_messages() -> None:
+    # First of all, since the sensor of the fixture `source` would answer in place of this one.
+    # At a rate at which a busy machine, too, delivers whole frames.
+    parameters = {"clock": "realtime", "input_timeout_s": 20.0, "rate_hz": 10.0}
+    with simulator("odometry", **parameters) as (_, client):
+
+        def next_height_m(below_m: float = 1.0) -> float:
+            found = client.next_frame(
+                lambda frame: (at_m := frame.indenter_m()) is not None and at_m[2] < below_m
+            )
+            return found.indenter_m()[2]
+
+        # A message may come before node and client have found each other.
+        for second in range(round(PATIENCE_S)):
+            client.send((0.0, 0.0, 0.05), stamp_ns=(10 + second) * 10**9, speed_m_s=0.001)
+            time.sleep(1.0)
+            if any(frame.indenter_m() for frame in list(client.frames.values())):
+                break
+        assert next_height_m(below_m=0.0499) > 0.03
+        # Not for ever: a simulator that has stopped must not move it on.
+        assert client.set_parameters(input_timeout_s=0.15).successful
+        # Frames, and on a busy machine messages, from before the change may still be on their way.
+        end_s = time.monotonic() + PATIENCE_S
+        before_m = next_height_m()
+        while (now_m := next_height_m()) != before_m:
+            assert time.monotonic() < end_s, "the indenter moves on"
+            before_m = now_m
+
+
 @by_tf
 def test_a_missing_frame_is_named_until_it_comes(source: tuple[Executable, SimulatorPress]) -> None:
     executable, press = source
@@ -373,34 +402,6 @@ def test_the_force_goes_back_to_the_links(source: tuple[Executable, SimulatorPre
 
 # Alone: beside other nodes half a minute went by in which no frame came whole.
 @pytest.mark.timed
-def test_odometry_moves_the_indenter_on_between_its_messages() -> None:
-    # At a rate at which a busy machine, too, delivers whole frames.
-    parameters = {"clock": "realtime", "input_timeout_s": 20.0, "rate_hz": 10.0}
-    with simulator("odometry", **parameters) as (_, client):
-
-        def next_height_m(below_m: float = 1.0) -> float:
-            found = client.next_frame(
-                lambda frame: (at_m := frame.indenter_m()) is not None and at_m[2] < below_m
-            )
-            return found.indenter_m()[2]
-
-        # A message may come before node and client have found each other.
-        for second in range(round(PATIENCE_S)):
-            client.send((0.0, 0.0, 0.05), stamp_ns=(10 + second) * 10**9, speed_m_s=0.001)
-            time.sleep(1.0)
-            if any(frame.indenter_m() for frame in list(client.frames.values())):
-                break
-        assert next_height_m(below_m=0.0499) > 0.03
-        # Not for ever: a simulator that has stopped must not move it on.
-        assert client.set_parameters(input_timeout_s=0.15).successful
-        # Frames, and on a busy machine messages, from before the change may still be on their way.
-        end_s = time.monotonic() + PATIENCE_S
-        before_m = next_height_m()
-        while (now_m := next_height_m()) != before_m:
-            assert time.monotonic() < end_s, "the indenter moves on"
-            before_m = now_m
-
-
 def test_with_the_parameters_and_remaps_of_a_launch_file_it_reads_the_simulators_topic() -> None:
     topic = "/simulator/floating_base_state"
     shipped = ("--params-file", "simulators/mujoco_ros2_control.yaml")

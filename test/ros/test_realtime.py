@@ -128,13 +128,15 @@ def slow_session(session: Session) -> Iterator[Session]:
 
 def test_a_fast_motion_lags_is_counted_and_arrives(slow_session: Session) -> None:
     client = slow_session[1]
-    start_m, end_m = [0.0, 0.0, APEX_M + 0.0002], [0.0, 0.0, APEX_M - 0.003]
+    start_m, end_m = [0.0, 0.0, APEX_M + 0.0002], [0.0, 0.0, APEX_M - 0.0029]
     client.send((0.0, 0.0, APEX_M + 0.05))
     client.next_frame(is_at_rest)
     client.send(start_m)
     begun = client.next_frame(lambda frame: frame.indenter_m() == start_m)
     late = int(client.state("frames").values["late"])
     client.send(end_m)
+    lags = client.wait_for_state("frames", lambda state: "behind its newest pose" in state.message)
+    assert (lags.level, float(lags.values["lag_m"]) > 0.001) == (Level.WARN, True)
     arrived = client.next_frame(lambda frame: frame.indenter_m() == end_m)
     between = [
         client.frames[stamp_ns]
@@ -143,14 +145,57 @@ def test_a_fast_motion_lags_is_counted_and_arrives(slow_session: Session) -> Non
     ]
     heights_m = [frame.indenter_m()[2] for frame in between if frame.indenter_m() is not None]
     on_the_way_m = [height for height in heights_m if height != start_m[2]]
-    # 0.2 mm are free, 3 mm are not: frames of 0.6 mm, and what is left of the last.
+    # 0.2 mm are free, 2.9 mm are not: frames of 0.6 mm, and what is left of the last.
     assert len(on_the_way_m) == 4
     assert np.all(np.diff([start_m[2], *on_the_way_m, end_m[2]]) < 0.0)
     assert np.diff([*on_the_way_m, end_m[2]]).min() > -0.0009
     client.wait_for_state("frames", lambda state: int(state.values["late"]) >= late + 4)
+    client.wait(lambda: "behind its newest pose" in slow_session[0].log, "a line of the log")
     held = client.next_frame(lambda frame: True)
     assert held.is_same(arrived)
     assert is_pressed(held)
+
+
+BALL_M, BESIDE_RAD = 0.004, 0.35
+
+
+def over_the_dome(angle_rad: float, depth_m: float) -> tuple[float, float, float]:
+    """Return where the tip of a ball is that presses so deep, at an angle from the apex."""
+    distance_m = APEX_M + BALL_M - depth_m
+    return (distance_m * np.sin(angle_rad), 0.0, distance_m * np.cos(angle_rad) - BALL_M)
+
+
+def depth_m_of(tip_m: list[float]) -> float:
+    """Return how deep a ball is in the dome at rest."""
+    return APEX_M + BALL_M - float(np.linalg.norm(np.add(tip_m, (0.0, 0.0, BALL_M))))
+
+
+def test_an_indenter_that_lags_takes_the_commanded_path_and_never_cuts_through_the_gel(
+    slow_session: Session,
+) -> None:
+    client = slow_session[1]
+    depths_m = [*np.arange(-1e-3, 2e-3, 0.25e-3), *np.arange(2e-3, -1e-3, -0.25e-3)]
+    way = [over_the_dome(-BESIDE_RAD, depth_m) for depth_m in depths_m]
+    way += [over_the_dome(angle, -1e-3) for angle in np.arange(-BESIDE_RAD, BESIDE_RAD, 0.05)]
+    way += [over_the_dome(BESIDE_RAD, depth_m) for depth_m in depths_m[: len(depths_m) // 2 + 1]]
+    client.send((0.0, 0.0, APEX_M + 0.05))
+    client.next_frame(is_at_rest)
+    client.send(way[0])
+    begun = client.next_frame(lambda frame: frame.indenter_m() == list(way[0]))
+    for tip_m in way:
+        client.send(tip_m)
+        time.sleep(0.02)
+    arrived = client.next_frame(lambda frame: frame.indenter_m() == list(way[-1]), after=begun)
+    shown = [client.frames[each] for each in sorted(client.frames) if each >= begun.stamp_ns]
+    deepest_n = float(np.linalg.norm(arrived.force_n()))
+    for frame in shown:
+        tip_m = frame.indenter_m()
+        assert tip_m is not None
+        assert np.linalg.norm(np.subtract(way, tip_m), axis=1).min() < 0.5e-3
+        assert depth_m_of(tip_m) < 2e-3 + 1e-6
+        assert np.linalg.norm(frame.force_n()) < 1.1 * deepest_n
+        if abs(np.arctan2(tip_m[0], tip_m[2] + BALL_M)) < 0.9 * BESIDE_RAD:
+            assert is_at_rest(frame)
 
 
 def test_a_velocity_moves_the_indenter_for_as_long_as_time_passes(session: Session) -> None:

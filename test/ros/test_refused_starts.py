@@ -5,19 +5,28 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
-from harness import refused_starts, with_parameters
+import rclpy
+from harness import refused_starts, running, with_parameters
 from hostile import BOMB
 
 from dotsim_ros.nodes.common.arguments import check_start
+from dotsim_ros.nodes.common.declare import declare_fields, read
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.options import option_of
+from dotsim_ros.nodes.common.parameter_file import found_parameter_file, parameters_of
 from dotsim_ros.nodes.tactile_policy.node import TactilePolicy
 from dotsim_ros.nodes.tactile_record.node import RecordParameters
+from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 from dotsim_ros.nodes.xarm_sim.node import XarmSim
+from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
 from msg_adapters import message_class
 
 PARAMETER_FILES = {
@@ -173,3 +182,143 @@ def test_topics_that_cannot_be_recorded_are_refused(what: str, answered: Any) ->
     with pytest.raises(ValueError, match=r"topics|message type") as caught:
         classes_of(TOPICS[what])
     answered(caught.value, what=f"`tactile_record` is asked for {what}")
+
+
+def test_paths_of_parameters_may_begin_with_the_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    given = {"idle_image": "~/idle.png", "effects": "~/o.yaml", "effects_folder": "~/my"}
+    # A topic of the node's own begins with the same character.
+    private = {"image_topic": "~/image_raw"}
+    arguments = [f"{name}:={value}" for name, value in (given | private).items()]
+    context = rclpy.Context()
+    rclpy.init(context=context, args=["--ros-args", *(x for a in arguments for x in ("-p", a))])
+    node = GuardedNode("tactile_sim", context=context)
+    declare_fields(node, TactileSimParameters)
+    settings = read(node, TactileSimParameters)
+    node.destroy_node()
+    context.shutdown()
+    for name, value in given.items():
+        assert getattr(settings, name) == value.replace("~", str(tmp_path))
+    assert found_parameter_file("~/idle.png") == "~/idle.png"
+    (tmp_path / "node.yaml").write_text("{}")
+    assert found_parameter_file("~/node.yaml") == str(tmp_path / "node.yaml")
+
+
+@pytest.mark.parametrize("name", ["launch_ros_any_node.yaml", "launch_ros_named_node.yaml"])
+def test_parameters_are_read_as_launch_ros_writes_them(name: str) -> None:
+    """The files are those that launch_ros 0.26 (ROS 2 Jazzy) wrote for two nodes of a launch file
+    in Python, whose lists become tuples."""
+    path = str(Path(__file__).parent / "data" / name)
+    arguments = ["--ros-args", "--params-file", path]
+    check_start(arguments)
+    assert parameters_of(path, "/left/tactile_sim")["crop_px"] == [0, 0, 320, 240]
+    context = rclpy.Context()
+    rclpy.init(context=context, args=arguments)
+    node = GuardedNode("tactile_sim", namespace="left", context=context)
+    declare_fields(node, TactileSimParameters)
+    settings = read(node, TactileSimParameters)
+    node.destroy_node()
+    rclpy.try_shutdown(context=context)
+    assert settings.crop_px == (0, 0, 320, 240)
+    assert settings.entity_sensor_centre_m == (0.01, 0.0, -0.02)
+    assert (settings.sensor, settings.latency_seed, settings.image_noise_levels) == (
+        "flat_pad",
+        3,
+        1.5,
+    )
+    # A text that looks like a number stays one.
+    assert settings.image_topic == "1"
+
+
+@pytest.mark.fault("node parameters", "a file of parameters with an object of Python")
+def test_objects_of_python_are_refused(tmp_path: Path, answered: Callable[..., None]) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text("/**:\n  ros__parameters:\n    seed: !!python/object/apply:os.getpid []\n")
+    with pytest.raises(ValueError, match="could not determine a constructor") as refused:
+        check_start(["--ros-args", "--params-file", str(path)])
+    answered(refused.value)
+
+
+def test_every_executable_answers_help_with_all_its_parameters() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", "from dotsim_ros.nodes import executables as e; e.xarm_sim()", "-h"],
+        capture_output=True,
+        text=True,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "usage: xarm_sim [--ros-args" in done.stdout
+    for field in dataclasses.fields(XarmSimParameters):
+        assert f"  {field.name} ({field.default!r}): {option_of(field).description}" in done.stdout
+
+
+TWO_NODES = """
+from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.spin import run_nodes
+
+def node(name, *parameters):
+    made = GuardedNode(name)
+    for parameter in parameters:
+        made.declare_parameter(parameter, 0.0)
+    made.get_logger().info("ready:")
+    return made
+
+arm, finger = lambda: node("arm", "rate_hz", "latency_s"), lambda: node("finger", "crop_px")
+raise SystemExit(run_nodes([arm, finger]))
+"""
+GIVEN_TO_TWO_NODES = """
+/**:
+  ros__parameters: {topics: [wrench], latencys: 0.1}
+/**/arm:
+  ros__parameters: {crop_px: 1.0, qos_overrides: {/nowhere: {publisher: {depth: 3}}}}
+"""
+
+
+@pytest.mark.fault("node parameters", "a parameter that no node has")
+def test_parameters_that_no_node_has_are_named_with_the_nearest_name(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text(GIVEN_TO_TWO_NODES)
+    given = ["--params-file", str(path), "-p", "ratehz:=5.0", "-p", "rate_hz:=5.0"]
+    with running(ready="[finger]: given", arguments=["--ros-args", *given], code=TWO_NODES) as node:
+        node.wait_for_line("ready:")
+        assert node.interrupt() == 0
+    lines = [line.partition("] ")[2].partition("] ")[2] for line in node.log.splitlines()]
+    wrong = "without effect, since the node has no parameter of the name: "
+    other = "given for any node, and not a parameter of this one: "
+    quality = "qos_overrides./nowhere.publisher.depth"
+    named = [line for line in lines if wrong in line or other in line]
+    assert named == [
+        # Another node of the process has crop_px, but this one is meant.
+        f"[arm]: {wrong}crop_px, latencys (is it latency_s?), {quality}, ratehz (is it rate_hz?)",
+        f"[arm]: {other}topics",
+        f"[finger]: {wrong}ratehz",
+        f"[finger]: {other}latencys, topics",
+    ]
+    answered(named[0])
+
+
+@pytest.mark.parametrize(
+    ("module", "name"),
+    [
+        ("dotsim_ros.cli.executables", "find_gap"),
+        ("dotsim_ros.nodes.executables", "closed_loop"),
+    ],
+)
+def test_an_executable_by_its_old_name_does_the_same_and_names_the_new_one(
+    module: str, name: str
+) -> None:
+    new, old = (
+        subprocess.run(
+            [sys.executable, "-c", f"import {module} as e; raise SystemExit(e.{called}())", "-h"],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        for called in (name, f"{name}_by_old_name")
+    )
+    assert (new.returncode, new.stderr) == (0, "")
+    assert (old.returncode, old.stdout) == (0, new.stdout)
+    assert old.stderr == f"{name} is called dotsim_{name} now; this name will go\n"

@@ -17,8 +17,6 @@ from typing import Any
 import pytest
 from harness import Executable
 
-pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
-
 from dotsim_ros.evaluation.trajectory.trials import judge, trial_start
 from dotsim_ros.measured.bag_hash import bag_sha256
 from dotsim_ros.nodes.loop.closed_loop import (

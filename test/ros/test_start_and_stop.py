@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 from geometry_msgs.msg import TwistStamped
@@ -63,6 +65,29 @@ def test_simulated_time_without_a_clock_is_told_and_two_sigints_end_it() -> None
             # test_in_the_middle.py interrupts a node that is at work.
             assert node.interrupt(2) == 0, node.log
             assert "Traceback" not in node.log
+
+
+@pytest.mark.fault("node parameters", "a home that cannot be written, for the logs of ROS")
+def test_a_home_that_cannot_be_written_ends_no_node(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, answered: Callable[..., None]
+) -> None:
+    (tmp_path / "home").write_text("a file")
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    for name in ("ROS_HOME", "ROS_LOG_DIR"):
+        monkeypatch.delenv(name, raising=False)
+    node = Executable("dotsim_ros.nodes.xarm_sim.node", {})
+    try:
+        node.wait_for_line("ready:")
+        assert node.interrupt(1) == 0, node.log
+    finally:
+        node.end()
+    (line,) = (each for each in node.log.splitlines() if "nothing can be kept in" in each)
+    assert "set ROS_LOG_DIR to a folder that can be written" in line
+    answered(line)
+    (kept,) = (tmp_path / "temporary").glob("dotsim_ros-*")
+    assert list(kept.glob("*.log"))
 
 
 def test_a_velocity_is_integrated_and_a_pose_beside_it_refused() -> None:

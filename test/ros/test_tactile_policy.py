@@ -16,10 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch", reason="writes a network: pip install '.[learning]'")
-pytest.importorskip("onnxscript", reason="writes a network: pip install '.[learning]'")
-
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from harness import Executable
 from hostile import lines_of
@@ -83,6 +79,19 @@ def test_it_is_off_at_start_and_cannot_start_without_an_idle_image(rig: Rig) -> 
     assert not answer.success
     assert "no idle image" in answer.message
     assert "no idle image" in rig.state("inference").message
+
+
+def test_it_prints_the_calls_that_enable_it(shared: tuple[Executable, Rig]) -> None:
+    executable, rig = shared
+    executable.wait_for_line("/set_enabled")
+    name = f"{rig.node.get_namespace()}/tactile_policy"
+    calls = [line.partition("]: ")[2] for line in executable.log.splitlines() if "ros2 " in line]
+    assert calls == [
+        f"ros2 service call {name}/calibrate_idle std_srvs/srv/Trigger",
+        f'ros2 service call {name}/set_enabled std_srvs/srv/SetBool "{{data: true}}"',
+    ]
+    services = dict(rig.node.get_service_names_and_types())
+    assert {call.split()[3]: [call.split()[4]] for call in calls}.items() <= services.items()
 
 
 def test_enabled_it_follows_the_network_at_25_hz_and_controls_at_100(rig: Rig) -> None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -45,9 +44,9 @@ def test_every_section_of_the_parameters_is_valid_for_its_node() -> None:
 
 @pytest.mark.parametrize(
     ("one_process", "executables"),
-    [("false", set(CLASSES)), ("true", {"closed_loop", "tactile_record", "time_stepper"})],
+    [("false", set(CLASSES)), ("true", {"dotsim_closed_loop", "tactile_record", "time_stepper"})],
 )
-def test_it_starts_the_nodes(tmp_path: Path, one_process: str, executables: set[str]) -> None:
+def test_it_starts_the_nodes(one_process: str, executables: set[str]) -> None:
     given = {"one_process": one_process, "clock": "simulated", "record": "true"}
-    nodes = started("closed_loop.launch.py", tmp_path, **given)
+    nodes = started("closed_loop.launch.py", **given)
     assert {node.executable for node in nodes} == executables

@@ -16,10 +16,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-
-pytest.importorskip("torch", reason="writes a network: pip install '.[learning]'")
-pytest.importorskip("onnxscript", reason="writes a network: pip install '.[learning]'")
-
 from harness import Executable, running
 from policy_rig import FOLLOWED, MODULE, Observer, stopping_times_s, write_network
 from rcl_interfaces.srv import SetParameters

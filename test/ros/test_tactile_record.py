@@ -22,7 +22,7 @@ from harness import (
     spin_in_background,
     with_parameters,
 )
-from rclpy.qos import HistoryPolicy, QoSProfile
+from rclpy.qos import HistoryPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import msg_adapters
@@ -40,6 +40,7 @@ TOPICS = {
     "points": PointCloud2,
     "wrench": WrenchStamped,
     "indenter/pose": PoseStamped,
+    "indenter/state": PoseStamped,
 }
 COUNT = 12
 
@@ -63,6 +64,10 @@ class Source:
             10,
         )
         self._thread = spin_in_background(self._node)
+
+    def add(self, topic, quality):
+        """Return another publisher of a topic."""
+        return self._node.create_publisher(TOPICS[topic], topic, quality)
 
     def meet(self, *topics):
         end_s = time.monotonic() + PATIENCE_S
@@ -125,9 +130,12 @@ def frame(index):
         ),
         "points": msg_adapters.encode_cloud(random.random((100, 3)), **header),
         "wrench": msg_adapters.encode_wrench_stamped(random.random(3), random.random(3), **header),
-        "indenter/pose": msg_adapters.encode_pose_stamped(
-            random.random(3), (0.0, 0.0, 0.0, 1.0), **header
-        ),
+        **{
+            topic: msg_adapters.encode_pose_stamped(
+                random.random(3), (0.0, 0.0, 0.0, 1.0), **header
+            )
+            for topic in ("indenter/pose", "indenter/state")
+        },
     }
 
 
@@ -169,6 +177,28 @@ def test_everything_that_is_published_is_in_the_bag(tmp_path, interrupts):
         assert msg_adapters.decode_image(depth).tobytes() == messages["depth/image"].data.tobytes()
 
 
+@pytest.mark.fault("recording", "a camera's driver publishes as sensor data, of best effort")
+def test_what_is_published_without_delivery_is_recorded(tmp_path, answered):
+    with (
+        sending() as source,
+        recording(output=tmp_path / "bag", topics="['image_raw','wrench']") as recorder,
+    ):
+        source.meet("image_raw", "wrench")
+        camera = source.add("image_raw", qos_profile_sensor_data)
+        recorder.wait_for_line("image_raw: a publisher offers best_effort")
+        end_s = time.monotonic() + PATIENCE_S
+        while "receiving /image_raw" not in recorder.log:
+            assert time.monotonic() < end_s
+            camera.publish(frame(0)["image_raw"])
+            time.sleep(0.02)
+        assert recorder.interrupt() == 0, recorder.log
+    with BagReader(tmp_path / "bag") as bag:
+        images = [item.message() for item in bag.messages("/image_raw")]
+    assert images
+    assert images[0].data.tobytes() == frame(0)["image_raw"].data.tobytes()
+    answered(next(line for line in recorder.log.splitlines() if "best_effort" in line))
+
+
 def test_chosen_topics_only(tmp_path):
     parameters = {
         "output": tmp_path / "bag",
@@ -202,7 +232,7 @@ def test_topics_without_a_message_are_named_at_the_end(tmp_path):
         recorder.wait_for_line(" 2 messages so far")
         assert recorder.interrupt() == 0, recorder.log
     (line,) = [line for line in recorder.log.splitlines() if "no message came on" in line]
-    assert "/image_raw, /camera_info, /depth/image, /points: name the topics" in line
+    assert "/image_raw, /camera_info, /depth/image, /points, /indenter/state: name" in line
 
 
 def test_what_the_disk_does_not_take_is_dropped_and_told(tmp_path):

@@ -17,9 +17,6 @@ from arm_rig import ArmClient, arm_client
 from harness import Executable, measured_until, running
 
 import msg_adapters
-
-pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
-
 from dotsim_ros.geometry.pose import Pose, compose, inverse
 from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
 

@@ -6,8 +6,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
-
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.tasks.arm.kinematics import ArmKinematics
 from dotsim_ros.tasks.arm.simulated import (

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
-
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.tasks.arm.kinematics import (
     COMFORTABLE_JOINTS_RAD,

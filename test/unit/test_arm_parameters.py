@@ -11,8 +11,6 @@ import pytest
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
-pytest.importorskip("pinocchio", reason="needs Pinocchio: pip install pin")
-
 from dotsim_ros.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters

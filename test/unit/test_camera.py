@@ -11,8 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera, PinholeCamera, camera_of_disc
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import load_sensor
 
 HALF = np.sqrt(0.5)
@@ -41,32 +43,72 @@ def test_a_distortion_too_small_to_matter_changes_nothing():
     assert tiny.unproject([3.0, 4.0]) == pytest.approx(plain.unproject([3.0, 4.0]), abs=1e-15)
 
 
-def test_agrees_with_opencv_in_front_of_the_camera():
-    camera = make_camera((0.03, -0.01, 0.002, -0.0005))
+ASPECTS = pytest.mark.parametrize("aspect", [1.0, 1.08])
+
+
+@ASPECTS
+def test_agrees_with_opencv_in_front_of_the_camera(aspect):
+    camera = replace(make_camera((0.03, -0.01, 0.002, -0.0005)), pixel_aspect=aspect)
     random = np.random.default_rng(1)
     points = random.normal(size=(200, 3))
     points[:, 2] = np.abs(points[:, 2]) + 0.05
-    matrix = np.diag([camera.focal_px, camera.focal_px, 1.0])
+    matrix = np.diag([aspect * camera.focal_px, camera.focal_px, 1.0])
     matrix[:2, 2] = camera.principal_point_px
     expected, _ = cv2.fisheye.projectPoints(
         points[:, None, :], np.zeros(3), np.zeros(3), matrix, camera.distortion
     )
     assert camera.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
+    ahead = camera.unproject(expected[:, 0, :])
+    assert ahead == pytest.approx(points / np.linalg.norm(points, axis=1)[:, None], abs=1e-9)
 
 
 PINHOLE = PinholeCamera(64, 48, 40.0, (31.0, 24.5), (-0.25, 0.08, 0.004, -0.006))
 
 
-def test_a_pinhole_agrees_with_opencv():
+@ASPECTS
+def test_a_pinhole_agrees_with_opencv(aspect):
+    camera = replace(PINHOLE, pixel_aspect=aspect)
     random = np.random.default_rng(2)
     points = random.uniform([-0.7, -0.6, 0.9], [0.7, 0.6, 1.1], (200, 3))
-    matrix = np.diag([PINHOLE.focal_px, PINHOLE.focal_px, 1.0])
+    matrix = np.diag([aspect * PINHOLE.focal_px, PINHOLE.focal_px, 1.0])
     matrix[:2, 2] = PINHOLE.principal_point_px
     k1, k2, p1, p2 = PINHOLE.distortion
     expected, _ = cv2.projectPoints(
         points, np.zeros(3), np.zeros(3), matrix, np.array([k1, k2, p1, p2, 0.0])
     )
-    assert PINHOLE.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
+    assert camera.project_optical(points) == pytest.approx(expected[:, 0, :], abs=1e-9)
+    ahead = camera.unproject(expected[:, 0, :])
+    assert ahead == pytest.approx(points / np.linalg.norm(points, axis=1)[:, None], abs=1e-9)
+
+
+@pytest.mark.parametrize("projection", ["equidistant", "pinhole"])
+def test_the_focal_lengths_of_a_calibrated_camera_come_back(projection):
+    """By the formulas of docs/sensor_fields.md."""
+    focal_x, focal_y, height = 412.0, 388.0, 480
+    half = 0.5 * height / focal_y
+    angle_rad = half if projection == "equidistant" else np.arctan(half)
+    section = replace(
+        load_sensor("densetact2").camera,
+        projection=projection,
+        half_height_angle_deg=float(np.degrees(angle_rad)),
+        pixel_aspect=focal_x / focal_y,
+    )
+    camera = Camera.from_specification(section)
+    assert camera.focal_xy_px == pytest.approx([focal_x, focal_y])
+
+
+@pytest.mark.parametrize("name", ["densetact2", "gelsight_mini"])
+def test_each_pixel_shows_the_skin_on_its_ray_where_focal_lengths_differ(name):
+    sensor = load_sensor(name)
+    sensor = replace(sensor, camera=replace(sensor.camera, pixel_aspect=1.1))
+    camera, skin = Camera.from_specification(sensor.camera), skin_of(sensor.gel)
+    assert camera.focal_xy_px[0] == pytest.approx(1.1 * camera.focal_xy_px[1])
+    view = SkinRenderer(camera, skin).render(skin.rest_position_m)
+    seen = np.isfinite(view.depth_m)
+    y, x = np.nonzero(seen)
+    assert seen.mean() > 0.4
+    at = camera.project(view.material_point_m[seen])
+    assert np.abs(at - np.stack([x, y], axis=1)).max() < 0.02
 
 
 def test_a_pinhole_unprojects_what_it_images_and_nothing_else():

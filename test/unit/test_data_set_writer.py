@@ -91,7 +91,7 @@ def test_a_written_data_set_is_read_back(tmp_path: Path) -> None:
                 np.testing.assert_array_equal(getattr(read, key), value, err_msg=f"{name}.{key}")
     assert np.array_equal(found.skin_mesh().rest_position_m, SKIN.rest_position_m)
     assert len(found.idle_images()) == 2
-    mesh = load_indenter(found.indenter_mesh("sphere"))
+    mesh = load_indenter(found.indenter_file("sphere"))
     assert np.abs(BALL.signed_distance(mesh.mesh.vertices_m)).max() < 1e-6  # type: ignore[union-attr]
 
 

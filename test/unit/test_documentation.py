@@ -1,30 +1,28 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The documentation: its examples run, its tables are those of the code, its figures are
-those of the results, and the checks of its links find what is broken."""
+"""The documentation: its examples run, its tables are those of the code and of the results, and the
+checks of its links find what is broken."""
 
 from __future__ import annotations
 
 import argparse
 import dataclasses
-import importlib.util
 import json
 import re
-import shlex
 import tomllib
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
 import yaml
+from programs import program
 
 from dotsim_ros.effects.effect import Active, Response, response_filters
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.geometry.indenter import indenter_from_text, load_indenter
+from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
@@ -34,11 +32,6 @@ from dotsim_ros.specification import load_sensor
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 README_LINES = 150
-# A mark may name figures that its block shows, as KEY=FORMAT or KEY*FACTOR=FORMAT: the keys of a
-# value in the file with "/" between them, and how Python formats it.
-FIGURES = re.compile(
-    r"<!-- figures: (\S+) at ([^\s:]+)(?:: ([^\n]*))? -->\n(.*?)<!-- end figures -->", re.DOTALL
-)
 
 
 def text_of(name: str) -> str:
@@ -59,16 +52,6 @@ def rows(text: str) -> list[list[str]]:
     table = next(part for part in text.split("\n\n") if part.lstrip().startswith("|"))
     lines = table.strip().splitlines()
     return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in lines[2:]]
-
-
-def script(name: str) -> ModuleType:
-    """Return a program of .ci as a module."""
-    specification = importlib.util.spec_from_file_location(name, ROOT / ".ci" / f"{name}.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
 
 
 def test_the_example_of_an_effect_works(tmp_path: Path) -> None:
@@ -100,7 +83,7 @@ def test_the_example_of_an_indenter_is_one(tmp_path: Path) -> None:
     inline = re.search(r"indenter '(.*\))'", part)
     assert inline is not None
     # As ros2 param set reads a value.
-    assert indenter_from_text(yaml.safe_load(inline[1])).parameters == (0.003,)
+    assert load_indenter(yaml.safe_load(inline[1])).parameters == (0.003,)
 
 
 def test_the_example_of_a_command_runs(capsys: pytest.CaptureFixture[str]) -> None:
@@ -113,16 +96,8 @@ def test_the_example_of_a_command_runs(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_the_table_of_effects_is_up_to_date() -> None:
-    assert script("effects_table").table() in text_of("effects.md"), (
+    assert program(".ci/effects_table.py").table() in text_of("effects.md"), (
         "run python .ci/effects_table.py"
-    )
-
-
-def test_the_table_of_profiles_is_up_to_date() -> None:
-    figures = json.loads((DOCS / "results" / "profiles.json").read_text(encoding="utf-8"))
-    page = text_of("run.md")
-    assert script("profiles_table").page_with(figures, page) == page, (
-        "run python .ci/profiles_table.py"
     )
 
 
@@ -172,66 +147,93 @@ def test_ten_questions_are_answered_by_three_files_that_there_are() -> None:
             assert (base / place).exists(), f"{question} names {place}"
 
 
-def not_shown(record: Any, named: str, block: str) -> list[str]:
-    """Return those of the figures that a mark names which its block does not show."""
-    missing = []
-    for entry in shlex.split(named):
-        name, _, how = entry.partition("=")
-        keys, _, factor = name.partition("*")
-        value = record
-        for key in keys.split("/"):
-            value = value[int(key)] if isinstance(value, list) else value[key]
-        shown = format(value * float(factor) if factor else value, how)
-        # Not as a part of another number.
-        if not re.search(rf"(?<![\d.,-]){re.escape(shown)}(?![\d]|[.,]\d)", block):
-            missing.append(f"{name}: {shown}")
-    return missing
+@pytest.fixture
+def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """Return the script of the page of results, for results and entries in a folder of a test."""
+    module = program("tools/results_page.py")
+    monkeypatch.setattr(module, "RESULTS", tmp_path)
+    monkeypatch.setattr(module, "ENTRIES", tmp_path / "entries.yaml")
+    return module
 
 
-def test_a_figure_that_is_not_shown_is_found() -> None:
-    record = {"a rate": {"mean": 24.44}, "errors_m": [1e-4, 0.0496e-3], "count": 3}
-    named = '"a rate/mean=.1f" errors_m/1*1e3=.3f count=d'
-    assert not_shown(record, named, "**24.4** frames/s, 0.050 mm, 3.") == []
-    assert not_shown(record, named, "**24.40**, 10.050, 3.5") == [
-        "a rate/mean: 24.4",
-        "errors_m/1*1e3: 0.050",
-        "count: 3",
+RECORD = {
+    "machine": "one core",
+    "date": "2026-01-02T03:04:05+00:00",
+    "command": "python speed.py",
+    "commit": "0123456789ab",
+    "rate_hz": 23.13,
+    "share": {"share": 0.75, "low": -0.0, "of": 4, "unknown": None},
+    "gels": {"soft": {"error": 0.061}, "hard": {"error": 0.05}, "other": {}},
+}
+ENTRY = """
+Speed:
+  - file: speed.json
+    title: The node
+    note: On two cores.
+    tables:
+      - figures:
+          - [rate, rate_hz, "{:.1f} Hz", "25 +- 0.2"]
+          - [named, share, "{share:.0%} of {of} from {low:.0%}", ">= 0.75"]
+      - rows: [gel, "gels/*"]
+        columns:
+          - [error, error, "{:.1%}", "<= 0.06"]
+"""
+
+
+def test_the_page_of_results_is_what_the_files_say() -> None:
+    results_page = program("tools/results_page.py")
+    written = results_page.PAGE.read_text(encoding="utf-8")
+    assert written == results_page.page(), "run python tools/results_page.py"
+
+
+def test_a_result_shows_its_figures_its_misses_and_where_it_comes_from(
+    results: ModuleType, tmp_path: Path
+) -> None:
+    (tmp_path / "entries.yaml").write_text(ENTRY)
+    (tmp_path / "speed.json").write_text(json.dumps(RECORD))
+    *_, figures, rows_of_gels, origin = results.page().rstrip().split("\n\n")
+    assert figures.splitlines()[2:] == [
+        "|rate|23.1 Hz|25 ± 0.2 Hz|missed|",
+        "|named|75 % of 4 from 0 %|≥ 75 %||",
     ]
-    marked = "<!-- figures: a.json at 12ab-dirty: count=d -->\n3\n<!-- end figures -->\n"
-    marked += "<!-- figures: b.json at 34cd -->\n4\n<!-- end figures -->\n"
-    assert FIGURES.findall(marked) == [
-        ("a.json", "12ab-dirty", "count=d", "3\n"),
-        ("b.json", "34cd", "", "4\n"),
+    assert rows_of_gels.splitlines() == [
+        "|gel|error (≤ 6.0 %)|missed|",
+        "|---|---:|---|",
+        "|soft|6.1 %|error|",
+        "|hard|5.0 %||",
+        "|other|-||",
     ]
+    measured = "Measured at commit 0123456 on one core, 2026-01-02, by `python speed.py`: "
+    assert origin == f"{measured}[speed.json](speed.json)."
+    (tmp_path / "speed.json").write_text(json.dumps(RECORD | {"sealed": True}))
+    assert (
+        f"\n\n**Judged once**, on data that nobody had seen; it is not made again. {measured}"
+        in (results.page())
+    )
 
 
 @pytest.mark.parametrize(
-    "path", [ROOT / "README.md", *sorted(DOCS.glob("*.md"))], ids=lambda p: p.name
+    ("entry", "complaint"),
+    [
+        (ENTRY + "  - file: gone.json\n", "differ by gone.json"),
+        ("Speed: []\n", "differ by speed.json"),
+        (ENTRY.replace("rate_hz", "rate"), "speed.json: 0 values at rate"),
+        (ENTRY.replace("error, error", "error, errors"), r"no row at gels/\* has error"),
+    ],
 )
-def test_figures_are_those_of_their_file_and_link_to_it(path: Path) -> None:
-    for source, commit, named, block in FIGURES.findall(path.read_text(encoding="utf-8")):
-        record = json.loads((ROOT / source).read_text(encoding="utf-8"))
-        assert commit == record.get("provenance", record)["commit"], (
-            f"{source} was made anew: bring the figures beside it up to date, then its commit"
-        )
-        shown_by = {(ROOT / source).with_suffix(suffix) for suffix in (".json", ".md")}
-        linked = {(path.parent / link).resolve() for link in re.findall(r"\]\(([^)]+)\)", block)}
-        assert shown_by & linked, f"results-status can mark no link to {source}"
-        assert not_shown(record, named, block) == [], f"other figures stand in {source}"
+def test_a_result_that_is_left_out_or_has_no_such_figure_is_found(
+    results: ModuleType, tmp_path: Path, entry: str, complaint: str
+) -> None:
+    (tmp_path / "entries.yaml").write_text(entry)
+    (tmp_path / "speed.json").write_text(json.dumps(RECORD))
+    with pytest.raises(ValueError, match=complaint):
+        results.page()
 
 
-def test_the_pages_of_results_are_what_their_figures_make() -> None:
-    result_pages = script("result_pages")
-    assert not result_pages.left_out(), "name what makes them in .ci/result_pages.py"
-    for page, text in result_pages.rendered().items():
-        assert not result_pages.difference(page, text), "run python .ci/result_pages.py"
-
-
-def test_the_readme_is_short_and_says_where_its_figures_come_from() -> None:
+def test_figures_stand_on_the_page_of_results_alone() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) <= README_LINES
-    figures = section(readme, "Figures")
-    assert len(FIGURES.findall(figures)) == len(re.findall("^- ", figures, re.MULTILINE)) > 0
+    assert [path.name for path in (DOCS / "results").rglob("*.md")] == ["index.md"]
 
 
 def site_with(folder: Path, body: str) -> Path:
@@ -251,7 +253,7 @@ def site_with(folder: Path, body: str) -> Path:
     ],
 )
 def test_the_check_of_links_finds(body: str, complaint: str, tmp_path: Path) -> None:
-    checker = script("check_links").Checker(site_with(tmp_path, body))
+    checker = program(".ci/check_links.py").Checker(site_with(tmp_path, body))
     checker.check_site()
     assert len(checker.bad) == 1
     assert complaint in checker.bad[0]
@@ -259,7 +261,7 @@ def test_the_check_of_links_finds(body: str, complaint: str, tmp_path: Path) -> 
 
 def test_the_check_of_links_passes_a_sound_page(tmp_path: Path) -> None:
     sound = '<a href="index.html#here">x</a><a href="https://elsewhere.org">x</a>'
-    checker = script("check_links").Checker(site_with(tmp_path, sound))
+    checker = program(".ci/check_links.py").Checker(site_with(tmp_path, sound))
     checker.check_site()
     assert checker.bad == []
     assert checker.outward == {"https://elsewhere.org"}
@@ -285,7 +287,7 @@ def test_the_check_of_links_finds_in_a_markdown_file(
     sound += "`[x](gone.md)` [w](https://elsewhere.org)\n\n[1]: OTHER.md#twice\n\n"
     (tmp_path / "README.md").write_text(sound)
     (tmp_path / "OTHER.md").write_text("## Twice\n\n```\n# no heading\n```\n\n## Twice\n")
-    checker = script("check_links").Checker(tmp_path / "site", tmp_path)
+    checker = program(".ci/check_links.py").Checker(tmp_path / "site", tmp_path)
     checker.check_markdown(tmp_path / "README.md")
     assert checker.bad == []
     (tmp_path / "BAD.md").write_text(body)
@@ -301,7 +303,7 @@ def test_entries_of_several_names_are_split() -> None:
         "        low, high: the range,\n            both ends.\n"
         "        unit: SI."
     )
-    assert script("split_names").split(text) == (
+    assert program(".ci/split_names.py").split(text) == (
         "What.\n\n    Args:\n"
         "        low: the range,\n            both ends.\n"
         "        high: the range,\n            both ends.\n"

@@ -22,6 +22,7 @@ from dotsim_ros.documents import (
     parse_yaml,
     read_arrays,
     read_json,
+    read_table,
     read_yaml,
 )
 from dotsim_ros.geometry.indenter import load_indenter
@@ -264,3 +265,44 @@ def test_whole_arrays_are_read(tmp_path: Path) -> None:
         assert all(np.array_equal(read[name], given[name]) for name in given)
     only = read_arrays(path, {"name": ArrayForm((), "text")})
     assert set(only) == {"name"}
+
+
+TABLE_FAULTS = {
+    "a table with a name that is there twice": (
+        "x,y, x\n1,2,3\n",
+        "line 1, column 3: the name 'x'",
+    ),
+    "a table of tabs": ("x\ty\n1\t2\n", "line 1: tabs divide the names, expected commas"),
+    "a table with a number that is not finite": (
+        "x,y\n1,nan\n",
+        "line 2, column y: 'nan' is not a",
+    ),
+    "a table with a unit in a cell": ("x,y\n1,2 mm\n", "line 2, column y: '2 mm' is not a number"),
+    "a table with quotes that do not end": ('x,y\n1,"2\n3,4\n', "line 3: no valid CSV"),
+}
+
+
+@pytest.mark.fault("bags and data sets", "")
+@pytest.mark.parametrize("what", TABLE_FAULTS)
+def test_tables_are_refused_with_their_line(what: str, tmp_path: Path, answered: Answered) -> None:
+    text, expected = TABLE_FAULTS[what]
+    (tmp_path / "table.csv").write_text(text)
+    with pytest.raises(ValueError, match=r"table\.csv") as refused:
+        read_table(tmp_path / "table.csv").numbers("y")
+    assert expected in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
+    answered(refused.value, what=what)
+
+
+def test_whole_tables_are_read(tmp_path: Path) -> None:
+    # As Excel writes it, with an index column without a name.
+    (tmp_path / "table.csv").write_bytes(
+        b'\xef\xbb\xbf,x_mm, note\r\n0, 1e3 ,"a, b"\r\n\r\n1,-.5,\r\n'
+    )
+    table = read_table(tmp_path / "table.csv")
+    assert table.columns == ("", "x_mm", "note")
+    assert table.numbers("x_mm").tolist() == [1000.0, -0.5]
+    assert table.texts("note") == ["a, b", ""]
+    assert table.lines == (2, 4)
+    with pytest.raises(ValueError, match="no column y among , x_mm, note"):
+        table.numbers("y")

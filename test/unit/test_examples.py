@@ -19,11 +19,12 @@ import numpy as np
 import pytest
 
 from dotsim_ros import load_effects, load_sensor, read_data_set
+from dotsim_ros.optics.picture import TITLE_HEIGHT_PX
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCRIPTS = sorted(path.name for path in EXAMPLES.glob("*.py"))
 TESTS = (Path(__file__), Path(__file__).parents[1] / "ros" / "test_ros_examples.py")
-MOST_LINES = 39
+MOST_LINES = 110
 
 
 def run(name: str, *arguments: object) -> str:
@@ -72,9 +73,9 @@ def test_the_list_names_only_files_that_there_are() -> None:
 
 def test_a_press_is_saved(tmp_path: Path) -> None:
     printed = start("press_and_save.py", tmp_path)
-    force_n = json.loads(re.search(r"ball: (\[.*\]) N", printed)[1])  # type: ignore[index]
+    force_n = json.loads(re.search(r"force (\[.*\]) N", printed)[1])  # type: ignore[index]
     assert 2.5 < force_n[2] < 3.5
-    assert cv2.imread(str(tmp_path / "press.png")).shape == (480, 640, 3)
+    assert cv2.imread(str(tmp_path / "press.png")).shape == (480 + TITLE_HEIGHT_PX, 3 * 640, 3)
     with np.load(tmp_path / "press.npz") as arrays:
         np.testing.assert_allclose(arrays["force_n"], force_n, atol=1e-3)
 
@@ -82,7 +83,7 @@ def test_a_press_is_saved(tmp_path: Path) -> None:
 def test_a_ball_rests_on_the_sensor_in_a_mujoco_world(tmp_path: Path) -> None:
     carried_n, weight_n = re.findall(r"[\d.]+(?= N)", run("sensor_in_mujoco.py", tmp_path))
     assert float(carried_n) == pytest.approx(float(weight_n), rel=0.05)
-    assert cv2.imread(str(tmp_path / "touch.png")).shape == (480, 640, 3)
+    assert cv2.imread(str(tmp_path / "touch.png")).shape == (480 + TITLE_HEIGHT_PX, 3 * 640, 3)
 
 
 def test_an_arm_in_mujoco_holds_what_the_gel_pushes_back(tmp_path: Path) -> None:
@@ -95,7 +96,30 @@ def test_an_arm_in_mujoco_holds_what_the_gel_pushes_back(tmp_path: Path) -> None
     # The motors hold the hand's weight, and what the gel adds to it: force and torque in the plane.
     assert held[-1, :2] == pytest.approx(force[-1, [0, 2]], abs=0.005)
     assert held[-1, 2] == pytest.approx(torque[-1, 1], abs=5e-5)
-    assert cv2.imread(str(tmp_path / "peg.png")).shape == (480, 640, 3)
+    assert cv2.imread(str(tmp_path / "peg.png")).shape == (480 + TITLE_HEIGHT_PX, 3 * 640, 3)
+
+
+@pytest.mark.parametrize("shape", ["ball", "box"])
+def test_two_fingers_lift_turn_and_hold_by_friction_alone(tmp_path: Path, shape: str) -> None:
+    printed = run("two_fingers.py", tmp_path, shape, 0.5)
+    assert re.findall(r"(\w+) after .*, 0 contacts in MuJoCo", printed) == [
+        "lifted",
+        "turned",
+        "held",
+    ]
+    rows = [
+        [float(number) for number in re.findall(r"-?\d+\.\d*(?:e[+-]\d+)?", line)]
+        for line in printed.splitlines()
+        if line.startswith("  ")
+    ]
+    *force_n, weight_n = rows[-2]
+    assert force_n == pytest.approx([0.0, 0.0, weight_n], abs=0.01 * weight_n)
+    *squeeze_n, x_mm, y_mm, angle_deg = rows[-1]
+    assert squeeze_n[0] == pytest.approx(squeeze_n[1], rel=0.01)
+    assert angle_deg == pytest.approx(90.0, abs=0.5)
+    # It has not slipped since it was turned.
+    assert [x_mm, y_mm] == pytest.approx(rows[-3][2:4], abs=5e-3)
+    assert cv2.imread(str(tmp_path / "grip.png")).shape == (480, 1280, 3)
 
 
 def test_a_task_of_ones_own_is_solved_by_touch() -> None:

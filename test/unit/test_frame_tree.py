@@ -110,3 +110,15 @@ def test_what_is_missing_is_named():
     assert "in two trees, below 'tool' and 'world'" in tree.missing("base", "peg")
     put(tree, "world", "tool", 1, place())
     assert tree.missing("base", "peg") == ""
+
+
+def test_what_moves_is_forgotten_where_time_begins_again():
+    tree = FrameTree([("base", "peg")], maximum_step_s=1.0)
+    put(tree, "base", "hand", 0, place(), is_static=True)
+    put(tree, "hand", "peg", 0.8, place())
+    with pytest.raises(OutOfOrderError):
+        put(tree, "hand", "peg", 0.1, place())
+    tree.forget_motion()
+    assert tree.locate("base", "peg") is None
+    put(tree, "hand", "peg", 0.1, place())
+    assert tree.locate("base", "peg")[1] == SECOND // 10

@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import ast
 import importlib
+import os
 import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import BinaryIO
 
 import cv2
@@ -26,7 +28,9 @@ from dotsim_ros import (
     load_indenter,
     load_sensor,
     make_gel_batch,
+    progress,
 )
+from dotsim_ros.optics.picture import BACKGROUND, CHANGE_GAIN, TITLE_HEIGHT_PX
 from dotsim_ros.specification import GelSpecification, SolverSpecification
 
 FOREVER = {
@@ -74,6 +78,38 @@ print("rclpy" in sys.modules, "torch" in sys.modules)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-3:] == ["[]", "set()", "False False"]
+
+
+def test_only_the_program_prints_and_a_first_load_says_what_it_computes(tmp_path: Path) -> None:
+    code = """
+from dataclasses import replace
+from dotsim_ros import Pose, TactileSensor, load_sensor
+from dotsim_ros.specification import SolverSpecification
+sensor = load_sensor("densetact2")
+solver = SolverSpecification(grid_spacing_m=4.8e-3, refined=False)
+sensor = replace(sensor, gel=replace(sensor.gel, skin_spacing_m=1.5e-3), solver=solver)
+TactileSensor.load(sensor).step(Pose.above_apex(0.001))
+print("done")
+"""
+    command = [sys.executable, "-c", code]
+    said = "dotsim_ros: compiling the kernels for the first time, about 20 s; the result is kept\n"
+    environment = {**os.environ, "WARP_CACHE_PATH": str(tmp_path)}
+    for expected in (said, ""):
+        done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
+        assert (done.stdout, done.stderr) == ("done\n", expected)
+
+
+def test_long_tables_are_noticed_once_and_short_ones_never(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for part_s, said in ((4.0, "about 32 s"), (0.2, "")):
+        clock = iter(np.arange(1, 11) * part_s)
+        monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=clock.__next__))
+        notice = progress.FirstTimeNotice("computing tables")
+        for part in range(1, 11):
+            notice(part / 10)
+        lines = capsys.readouterr().err.splitlines()
+        assert [said in line for line in lines] == [True] * bool(said)
 
 
 def test_every_public_name_is_what_its_home_holds_and_is_listed() -> None:
@@ -154,21 +190,49 @@ def test_a_sensor_is_loaded_from_names_files_or_objects(
     sensor = TactileSensor.load(path, indenter={"kind": "sphere", "radius_m": 0.003})
     assert sensor.specification.name == "mine"
     assert sensor.indenter.parameters == (0.003,)
+    defined = TactileSensor.load(coarse, indenter="sphere(radius_m=0.003)")
+    assert defined.indenter.parameters == (0.003,)
     ball = load_indenter("sphere_4mm")
     assert TactileSensor.load(coarse, indenter=ball).indenter is ball
-    with pytest.raises(FileNotFoundError, match="sensors/densetact9"):
+    with pytest.raises(FileNotFoundError, match="did you mean 'densetact2'"):
         TactileSensor.load("densetact9")
-    with pytest.raises(FileNotFoundError, match="indenters/sphere_5mm"):
+    with pytest.raises(FileNotFoundError, match="did you mean 'sphere_4mm'"):
         TactileSensor.load(coarse, indenter="sphere_5mm")
 
 
-def test_a_frame_is_saved_as_its_image(tmp_path: Path, frame: Frame) -> None:
+def test_a_frame_is_saved_as_image_change_and_range_side_by_side(
+    tmp_path: Path, frame: Frame
+) -> None:
     frame.save(tmp_path / "new" / "press.png")
     read = cv2.imread(str(tmp_path / "new" / "press.png"))
-    assert np.array_equal(cv2.cvtColor(read, cv2.COLOR_BGR2RGB), frame.image)
+    picture = cv2.cvtColor(read, cv2.COLOR_BGR2RGB)
+    assert picture.shape == (120 + TITLE_HEIGHT_PX, 3 * 160, 3)
+    image, change, distance = np.split(picture[TITLE_HEIGHT_PX:].astype(int), 3, axis=1)
+    assert np.array_equal(image, frame.image)
+    difference = image - frame.idle_image
+    assert np.abs(difference).max() > 10
+    expected = np.clip(127.5 + CHANGE_GAIN * difference, 0, 255)
+    np.testing.assert_allclose(change, expected, atol=0.5)
+    seen = np.isfinite(frame.depth_m)
+    assert np.all(distance[~seen] == BACKGROUND)
+    # Viridis: the nearest is bright yellow, the farthest dark purple.
+    order = np.argsort(np.where(seen, frame.depth_m, np.nan).ravel())[: seen.sum()]
+    np.testing.assert_allclose(distance.reshape(-1, 3)[order[0]], [253, 231, 37], atol=4)
+    np.testing.assert_allclose(distance.reshape(-1, 3)[order[-1]], [68, 1, 84], atol=4)
     frame.save(str(tmp_path / "press.JPG"))
     read = cv2.cvtColor(cv2.imread(str(tmp_path / "press.JPG")), cv2.COLOR_BGR2RGB)
-    assert np.abs(read.astype(int) - frame.image).mean() < 5.0
+    assert np.abs(read.astype(int) - picture).mean() < 8.0
+
+
+def test_a_frame_is_printed_on_one_line(frame: Frame) -> None:
+    x, y, z = frame.wrench.force_n
+    motion_mm = 1e3 * frame.max_skin_motion_m
+    assert 0.7 < motion_mm < 1.1
+    assert str(frame) == (
+        f"Frame at 0.04 s: force [{x:.3f}, {y:.3f}, {z:.3f}] N, skin moved by up to "
+        f"{motion_mm:.2f} mm, converged, image 160 x 120 px"
+    )
+    assert "mm, not converged, image" in str(replace(frame, converged=False))
 
 
 def test_a_frame_is_saved_with_all_its_arrays(tmp_path: Path, frame: Frame) -> None:

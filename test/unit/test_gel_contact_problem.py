@@ -258,3 +258,8 @@ def test_linear_contact_is_one_step_of_newtons_method() -> None:
     first = by_component(response.force_n)
     moved = np.linalg.solve(np.eye(len(first)) + compliance @ matrix, compliance @ first)
     assert by_component(force) == pytest.approx(first - matrix @ moved, rel=1e-3, abs=1e-6)
+
+
+def test_a_gel_that_has_diverged_has_no_root() -> None:
+    with pytest.raises(np.linalg.LinAlgError, match="has diverged"):
+        compliance_root(np.full((6, 6), np.nan, dtype=np.float32), NEGLIGIBLE_M_N)

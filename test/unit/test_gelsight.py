@@ -103,13 +103,17 @@ def test_a_recording_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("table", "pressed", "words"),
     [
-        ("0001.png,50,wide,16\n", photograph((50, 70)), r"line 2: .* is no circle"),
+        (
+            "0001.png,50,wide,16\n",
+            photograph((50, 70)),
+            r"line 2, column center_y: 'wide' is not a",
+        ),
         ("0009.png,50,70,16\n", photograph((50, 70)), r"no image .*0009\.png"),
         ("0001.png,50,70,16\n", photograph((50, 70))[:-1], r"expected that of idle\.png"),
         ("0001.png,50,70,16\n", photograph(), "shows no ball"),
         ("0001.png,30,30,16\n", photograph((30, 30), (85, 120)), "shows two contacts"),
         ("0001.png,10,70,16\n", photograph((10, 70)), "leaves the frame"),
-        ("0001.png,30,30,16\n", photograph((85, 120)), "is at pixel .* mark the circle anew"),
+        ("0001.png,30,30,16\n", photograph((85, 120)), "is at pixel .* mark the circle again"),
     ],
 )
 def test_bad_recordings_are_refused(

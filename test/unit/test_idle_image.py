@@ -9,11 +9,15 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.gel.make import GelFrame
+from dotsim_ros.files import given_path, parameter_path
+from dotsim_ros.gel.make import GelFrame, skin_of
+from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Wrench
 from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.optics.idle import LitDisc
+from dotsim_ros.optics.pattern import idle_frame_of
+from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
 
@@ -92,6 +96,53 @@ def test_idle_image_that_shows_no_gel_is_refused_and_changes_nothing(sensor, ima
     with pytest.raises(ValueError, match=message):
         sensor.set_idle_image(image)
     assert np.array_equal(sensor.idle_image, before)
+
+
+def misfit(sensor, **camera):
+    """Return why the idle image of a sensor's file does not fit its camera, with changes of it."""
+    changed = replace(sensor, camera=replace(sensor.camera, **camera))
+    seen_by, skin = Camera.from_specification(changed.camera), skin_of(sensor.gel)
+    sees_gel = SkinRenderer(seen_by, skin).render(skin.rest_position_m).mask
+    idle = idle_frame_of(changed, seen_by)
+    return idle.misfit(sees_gel, changed.camera.half_height_angle_deg)
+
+
+def shipped():
+    return [load_sensor(path.stem) for path in sorted(parameter_path("sensors").glob("*.yaml"))]
+
+
+def test_the_idle_images_of_shipped_sensors_fit_their_cameras():
+    assert {sensor.name: misfit(sensor) for sensor in shipped()} == {
+        sensor.name: "" for sensor in shipped()
+    }
+    dome = load_sensor("densetact2")
+    assert misfit(dome, idle_image="images/densetact_real_idle.png") == ""
+
+
+@pytest.mark.fault("sensor and YAML files", "a lens that the idle photograph was not taken through")
+@pytest.mark.parametrize("angle_deg", [15.0, 35.0])
+def test_a_photograph_through_another_lens_is_warned_of(angle_deg, answered):
+    pad = load_sensor("gelsight_mini")
+    camera = replace(pad.camera, half_height_angle_deg=angle_deg)
+    with pytest.warns(
+        UserWarning, match=rf"lens that sees 23\.2 degrees .* sees {angle_deg:g}"
+    ) as told:
+        TactileSensor.load(replace(pad, camera=camera))
+    answered(f"a warning: {told[0].message}")
+
+
+def test_a_photograph_of_another_view_is_told_by_where_it_is_lit(tmp_path, sensor):
+    pad = load_sensor("gelsight_mini")
+    bare = tmp_path / "idle.png"
+    bare.write_bytes(given_path(pad.camera.idle_image).read_bytes())
+    assert misfit(pad, idle_image=str(bare)) == ""
+    wide = misfit(pad, idle_image=str(bare), half_height_angle_deg=35.0)
+    assert wide == "in 50% of its pixels it is lit where the camera sees no gel"
+    assert "lit where" in misfit(pad, quaternion_xyzw=(0.17364818, 0.0, 0.0, 0.98480775))
+    assert "lit where" in misfit(pad, position_m=(0.0, 0.0, -0.03))
+    assert "dark where" in misfit(pad, idle_image="images/densetact2_idle.png")
+    with pytest.warns(UserWarning, match="dark where the camera sees gel"):
+        sensor.set_idle_image(disc_image(320, 240, (159.5, 119.5), 80.0, (200, 100, 50)))
 
 
 def test_frame_has_the_skins_normals_in_the_base_frame(sensor):

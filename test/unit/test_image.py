@@ -187,7 +187,9 @@ def test_idle_image_at_another_resolution_keeps_its_view(camera, idle):
     [
         ("lighting: {colour: 3}", "colour"),
         ("disc: {radius_px: 3}", "centre_px"),
-        ("lamps: {}", "known are disc, lighting, vignetting"),
+        ("lamps: {}", "known are disc, lens, lighting, vignetting"),
+        ("lens: {half_height_angle_deg: -3}", "lens is .*-3.*, expected half_height_angle_deg"),
+        ("lens: {}", "lens is .*, expected half_height_angle_deg"),
         ("vignetting: {falloff: [a]}", "describes no idle image"),
         ("- 3", "describes no idle image"),
     ],

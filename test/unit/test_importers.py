@@ -77,12 +77,18 @@ def test_a_unit_that_the_column_names_is_taken(tmp_path: Path, column: str, scal
     [
         ("depth_mm,normal_force\n0.5,1.6\n", "normal_force has no unit that is known"),
         ("depth_mm,load_N\n0.5,1.6\n", "no column of normal_force among depth_mm, load_N"),
-        ("depth_mm,normal_force_N\n1.0,5.9\n0.5,1.6\n", "row 2 is at 0.5 mm after 1 mm"),
-        ("depth_mm,normal_force_N\n0.5,heavy\n", "line 2: .*'heavy', expected two numbers"),
+        ("depth_mm,normal_force_N\n1.0,5.9\n0.5,1.6\n", "line 3, column depth_mm: 0.5 mm after 1"),
+        ("depth_mm,normal_force_N\n0.5,heavy\n", "line 2, column normal_force_N: 'heavy' is not"),
         ("depth_mm,normal_force_N\n0.5,163\n", "Young's modulus of .*grams"),
         ("depth_mm,normal_force_N\n0.0197,1.6\n", "Young's modulus of .*inches"),
         ("depth_m,normal_force_N\n0.5,1.6\n", "a depth of 500 mm in a gel of 4 mm"),
-        ("depth_mm,normal_force_N\n", "got 0 rows"),
+        ("depth_mm,normal_force_N\n", "got none below the names"),
+        # Decimal commas.
+        ("depth_mm,normal_force_N\n1,1,6,9\n", "line 2, column 3: '6' has no name above it"),
+        ("depth_mm,normal_force_N\n\n1,1,7\n", "line 3, column 3: '7' has no name above it"),
+        ('depth_mm,normal_force_N\n"1,1","6,9"\n', "line 2, column depth_mm: '1,1' is not a numb"),
+        ("depth_mm;normal_force_N\n1,1;6,9\n", "line 1: semicolons divide the names"),
+        ("depth_mm,normal_force_N\n0.5\n", "line 2, column 2: there is no cell under normal_for"),
         ("", "no column of depth among none"),
     ],
 )
@@ -93,6 +99,15 @@ def test_a_bad_table_is_refused_with_the_reason(
         import_gelsight_mini_force(table(tmp_path, text), tmp_path / "set")
     answered(refused.value, what=f"the table {', '.join(text.split()) or 'of no line'}")
     assert not (tmp_path / "set").exists()
+
+
+def test_paths_of_a_command_may_begin_with_the_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    table(tmp_path, PRESS)
+    assert main(["import-data", "gelsight_mini_force", "--from=~", "--out=~/set"]) == 0
+    assert read_data_set(tmp_path / "set").entries
 
 
 def test_tests_of_cylinders_become_trajectories(tmp_path: Path) -> None:
@@ -164,7 +179,7 @@ def test_the_command_says_what_it_wrote_or_why_not(
 ) -> None:
     call = ["import-data", "gelsight_mini_force", "--from", str(tmp_path), "--out"]
     assert main([*call, str(tmp_path / "set")]) == 1
-    assert "no table of force against depth" in capsys.readouterr().err
+    assert f"no file {tmp_path / 'force_depth.csv'}" in capsys.readouterr().err
     table(tmp_path, PRESS)
     assert main([*call, str(tmp_path / "set")]) == 0
     assert "1 trajectories, 3 frames" in capsys.readouterr().out

@@ -26,12 +26,12 @@ from dotsim_ros.geometry.indenter import (
     capsule,
     cone,
     flat_punch,
-    indenter_from_text,
     load_indenter,
     load_mesh,
     lying_cylinder,
     sphere,
     torus,
+    warn_of_misfit,
 )
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid
 
@@ -51,6 +51,7 @@ PRIMITIVES = {
     "capsule": capsule(0.002, 0.004),
     "torus": torus(0.0028, 0.0015),
 }
+PAD_20_MM = np.array([[-0.01, -0.008, 0.004], [0.01, 0.008, 0.004]])
 CORNER = 0.0005 * (np.sqrt(3.0) - 1.0)
 
 
@@ -283,6 +284,13 @@ def closed_mesh() -> trimesh.Trimesh:
     return mesh
 
 
+def write_ball(path: Path, place: tuple[float, ...] | list[float] = (0.0, 0.0, 0.004)) -> Path:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004)
+    ball.apply_translation(place)
+    ball.export(path)
+    return path
+
+
 def test_mesh_with_a_hole_is_refused(tmp_path: Path) -> None:
     mesh = closed_mesh()
     mesh.update_faces(np.arange(len(mesh.faces)) > 0)
@@ -322,6 +330,83 @@ def test_a_mesh_in_another_unit_is_refused_with_the_size_that_each_unit_gives(
     assert load_mesh(tmp_path / "ball.stl", scale).bounds_m()[1][2] == pytest.approx(0.004)
 
 
+@pytest.mark.fault("meshes", "a mesh in inches that was given as millimetres")
+def test_a_mesh_that_is_tiny_in_its_unit_is_doubted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
+) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.004 / 0.0254)
+    ball.export(tmp_path / "inches.stl")
+    warn_of_misfit(load_mesh(tmp_path / "inches.stl", 0.001), PAD_20_MM)
+    assert "is 0.315 mm wide and 0.315 mm long, the gel 20 mm wide" in caplog.text
+    assert "in inches: it is then 8 mm long: scale=0.0254" in caplog.text
+    answered(caplog.records[-1].getMessage())
+    with pytest.raises(ValueError, match=r"in metres: it is then 8 mm long: scale=1"):
+        load_mesh(write_ball(tmp_path / "metres.stl"), 0.001)
+
+
+@pytest.mark.fault("meshes", "a mesh in millimetres that was given as inches")
+def test_a_mesh_that_is_wider_than_the_gel_is_doubted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
+) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=2.0)
+    ball.export(tmp_path / "wide.stl")
+    warn_of_misfit(load_mesh(tmp_path / "wide.stl", 0.0254), PAD_20_MM)
+    assert "is 102 mm wide" in caplog.text
+    assert "another unit (in millimetres: it is then 4 mm long: scale=0.001)" in caplog.text
+    answered(caplog.records[-1].getMessage())
+    warn_of_misfit(load_mesh(tmp_path / "wide.stl", 0.001), PAD_20_MM)
+    assert len(caplog.records) == 1
+
+
+@pytest.mark.fault("meshes", "a mesh that was drawn far from its file's origin")
+def test_a_mesh_beside_its_axis_is_doubted_and_its_tip_can_be_the_origin(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
+) -> None:
+    path = write_ball(tmp_path / "aside.stl", place=[0.05, -0.02, 0.1])
+    warn_of_misfit(load_mesh(path), PAD_20_MM)
+    assert "from 46 to 54 mm along x and from -24 to -16 mm along y" in caplog.text
+    answered(caplog.records[-1].getMessage())
+    caplog.clear()
+    at_tip = load_mesh(path, origin="tip")
+    warn_of_misfit(at_tip, PAD_20_MM)
+    assert not caplog.records
+    points = points_around(sphere(0.004))
+    error = at_tip.signed_distance(points) - sphere(0.004).signed_distance(points)
+    assert np.abs(error).max() < 6e-5  # the facets' sagitta
+
+
+def test_the_tip_of_a_level_face_or_edge_is_its_middle(tmp_path: Path) -> None:
+    block = trimesh.creation.box(extents=[0.004, 0.006, 0.005])
+    block.apply_translation([0.03, 0.02, 0.01])
+    block.export(tmp_path / "block.stl")
+    bounds = load_mesh(tmp_path / "block.stl", origin="tip").bounds_m()
+    assert bounds == pytest.approx(np.array([[-0.002, -0.003, 0], [0.002, 0.003, 0.005]]), abs=1e-8)
+
+
+def test_texture_seams_do_not_open_a_mesh(tmp_path: Path) -> None:
+    corners = [(x, y, z) for x in (-2, 2) for y in (-2, 2) for z in (0, 4)]
+    sides = ["2 1 3 4", "5 6 8 7", "1 2 6 5", "4 3 7 8", "3 1 5 7", "2 4 8 6"]
+    # Each corner has a texture point of its own on each side.
+    (tmp_path / "cube.obj").write_text(
+        "".join(f"v {x} {y} {z}\n" for x, y, z in corners)
+        + "".join(f"vt {k / 24} 0.5\n" for k in range(24))
+        + "".join(
+            f"f {' '.join(f'{v}/{4 * k + i + 1}' for i, v in enumerate(side.split()))}\n"
+            for k, side in enumerate(sides)
+        )
+    )
+    textured = trimesh.load(tmp_path / "cube.obj", process=False)
+    assert len(textured.vertices) == 24
+    textured.export(tmp_path / "cube.ply")
+    for name in ("cube.obj", "cube.ply"):
+        loaded = load_mesh(tmp_path / name, 0.001)
+        assert loaded.mesh is not None
+        assert (len(loaded.mesh.vertices_m), len(loaded.mesh.triangles)) == (8, 12)
+        points = points_around(loaded)
+        error = loaded.signed_distance(points) - box([0.004] * 3).signed_distance(points)
+        assert np.abs(error).max() < 1e-8
+
+
 @pytest.mark.parametrize("content", [b"", b"solid nothing\nendsolid nothing\n", b"\x00\xff" * 90])
 def test_broken_file_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "broken.stl").write_bytes(content)
@@ -336,6 +421,76 @@ def test_inverted_and_doubled_triangles_are_repaired(tmp_path: Path) -> None:
     mesh.export(tmp_path / "inverted.ply")
     loaded = load_mesh(tmp_path / "inverted.ply")
     assert loaded.signed_distance([[0.0, 0.0, 0.001]])[0] == pytest.approx(-0.001, abs=1e-8)
+
+
+@pytest.mark.fault("meshes", "a mesh of two bodies, one of them inside out")
+@pytest.mark.parametrize("suffix", ["stl", "obj", "ply"])
+def test_a_body_that_is_inside_out_is_turned(
+    tmp_path: Path, suffix: str, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
+) -> None:
+    tip = trimesh.creation.icosphere(subdivisions=3, radius=0.002)
+    tip.apply_translation([0.0, 0.0, 0.002])
+    tip.invert()
+    # It reaches into the block that holds it, which is larger: the whole volume is positive.
+    block = trimesh.creation.box(extents=[0.01, 0.01, 0.01])
+    block.apply_translation([0.0, 0.0, 0.008])
+    path = tmp_path / f"held_tip.{suffix}"
+    trimesh.util.concatenate([tip, block]).export(path)
+    loaded = load_mesh(path)
+    probes = [[0.0, 0.0, 0.0005], [0.0, 0.0, 0.0035], [0.0, 0.0, 0.006], [0.0, 0.003, 0.001]]
+    assert np.sign(loaded.signed_distance(probes)).tolist() == [-1.0, -1.0, -1.0, 1.0]
+    assert "held_tip" in caplog.text
+    assert "1 of 2 bodies" in caplog.text
+    if suffix == "stl":
+        answered(caplog.records[-1].getMessage())
+
+
+@pytest.mark.parametrize("outer_inverted", [False, True])
+@pytest.mark.parametrize("inner_inverted", [False, True])
+def test_a_cavity_stays_one_whichever_way_its_shells_are_turned(
+    tmp_path: Path, outer_inverted: bool, inner_inverted: bool
+) -> None:
+    shells = [trimesh.creation.icosphere(subdivisions=3, radius=r) for r in (4.0, 2.0, 1.0)]
+    for shell, inverted in zip(shells, (outer_inverted, inner_inverted, False), strict=True):
+        shell.apply_translation([0.0, 0.0, 4.0])
+        if inverted:
+            shell.invert()
+    trimesh.util.concatenate(shells[:2]).export(tmp_path / "hollow.stl")
+    hollow = load_mesh(tmp_path / "hollow.stl", 0.001)
+    probes = [[0.0, 0.0, -0.001], [0.0, 0.0, 0.001], [0.0, 0.0, 0.0025]]
+    # A body within a body whose outside is right is left as it is: both are solid.
+    inside = 1.0 if outer_inverted or inner_inverted else -1.0
+    assert np.sign(hollow.signed_distance(probes)).tolist() == [1.0, -1.0, inside]
+    # In a cavity there may be a body again.
+    trimesh.util.concatenate(shells).export(tmp_path / "loose.stl")
+    loose = load_mesh(tmp_path / "loose.stl", 0.001)
+    assert loose.signed_distance([[0.0, 0.0, 0.0035]])[0] < 0.0
+
+
+def test_collinear_and_doubled_triangles_do_not_open_a_mesh(tmp_path: Path) -> None:
+    mesh = closed_mesh()
+    (a, b, c), middle = mesh.faces[0], len(mesh.vertices)
+    vertices = np.vstack([mesh.vertices, mesh.vertices[[a, b]].mean(axis=0)])
+    # The new vertex splits an edge on one side only: a triangle without area closes the gap.
+    split = [[a, middle, c], [middle, b, c], [a, b, middle], [a, a, b]]
+    faces = np.vstack([mesh.faces[1:], split, mesh.faces[-2:]])
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "split.ply")
+    loaded = load_mesh(tmp_path / "split.ply")
+    points = points_around(loaded)
+    error = loaded.signed_distance(points) - box([0.004] * 3).signed_distance(points)
+    assert np.abs(error).max() < 1e-8
+
+
+@pytest.mark.fault("meshes", "bodies that share an edge")
+def test_bodies_that_touch_along_an_edge_are_refused(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    aside = closed_mesh()
+    aside.apply_translation([0.004, 0.004, 0.0])
+    trimesh.util.concatenate([closed_mesh(), aside]).export(tmp_path / "touching.stl")
+    with pytest.raises(ValueError, match=r"1 edges do not .* unite bodies") as refused:
+        load_mesh(tmp_path / "touching.stl")
+    answered(refused.value)
 
 
 def test_mesh_is_turned_and_moved_to_its_tip(tmp_path: Path) -> None:
@@ -438,9 +593,27 @@ def test_bad_definitions_are_refused(tmp_path: Path, definition: str, message: s
         load_indenter(tmp_path / "bad.yaml")
 
 
-def test_unknown_name_is_refused() -> None:
-    with pytest.raises(FileNotFoundError, match="no_such_indenter"):
-        load_indenter("no_such_indenter")
+@pytest.mark.fault("sensor and YAML files", "an indenter that is not there")
+def test_unknown_name_is_refused_with_those_that_there_are(answered: Callable[..., None]) -> None:
+    expected = (
+        r"no indenter is named 'Sphere_5mm' \(did you mean 'sphere_4mm'\?\), expected one of "
+        r"box_edge, .*torus, or the path of a .* or a definition such as sphere\(radius_m=0\.003\)"
+    )
+    with pytest.raises(FileNotFoundError, match=expected) as refused:
+        load_indenter("Sphere_5mm")
+    answered(refused.value)
+    with pytest.raises(ValueError, match=r"kind must be one of .* \(did you mean 'sphere'\?\)"):
+        load_indenter("spere(radius_m=0.003)")
+
+
+def test_a_home_is_meant_by_a_tilde(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    write_ball(tmp_path / "ball.stl")
+    (tmp_path / "ball.yaml").write_text("kind: mesh\npath: ~/ball.stl\n")
+    for source in ("~/ball.stl", Path("~/ball.yaml"), "mesh(path=~/ball.stl)"):
+        assert load_indenter(source).mesh == load_mesh(tmp_path / "ball.stl").mesh
+    with pytest.raises(FileNotFoundError, match=r"no mesh file ~nobody_of_this_name/ball\.stl"):
+        load_indenter("~nobody_of_this_name/ball.stl")
 
 
 @pytest.mark.parametrize(
@@ -453,8 +626,10 @@ def test_unknown_name_is_refused() -> None:
     ],
 )
 def test_a_definition_in_one_line_is_what_a_parameter_can_hold(text, expected):
-    found = indenter_from_text(text)
+    found = load_indenter(text)
     assert (found.kind, found.parameters) == (expected.kind, expected.parameters)
+    # Two of one kind differ by their names, under which a data set keeps them.
+    assert found.name == text.strip()
     # What reads values as YAML, as ros2 param set does, must take it for text.
     assert isinstance(yaml.safe_load(text), str) is not text.startswith("{")
 
@@ -464,4 +639,4 @@ def test_a_definition_in_one_line_is_what_a_parameter_can_hold(text, expected):
 )
 def test_a_wrong_definition_in_one_line_is_refused_with_the_reason(text):
     with pytest.raises(ValueError, match=r"indenter (definition|is no valid)"):
-        indenter_from_text(text)
+        load_indenter(text)

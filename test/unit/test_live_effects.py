@@ -109,7 +109,7 @@ def test_latency_goes_on_under_a_held_indenter_until_it_is_there(sensor: Tactile
     late = forces_n(session, 0.4, 0.8)
     # The gel comes to the same depth from another state, within its tolerance.
     assert late == pytest.approx([straight[0], straight[0]], rel=0.02)
-    assert session.catch_up().gel.wrench.force_n[2] == pytest.approx(straight[1], rel=0.02)
+    assert session.advance().gel.wrench.force_n[2] == pytest.approx(straight[1], rel=0.02)
     assert session.moment.pose is not None
     assert session.moment.pose.position_m == pytest.approx(pressed(0.8).position_m)
 
@@ -119,7 +119,7 @@ def test_a_base_that_gives_way_settles_between_force_and_depth(sensor: TactileSe
     session = session_of(sensor, active("base_compliance", compliance_m_n=compliance))
     forces_n(session, 0.5, 1.0)
     for _ in range(12):
-        moment = session.catch_up()
+        moment = session.advance()
     assert moment.pose is not None
     lost_m = moment.pose.position_m - pressed(1.0).position_m
     assert lost_m == pytest.approx(compliance * moment.gel.wrench.force_n, abs=1e-7)

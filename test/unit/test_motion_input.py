@@ -8,11 +8,19 @@ import pytest
 
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
-from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
+from dotsim_ros.nodes.common.ingest import (
+    EARLY_S,
+    Fault,
+    FaultLog,
+    InputArbiter,
+    RefusedInputError,
+    TimeRestart,
+)
 from dotsim_ros.nodes.tactile_sim.motion import (
+    HELD_MOTIONS,
     MotionGate,
     MotionOrder,
-    NewestMotion,
+    MotionQueue,
     Velocity,
     velocity_axes,
 )
@@ -60,15 +68,28 @@ def test_what_is_forgotten_leads_nowhere(gate):
     assert gate.hear(pose_at(1.0), SECOND, frame_id="base").new_start is None
 
 
-def test_a_new_start_that_was_not_simulated_stays_one():
-    slot = NewestMotion()
-    slot.put(MotionOrder(pose_at(1.0), 1, Fault.JUMP))
-    slot.put(MotionOrder(pose_at(1.001), 2, None))
-    newest = slot.take()
-    assert (newest.stamp_ns, newest.new_start) == (2, Fault.JUMP)
-    assert slot.take() is None
-    slot.put(MotionOrder(pose_at(1.002), 3, None))
-    assert slot.take().new_start is None
+def test_the_motions_of_a_frame_come_in_order_from_the_last_new_start_on():
+    queue = MotionQueue()
+    queue.put(MotionOrder(pose_at(0.0), 1, None))
+    queue.put(MotionOrder(pose_at(1.0), 2, Fault.JUMP))
+    queue.put(MotionOrder(pose_at(1.001), 3, None))
+    motions = queue.take()
+    assert [(motion.stamp_ns, motion.new_start) for motion in motions] == [
+        (2, Fault.JUMP),
+        (3, None),
+    ]
+    assert queue.take() == []
+
+
+def test_a_flood_of_motions_is_thinned_and_keeps_the_new_start_and_the_newest():
+    queue = MotionQueue()
+    queue.put(MotionOrder(pose_at(0.0), 0, Fault.JUMP))
+    for stamp_ns in range(1, 10 * HELD_MOTIONS):
+        queue.put(MotionOrder(pose_at(1e-9 * stamp_ns), stamp_ns, None))
+    stamps_ns = [motion.stamp_ns for motion in queue.take()]
+    assert len(stamps_ns) <= HELD_MOTIONS
+    assert (stamps_ns[0], stamps_ns[-1]) == (0, 10 * HELD_MOTIONS - 1)
+    assert stamps_ns == sorted(stamps_ns)
 
 
 def test_one_input_at_a_time_and_a_silent_one_gives_way():
@@ -103,3 +124,24 @@ def test_a_velocity_is_along_the_axes_that_its_frame_says():
     with pytest.raises(RefusedInputError, match="expected 'base' or 'indenter'"):
         velocity_axes("map", base_frame="base", indenter_frame="indenter")
     assert TwistFrame.OWN is velocity_axes("indenter", base_frame="b", indenter_frame="indenter")
+
+
+def test_after_a_clock_went_back_a_message_of_the_time_before_is_refused_until_midway():
+    restart = TimeRestart()
+    restart.check(9 * SECOND, 9 * SECOND)
+    assert restart.begin(before_ns=10 * SECOND, now_ns=0, now_s=0.0) == []
+    for stamp_s, now_s in ((0.0, 0.0), (0.5, 0.1), (4.0, 4.0), (9.9, 6.0), (1.8e9, 0.1)):
+        restart.check(int(stamp_s * SECOND), int(now_s * SECOND))
+    for stamp_s, now_s in ((9.9, 0.0), (10.01, 0.1), (9.0, 4.0)):
+        with pytest.raises(RefusedInputError, match="gone back") as caught:
+            restart.check(int(stamp_s * SECOND), int(now_s * SECOND))
+        assert caught.value.fault is Fault.ORDER
+
+
+def test_what_was_refused_just_before_a_clock_went_back_is_done_again_once():
+    restart = TimeRestart()
+    restart.hold(lambda: "old", 0.0)
+    restart.hold(lambda: "early", 1.0)
+    acts = restart.begin(before_ns=SECOND, now_ns=0, now_s=0.9 + EARLY_S)
+    assert [act() for act in acts] == ["early"]
+    assert restart.begin(before_ns=SECOND, now_ns=0, now_s=1.0) == []

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import msg_adapters as adapters
 from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE
+from msg_adapters.image import CAMERA_LAYOUTS
 
 HAS_ROS = importlib.util.find_spec("rclpy") is not None
 WORLDS = [
@@ -183,6 +184,89 @@ def test_malformed_image_is_refused(change, reason):
         setattr(message, name, value)
     with pytest.raises(ValueError, match=reason):
         adapters.decode_image(message)
+
+
+HUES = np.array([[[200, 30, 40], [30, 180, 60]], [[20, 50, 220], [90, 90, 90]]])
+"""A quarter of an image each: mostly red, green, blue, and grey."""
+
+
+def yuv(rgb):
+    """Return luma and the two chroma differences by BT.601, limited range (ITU-R BT.601-7)."""
+    red, green, blue = np.moveaxis(rgb / 255.0, -1, 0)
+    luma = 0.299 * red + 0.587 * green + 0.114 * blue
+    planes = 16 + 219 * luma, 128 + 112 * (blue - luma) / 0.886, 128 + 112 * (red - luma) / 0.701
+    return [np.round(plane).astype(np.uint8) for plane in planes]
+
+
+def encoded(rgb, encoding):
+    """Return what a camera sends of an (H, W, 3) image: rows of numbers."""
+    height, width = rgb.shape[:2]
+    luma, *chroma = yuv(rgb)
+    if encoding in ("nv12", "nv21"):
+        pair = np.stack(
+            [plane[::2, ::2] for plane in chroma[:: 1 if encoding == "nv12" else -1]], -1
+        )
+        return np.concatenate([luma, pair.reshape(height // 2, width)])
+    if encoding.startswith(("yuv", "uyvy", "yuyv")):
+        pair = np.stack([plane[:, ::2] for plane in chroma], -1).reshape(height, width)
+        parts = (luma, pair) if encoding in ("yuv422_yuy2", "yuyv") else (pair, luma)
+        return np.stack(parts, -1).reshape(height, -1)
+    if encoding.startswith("bayer"):
+        mosaic = np.empty((height, width), np.uint8)
+        for index, colour in enumerate(encoding[6:10]):
+            row, column = divmod(index, 2)
+            mosaic[row::2, column::2] = rgb[row::2, column::2, "rgb".index(colour)]
+        rows = mosaic
+    elif encoding.startswith("mono"):
+        rows = rgb[..., 0]
+    else:
+        planes = {"r": rgb[..., 0], "g": rgb[..., 1], "b": rgb[..., 2]}
+        planes["a"] = np.full((height, width), 7)
+        rows = np.stack([planes[letter] for letter in encoding.rstrip("0123456789")], -1)
+    # 257 times the level: the same brightness in 16 bits.
+    rows = rows.astype(np.uint16) * 257 if encoding.endswith("16") else rows.astype(np.uint8)
+    return np.ascontiguousarray(rows).reshape(height, -1)
+
+
+@pytest.mark.parametrize("is_bigendian", [0, 1])
+@pytest.mark.parametrize("padding", [0, 6])
+@pytest.mark.parametrize("encoding", sorted(CAMERA_LAYOUTS))
+def test_colours_of_a_camera_are_right(encoding, padding, is_bigendian):
+    rgb = HUES.repeat(8, axis=0).repeat(12, axis=1)
+    rows = encoded(rgb, encoding)
+    if rows.dtype == np.uint16:
+        rows = rows.astype(">u2" if is_bigendian else "<u2").view(np.uint8)
+    rows = np.pad(rows, ((0, 0), (0, padding)), constant_values=99)
+    message = adapters.encode_image(
+        np.zeros((16, 24), np.uint8), encoding="mono8", stamp_ns=0, frame_id="", types=BAG_TYPES
+    )
+    message.encoding, message.is_bigendian = encoding, is_bigendian
+    message.step, message.data = rows.shape[1], rows.reshape(-1)
+    found = adapters.decode_rgb(message)
+    assert found.shape == (16, 24, 3)
+    # Away from the edges between colours, which a camera's encoding blurs.
+    middle = found[4::8, 6::12].astype(int)
+    expected = HUES[..., :1].repeat(3, axis=2) if encoding.startswith("mono") else HUES
+    largest = 3 if encoding in ("nv12", "nv21") or CAMERA_LAYOUTS[encoding][1] == 2 else 0
+    assert np.abs(middle - expected).max() <= largest
+
+
+@pytest.mark.parametrize(
+    ("encoding", "reason"),
+    [
+        ("nv12", "needs even sides, the image has 24 x 15 pixels"),
+        ("bgra8", "too short"),
+        ("h264", "not supported; expected one of rgb8, .*bayer_rggb8"),
+        ("8UC1", "holds depth"),
+    ],
+)
+def test_an_image_that_is_no_picture_is_refused(encoding, reason):
+    message = adapters.encode_image(
+        np.zeros((15, 24), np.uint8), encoding="mono8", stamp_ns=0, frame_id="", types=BAG_TYPES
+    )
+    message.encoding = encoding
+    with pytest.raises(ValueError, match=reason):
+        adapters.decode_rgb(message)
 
 
 @pytest.mark.parametrize(

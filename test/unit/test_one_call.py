@@ -181,7 +181,7 @@ def test_without_a_file_to_write_nothing_is_left(
         ({"effects": ("nowhere",)}, FileNotFoundError, "no folder of effects at nowhere"),
         ({"discrepancy": "no.npz"}, FileNotFoundError, r"there is nothing at no\.npz"),
         ({"optical_noise": "no.npz"}, FileNotFoundError, r"there is nothing at no\.npz"),
-        ({"sensor": "sensor_x"}, FileNotFoundError, "sensors/sensor_x"),
+        ({"sensor": "sensor_x"}, FileNotFoundError, "did you mean 'sensor_a'"),
     ],
 )
 def test_a_search_that_cannot_be_run_touches_nothing(

@@ -38,9 +38,9 @@ STATIC = (
 MOVING = ("motion_blur", "rolling_shutter")
 
 
-def rays():
+def rays(aspect=1.0):
     """Return the directions (H, W, 3) of the pixels."""
-    return FisheyeCamera(WIDTH, HEIGHT, FOCAL, CENTRE).rays()[0]
+    return FisheyeCamera(WIDTH, HEIGHT, FOCAL, CENTRE, pixel_aspect=aspect).rays()[0]
 
 
 def seen_image(**changes):
@@ -140,13 +140,14 @@ def test_a_resampling_follows_a_image_of_another_size():
     np.testing.assert_array_equal(one(small), fresh)
 
 
-def test_a_centre_that_moves_by_whole_pixels_shifts_the_image():
-    image = seen_image()
+@pytest.mark.parametrize("aspect", [1.0, 2.0])
+def test_a_centre_that_moves_by_whole_pixels_shifts_the_image(aspect):
+    image = seen_image(pixel_aspect=aspect)
     seen = seen_with(
         "camera_intrinsics",
         image,
         focal_ratio=1.0,
-        shift_x_rad=2.0 / FOCAL,
+        shift_x_rad=2.0 / (aspect * FOCAL),
         shift_y_rad=-3.0 / FOCAL,
     )
     np.testing.assert_allclose(seen[:-3, 2:], image.pixels[3:, :-2], rtol=1e-6)
@@ -161,7 +162,8 @@ def test_a_longer_lens_enlarges_about_the_optical_axis():
     np.testing.assert_allclose(seen[inner][far], cone[inner][far] / 1.05, atol=0.1)
 
 
-def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does():
+@pytest.mark.parametrize("aspect", [1.0, 1.2])
+def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does(aspect):
     # An image that is a smooth function of the ray: turning it has a closed form.
     angle = 0.05
     turn = np.array(
@@ -171,9 +173,10 @@ def test_a_tilted_camera_sees_each_ray_where_a_turned_camera_does():
             [0.0, np.sin(angle), np.cos(angle)],
         ]
     )
-    pixels = 100.0 + 60.0 * rays()
-    seen = seen_with("camera_extrinsics", seen_image(pixels=pixels), tilt_x_rad=angle)
-    expected = 100.0 + 60.0 * rays() @ turn.T
+    pixels = 100.0 + 60.0 * rays(aspect)
+    image = seen_image(pixels=pixels, pixel_aspect=aspect)
+    seen = seen_with("camera_extrinsics", image, tilt_x_rad=angle)
+    expected = 100.0 + 60.0 * rays(aspect) @ turn.T
     inner = (slice(5, 40), slice(10, 55))
     np.testing.assert_allclose(seen[inner], expected[inner], atol=0.3)
     assert np.abs(seen[inner] - pixels[inner]).max() > 2.0

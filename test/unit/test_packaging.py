@@ -10,40 +10,32 @@ are read as source text.
 from __future__ import annotations
 
 import ast
-import dataclasses
 import re
+import runpy
 import sys
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+import setuptools
 import yaml
 
 import dotsim_ros
-from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters
-from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
-from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
-from dotsim_ros.nodes.time_stepper.parameters import TimeStepperParameters
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("dotsim_ros", "msg_adapters")
 LAUNCH_FILES = sorted((ROOT / "launch").glob("*.launch.py"))
+LAUNCH_ARGUMENTS = ROOT / "dotsim_ros" / "nodes" / "common" / "launch_arguments.py"
 each_launch_file = pytest.mark.parametrize("path", LAUNCH_FILES, ids=lambda path: path.name)
 
 PROCESS_KEYWORDS = {"output", "condition", "on_exit", "respawn", "respawn_delay"}
 LAUNCH_KEYWORDS = {
     ("ament_index_python.packages", "get_package_share_directory"): set(),
-    ("dotsim_ros.nodes.common.parameter_file", "check_params_file"): set(),
-    ("dotsim_ros.nodes.indenter_player.launched", "player_parameters"): {
-        "namespace",
-        "source",
-        "is_recorded",
-    },
     ("launch", "LaunchContext"): set(),
     ("launch", "LaunchDescription"): set(),
     ("launch.actions", "DeclareLaunchArgument"): {"default_value", "description", "choices"},
+    ("launch.actions", "LogInfo"): {"msg"},
     ("launch.actions", "OpaqueFunction"): {"function", "args", "kwargs"},
     ("launch.conditions", "IfCondition"): set(),
     ("launch.conditions", "UnlessCondition"): set(),
@@ -65,26 +57,14 @@ LAUNCH_KEYWORDS = {
         "sigkill_timeout",
         *PROCESS_KEYWORDS,
     },
-    ("launch_ros.parameter_descriptions", "ParameterValue"): {"value_type"},
 }
 """What launch files may use, with its keywords, as the reference of ROS 2 Jazzy documents it."""
 
-NODE_PARAMETERS = {
-    "tactile_sim": TactileSimParameters,
-    "tactile_policy": TactilePolicyParameters,
-    "indenter_player": PlayerParameters,
-    "time_stepper": TimeStepperParameters,
-    # Its parameters that the launch file sets are those of the policy.
-    "closed_loop": TactilePolicyParameters,
-}
 FOREIGN_NODES = {
     ("ros_gz_bridge", "parameter_bridge"),
     ("tf2_ros", "static_transform_publisher"),
 }
 """What launch files start of others: packages and executables as their documentation names them."""
-
-TIME_PARAMETERS = {"use_sim_time", "stepped"}
-"""What every node takes, beside its own."""
 
 NAMES_ELSEWHERE = {
     "PIL": "pillow",
@@ -145,6 +125,17 @@ def executables() -> dict[str, str]:
     return dict(entry.split(" = ") for entry in entries)
 
 
+def installed_files() -> dict[str, set[str]]:
+    """Return the files that the package installs below share/, by top folder."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(setuptools, "setup", lambda **_: None)
+        entries = runpy.run_path(str(ROOT / "setup.py"))["shared_files"]()
+    found: dict[str, set[str]] = {}
+    for folder, files in entries:
+        found.setdefault("/".join(folder.split("/")[:3]), set()).update(files)
+    return found
+
+
 def requirements() -> set[str]:
     """Return the distributions that the library needs."""
     return {entry.partition(">=")[0] for entry in setup_keyword("install_requires")}
@@ -178,66 +169,6 @@ def imported_modules() -> set[str]:
     return roots - set(sys.stdlib_module_names) - set(PACKAGES)
 
 
-def launch_arguments(tree: ast.Module) -> dict[str, list[str]]:
-    """Return the values that each declared argument of a launch file is known to take.
-
-    An argument whose default is computed has none.
-    """
-    known: dict[str, list[str]] = {}
-    for call in calls(tree, "DeclareLaunchArgument"):
-        given = keywords(call)
-        values = ast.literal_eval(given["choices"]) if "choices" in given else []
-        default = given.get("default_value")
-        if isinstance(default, ast.Constant):
-            assert not values or default.value in values, ast.unparse(call)
-            values = [*values, default.value]
-        known[ast.literal_eval(call.args[0])] = values
-    return known
-
-
-def assigned(tree: ast.Module) -> dict[str, ast.expr]:
-    """Return what the names of a launch file stand for."""
-    return {
-        target.id: found.value
-        for found in ast.walk(tree)
-        if isinstance(found, ast.Assign)
-        for target in found.targets
-        if isinstance(target, ast.Name)
-    }
-
-
-def parameter_values(tree: ast.Module, value: ast.expr) -> list[Any]:
-    """Return what a parameter of a node may become; launch reads substituted text as YAML, unless
-    it is told to be text."""
-    if isinstance(value, ast.Name):
-        value = assigned(tree)[value.id]
-    if not isinstance(value, ast.Call):
-        return [ast.literal_eval(value)]
-    assert isinstance(value.func, ast.Name)
-    if value.func.id == "EqualsSubstitution":
-        return [True, False]
-    if value.func.id in ("AndSubstitution", "NotSubstitution"):
-        for part in value.args:
-            assert set(parameter_values(tree, part)) == {True, False}
-        return [True, False]
-    read: Callable[[str], Any] = yaml.safe_load
-    if value.func.id == "ParameterValue":
-        read = {"str": str, "float": float}[ast.unparse(keywords(value)["value_type"])]
-        inner = value.args[0]
-        value = assigned(tree)[inner.id] if isinstance(inner, ast.Name) else inner
-        assert isinstance(value, ast.Call)
-        assert isinstance(value.func, ast.Name)
-    assert value.func.id == "LaunchConfiguration", ast.unparse(value)
-    texts = launch_arguments(tree)[ast.literal_eval(value.args[0])]
-    assert texts, f"nothing is known of {ast.unparse(value)}"
-    return [read(text) for text in texts]
-
-
-def plain(value: Any) -> Any:
-    """Return a value of YAML as the data class of parameters holds it."""
-    return tuple(value) if isinstance(value, list) else value
-
-
 def passed_names(node: str) -> set[Any]:
     """Return the literals that the sources of a node pass to calls, its topics among them."""
     return {
@@ -248,21 +179,6 @@ def passed_names(node: str) -> set[Any]:
         for argument in call.args
         if isinstance(argument, ast.Constant)
     }
-
-
-def shipped_parameters(tree: ast.Module) -> dict[str, Any]:
-    """Return the parameters for every node in the file that a launch file takes by default."""
-    found = [
-        division.right.value
-        for division in ast.walk(tree)
-        if isinstance(division, ast.BinOp)
-        and isinstance(division.op, ast.Div)
-        and isinstance(division.right, ast.Constant)
-        and str(division.right.value).endswith(".yaml")
-    ]
-    (name,) = found
-    content = yaml.safe_load((ROOT / "params" / str(name)).read_text())
-    return dict(content.get("/**", {}).get("ros__parameters", {}))
 
 
 def test_version_is_the_same_everywhere() -> None:
@@ -292,9 +208,25 @@ def test_every_executable_has_its_function() -> None:
         assert function in defined, name
 
 
+def test_executables_say_whose_they_are_or_are_the_ones_that_others_rely_on() -> None:
+    targets = executables()
+    named = {name for name in targets if not name.startswith("dotsim_")}
+    old = {name for name in named if targets[name].endswith("_by_old_name")}
+    assert named - old == {
+        "indenter_player",
+        "tactile_policy",
+        "tactile_record",
+        "tactile_sim",
+        "time_stepper",
+        "xarm_adapter",
+        "xarm_sim",
+    }
+    assert all(f"{targets[f'dotsim_{name}']}_by_old_name" == targets[name] for name in old)
+
+
 def test_every_node_with_a_main_is_an_executable() -> None:
     found = {
-        f"dotsim_ros.nodes.{path.parent.name}.node:main"
+        f"dotsim_ros.nodes.executables:{path.parent.name}"
         for path in (ROOT / "dotsim_ros" / "nodes").glob("*/node.py")
         if any(isinstance(f, ast.FunctionDef) and f.name == "main" for f in tree_of(path).body)
     }
@@ -321,7 +253,9 @@ def test_pip_and_rosdep_know_the_same_requirements() -> None:
         for key in ros_depends("exec_depend")
         if key.startswith("python3-")
     }
-    assert {ROS_KEYS.get(name, name) for name in requirements()} == keys
+    # The live page is an extra of pip's; a workspace has none.
+    needed = requirements() | extra("LIVE")
+    assert {ROS_KEYS.get(name, name) for name in needed} == keys
 
 
 def test_rosdep_file_defines_only_what_the_manifest_uses() -> None:
@@ -352,15 +286,18 @@ def test_launch_file_compiles_and_describes_without_arguments(path: Path) -> Non
     assert not ast.unparse(described[0].args)
 
 
-@each_launch_file
+@pytest.mark.parametrize("path", [*LAUNCH_FILES, LAUNCH_ARGUMENTS], ids=lambda path: path.name)
 def test_launch_file_uses_only_what_launch_documents(path: Path) -> None:
     tree = tree_of(path)
     imported = {
         (found.module, alias.name)
         for found in ast.walk(tree)
-        if isinstance(found, ast.ImportFrom) and found.module not in sys.stdlib_module_names
+        if isinstance(found, ast.ImportFrom)
+        and found.module
+        and found.module.partition(".")[0] in ("launch", "launch_ros", "ament_index_python")
         for alias in found.names
     }
+    assert imported
     assert imported <= set(LAUNCH_KEYWORDS)
     for module, name in imported:
         for call in calls(tree, name):
@@ -376,7 +313,9 @@ def test_launched_nodes_are_executables_of_this_package(path: Path) -> None:
     own = [executable for package, executable in named if package == "dotsim_ros"]
     assert own
     assert set(own) <= set(executables())
-    assert {each for each in named if each[0] != "dotsim_ros"} <= FOREIGN_NODES
+    foreign = {each for each in named if each[0] != "dotsim_ros"}
+    assert foreign <= FOREIGN_NODES
+    assert {package for package, _ in foreign} <= ros_depends("exec_depend")
 
 
 @each_launch_file
@@ -394,85 +333,10 @@ def test_remapped_topics_are_those_of_the_node(path: Path) -> None:
 
 
 @each_launch_file
-def test_launch_arguments_are_declared_described_and_used(path: Path) -> None:
-    tree = tree_of(path)
-    used = {ast.literal_eval(call.args[0]) for call in calls(tree, "LaunchConfiguration")}
-    assert used == set(launch_arguments(tree))
-    for call in calls(tree, "DeclareLaunchArgument"):
-        assert {"default_value", "description"} <= set(keywords(call)), ast.unparse(call)
-
-
-@each_launch_file
-def test_launch_file_refuses_a_wrong_parameter_file_before_any_node(path: Path) -> None:
-    tree = tree_of(path)
-    (description,) = calls(tree, "LaunchDescription")
-    entities = description.args[0]
-    assert isinstance(entities, ast.List)
-    kinds = [ast.unparse(entity.func) for entity in entities.elts if isinstance(entity, ast.Call)]
-    assert len(kinds) == len(entities.elts)
-    place = kinds.index("OpaqueFunction")
-    assert set(kinds[:place]) == {"DeclareLaunchArgument"}
-    assert "Node" in kinds[place:]
-    first = entities.elts[place]
-    assert isinstance(first, ast.Call)
-    called = keywords(first)["function"]
-    (function,) = [
-        found
-        for found in tree.body
-        if isinstance(found, ast.FunctionDef) and found.name == ast.unparse(called)
-    ]
-    (context,) = function.args.args
-    assert [ast.unparse(statement) for statement in function.body[1:]] == [
-        f"given = LaunchConfiguration('params_file').perform({context.arg})",
-        f"{context.arg}.launch_configurations['params_file'] = check_params_file(given)",
-    ]
-
-
-@each_launch_file
-def test_launch_conditions_are_booleans(path: Path) -> None:
-    tree = tree_of(path)
-    for call in [
-        found for name in ("IfCondition", "UnlessCondition") for found in calls(tree, name)
-    ]:
-        assert set(map(type, parameter_values(tree, call.args[0]))) == {bool}
-
-
-@each_launch_file
-def test_launched_nodes_take_their_parameters(path: Path) -> None:
-    tree = tree_of(path)
-    for call in calls(tree, "Node"):
-        node = keywords(call)
-        entries = node.get("parameters", ast.List(elts=[]))
-        assert isinstance(entries, ast.List)
-        for each in entries.elts:
-            entry = assigned(tree)[each.id] if isinstance(each, ast.Name) else each
-            if not isinstance(entry, ast.Dict):
-                continue
-            if isinstance(each, ast.Name) and each.id == "time":
-                assert {ast.literal_eval(key) for key in entry.keys if key} == TIME_PARAMETERS
-                chosen = [parameter_values(tree, value) for value in entry.values]
-                assert chosen == [[True, False]] * len(TIME_PARAMETERS)
-                continue
-            kind = NODE_PARAMETERS[ast.literal_eval(node["executable"])]
-            fields = {field.name: field for field in dataclasses.fields(kind)}
-            choices: dict[str, list[Any]] = {}
-            for key, value in zip(entry.keys, entry.values, strict=True):
-                # What is worked out as the launch begins test/ros/test_launched_parameters.py sees.
-                if key is None or ast.literal_eval(key) in TIME_PARAMETERS:
-                    continue
-                choices[ast.literal_eval(key)] = list(map(plain, parameter_values(tree, value)))
-            # Some fit together only: those of a file, and those that are given here.
-            beside = {
-                name: plain(value)
-                for name, value in shipped_parameters(tree).items()
-                if name in fields
-            }
-            firsts = {name: values[0] for name, values in choices.items()}
-            for name, values in choices.items():
-                for chosen in values:
-                    # ROS refuses an int for a float, which the class itself would take.
-                    assert type(chosen) is type(fields[name].default), name
-                    kind(**{**beside, **firsts, name: chosen})
+def test_launch_arguments_are_described(path: Path) -> None:
+    for source in (path, LAUNCH_ARGUMENTS):
+        for call in calls(tree_of(source), "DeclareLaunchArgument"):
+            assert {"default_value", "description"} <= set(keywords(call)), ast.unparse(call)
 
 
 @each_launch_file
@@ -488,25 +352,5 @@ def test_launched_parameter_files_are_shipped(path: Path) -> None:
         and isinstance(found.right, ast.Constant)
     }
     assert names
-    assert all((ROOT / "params" / str(name)).is_file() for name in names)
-
-
-def test_in_simulated_time_every_node_of_the_loop_but_the_stepper_is_stepped() -> None:
-    tree = tree_of(ROOT / "launch" / "closed_loop.launch.py")
-    stepped = {
-        ast.literal_eval(node["executable"])
-        for node in map(keywords, calls(tree, "Node"))
-        if "time"
-        in [
-            ast.unparse(entry)
-            for entry in ast.walk(node["parameters"])
-            if isinstance(entry, ast.Name)
-        ]
-    }
-    assert stepped == {
-        "closed_loop",
-        "tactile_sim",
-        "xarm_sim",
-        "tactile_policy",
-        "tactile_record",
-    }
+    share = installed_files()["share/dotsim_ros/params"]
+    assert {f"params/{name}" for name in names} <= share, "name its folder in setup.py"

@@ -294,7 +294,7 @@ def test_a_data_set_of_a_unit_is_whole_and_its_noise_the_seed_s(source, mitsuba,
     (entry,) = data_set.entries
     assert entry.has_images
     assert len(data_set.idle_images()) == IDLE_COUNT
-    assert data_set.indenter_mesh(entry.indenter).is_file()
+    assert data_set.indenter_file(entry.indenter).is_file()
     found = [read_data_set(tmp_path / n).entries[0].read() for n in ("one", "same", "other")]
     assert found[0].image is not None
     assert found[0].image.pixels.shape == (2, 12, 16, 3)

@@ -66,7 +66,7 @@ def test_recorded_presses_meet_the_dome(sensor: str) -> None:
         ("tilt_deg is 20, but the sensor has a pad", {"tilt_deg": 20.0}),
         ("expected less than the thickness of the sensor's pad, 0.004 m", {"depth_m": 0.004}),
         ("leaves the pad", {"source": "slide", "slide_distance_m": 0.02}),
-        ("no parameter file", {"sensor": "no_such_sensor"}),
+        ("no sensor is named 'no_such_sensor'", {"sensor": "no_such_sensor"}),
     ],
 )
 def test_what_a_pad_cannot_be_given_is_refused_with_the_reason(

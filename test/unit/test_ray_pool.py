@@ -57,8 +57,11 @@ class TwoNodes:
 
     def __init__(self, folder: Path) -> None:
         # Once the settings are made that this needs, which a cluster reads where it is started.
+        from ray._private.utils import get_ray_address_file
         from ray.cluster_utils import Cluster
 
+        # A cluster of a test writes its address below Ray's usual folder, whatever `temp_dir`.
+        Path(get_ray_address_file(None)).parent.mkdir(parents=True, exist_ok=True)
         self._cluster = Cluster()
         self._cluster.add_node(
             num_cpus=1,

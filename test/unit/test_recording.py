@@ -18,6 +18,9 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 import msg_adapters
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.live.moments import SkinMoment
+from dotsim_ros.live.recorder import PressRecorder
 from dotsim_ros.measured.bag import (
     BAG_TYPES,
     TYPESTORE,
@@ -103,6 +106,15 @@ def recorded(path, messages, **options):
     for message in messages:
         recording.put(TOPIC, message)
     return recording.close()
+
+
+def test_stamps_that_go_back_are_counted_since_times_then_lie_mixed_in_the_bag(tmp_path):
+    # A little out of order is no new time.
+    messages = [with_stamp(0, 5), with_stamp(1, 4, 950_000_000), with_stamp(2, 5, 500_000_000)]
+    assert recorded(tmp_path / "one", messages).went_back == {}
+    messages += [with_stamp(3, 0, 80_000_000), with_stamp(4, 0, 160_000_000)]
+    summary = recorded(tmp_path / "two", messages)
+    assert (summary.went_back, summary.written) == ({TOPIC: 1}, {TOPIC: 5})
 
 
 @pytest.mark.parametrize("stamp", [(-5, 0), (-(2**31), 0), (3, 10**9), (0, 2**32 - 1)])
@@ -288,3 +300,15 @@ def test_stamp_of_big_endian_message():
     assert (
         msg_adapters.serialized_stamp_ns(b"\0\0\0\0" + b"\0\0\0\2" + b"\0\0\0\3") == 2 * 10**9 + 3
     )
+
+
+def test_a_bag_of_the_page_holds_the_pose_that_the_skin_shows(tmp_path):
+    rest_m, tip_m = np.zeros((3, 3)), np.array([0.001, 0.0, 0.015])
+    recorder = PressRecorder(tmp_path / "bag", rest_m, "sphere_4mm")
+    recorder.add_skin(SkinMoment(10**9, rest_m, np.zeros(3), np.zeros(3), Pose(tip_m)))
+    recorder.finish()
+    state = read_trajectory(
+        tmp_path / "bag", topics=Topics(pose="/indenter/state"), channels=["pose"]
+    ).pose
+    assert state.stamp_ns.tolist() == [10**9]
+    assert state.position_m.tolist() == [tip_m.tolist()]

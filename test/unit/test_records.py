@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -14,10 +13,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from programs import ROOT, program
 
 from dotsim_ros.provenance import commit_of
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 class Checkout:
@@ -104,15 +102,8 @@ def test_a_copy_that_the_checkout_ignores_has_no_commit(checkout: Checkout) -> N
 
 
 @pytest.fixture
-def results(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    specification = importlib.util.spec_from_file_location("results", ROOT / "tools" / "results.py")
-    assert specification is not None
-    assert specification.loader is not None
-    module = importlib.util.module_from_spec(specification)
-    # A data class looks its module up.
-    monkeypatch.setitem(sys.modules, "results", module)
-    specification.loader.exec_module(module)
-    return module
+def results() -> ModuleType:
+    return program("tools/results.py")
 
 
 def test_every_record_is_sealed_or_can_be_made(results: ModuleType) -> None:

@@ -384,7 +384,7 @@ def test_solved_press_is_a_data_set(reference):
     data_set = read_data_set(out)
     entry = data_set.entries[0]
     assert (entry.indenter, entry.frame_count, entry.has_images) == ("sphere_4mm", 2, False)
-    indenter = load_indenter(data_set.indenter_mesh("sphere_4mm"))
+    indenter = load_indenter(data_set.indenter_file("sphere_4mm"))
     np.testing.assert_allclose(indenter.bounds_m()[1, 2], 8e-3, atol=1e-6)
     trajectory = entry.read()
     rest = data_set.skin_mesh().rest_position_m

@@ -11,17 +11,18 @@ import pytest
 
 from dotsim_ros.cli.main import main
 from dotsim_ros.documents import read_json
+from dotsim_ros.files import shipped_names
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.pattern import idle_frame_of
-from dotsim_ros.specification import load_sensor, read_source, sensor_path, shipped_sensors
+from dotsim_ros.specification import load_sensor, read_source, sensor_path
 
 
 def test_the_list_names_every_shipped_sensor(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["sensors"]) == 0
     first, *rows = capsys.readouterr().out.splitlines()
     assert first.split() == ["name", "shape", "camera", "law", "source"]
-    assert [row.split()[0] for row in rows] == shipped_sensors()
+    assert [row.split()[0] for row in rows] == shipped_names("sensors")
     digit = next(row for row in rows if row.startswith("digit "))
     assert digit.split()[1:6] == ["curved_pad", "pinhole", "240x320", "rgb", "neo_hookean"]
     assert main(["sensors", "digits"]) == 1
@@ -34,7 +35,7 @@ def test_the_list_as_json_says_that_no_rate_was_measured(
     path = tmp_path / "sensors.json"
     assert main(["sensors", "--json", str(path), "--seed", "3"]) == 0
     listing = read_json(path)
-    assert [sensor["name"] for sensor in listing["sensors"]] == shipped_sensors()
+    assert [sensor["name"] for sensor in listing["sensors"]] == shipped_names("sensors")
     digit = next(sensor for sensor in listing["sensors"] if sensor["name"] == "digit")
     assert digit["shape"] == "curved_pad"
     assert digit["camera"] == "pinhole 240x320 rgb"
@@ -60,7 +61,7 @@ def test_a_rate_is_measured_where_it_is_asked_for(
     assert "0 frames have no rate" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("name", shipped_sensors())
+@pytest.mark.parametrize("name", shipped_names("sensors"))
 def test_a_shipped_sensor_says_its_source_and_has_an_image(name: str) -> None:
     sensor = load_sensor(name)
     assert sensor.name == name

@@ -62,6 +62,8 @@ def statuses_of(counter, gel, now_s):
         is_realtime=True,
         late=0,
         dropped=0,
+        lag_m=0.0,
+        maximum_lag_m=1.0,
         profile={},
     )
     states = statuses(
@@ -140,14 +142,14 @@ def test_a_deep_press_takes_several_limited_frames_and_arrives(sensor):
     assert session.follow(motion(-0.5, 2)).pose.position_m[2] == APEX_M + 0.5e-3
     frames = [session.follow(motion(2.5, 3))]
     while frames[-1].pose.position_m[2] != APEX_M - 2.5e-3 and len(frames) < 10:
-        frames.append(session.catch_up())
+        frames.append(session.advance())
     heights_m = [frame.pose.position_m[2] for frame in frames]
     # The first 0.5 mm are free.
     assert heights_m[0] == pytest.approx(APEX_M - 1.2e-3, abs=0.06e-3)
     assert -np.diff(heights_m) == pytest.approx([1.2e-3, 0.1e-3], abs=0.06e-3)
     assert heights_m[-1] == APEX_M - 2.5e-3
     assert session.behind == 2
-    assert session.catch_up() is frames[-1]
+    assert session.advance() is frames[-1]
 
 
 def test_the_newest_pose_is_pursued_from_where_the_indenter_is(sensor):
@@ -160,6 +162,39 @@ def test_the_newest_pose_is_pursued_from_where_the_indenter_is(sensor):
     assert 0.0 < back.gel.wrench.force_n[2] < first.gel.wrench.force_n[2]
 
 
+def beside(x_mm, depth_mm, stamp_ns):
+    place_m = np.array([1e-3 * x_mm, 0.0, 0.0])
+    tip_m = np.sqrt((APEX_M + 0.004) ** 2 - place_m[0] ** 2) - 0.004 - 1e-3 * depth_mm
+    return MotionOrder(Pose(np.array([place_m[0], 0.0, tip_m])), stamp_ns, None)
+
+
+def test_a_lagging_indenter_leaves_the_gel_with_its_path_and_presses_as_a_fresh_one(sensor):
+    there = [beside(5.0, depth_mm, 10) for depth_mm in (-1.0, 0.4, 0.8)]
+    sensor.reset()
+    fresh = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0006)
+    for motion_there in there:
+        fresh.order(motion_there)
+    expected = [fresh.advance(), fresh.advance()]
+    assert fresh.behind == 1
+    sensor.reset()
+    session = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0006)
+    session.follow(beside(-5.0, -1.0, 1))
+    session.follow(beside(-5.0, 2.0, 2))
+    assert session.take_largest_lag_m() == pytest.approx(1.4e-3, abs=0.1e-3)
+    assert session.moment.gel.wrench.force_n[2] > 0.0
+    for number, x_mm in enumerate((-5.0, 0.0, 5.0)):
+        session.order(beside(x_mm, -1.0, 3 + number))
+    for motion_there in there[1:]:
+        session.order(motion_there)
+    for moment in expected:
+        found = session.advance()
+        assert np.array_equal(found.pose.position_m, moment.pose.position_m)
+        assert np.array_equal(found.gel.skin_position_m, moment.gel.skin_position_m)
+    # It was so far behind when this was asked for last.
+    assert session.take_largest_lag_m() == pytest.approx(1.4e-3, abs=0.1e-3)
+    assert session.take_largest_lag_m() == 0.0
+
+
 def test_a_limited_press_that_would_be_refused_does_not_begin(sensor):
     sensor.reset()
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=0.0012)
@@ -167,7 +202,7 @@ def test_a_limited_press_that_would_be_refused_does_not_begin(sensor):
         session.follow(motion(20.0, 1))
     assert refusal.value.fault is Fault.GEL
     assert not session.is_touched()
-    assert session.catch_up() is session.moment
+    assert session.advance() is session.moment
 
 
 def test_without_a_limit_every_motion_is_followed_to_its_end(sensor):
@@ -221,7 +256,7 @@ def test_a_gel_that_relaxes_goes_on_under_a_held_indenter():
     sensor = TactileSensor(relaxing, indenter=load_indenter("sphere_4mm"))
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
     at_once = session.follow(motion(0.8, 40_000_000)).gel.wrench.force_n[2]
-    held = [session.catch_up().gel.wrench.force_n[2] for _ in range(25)]
+    held = [session.advance().gel.wrench.force_n[2] for _ in range(25)]
     assert np.all(np.diff([at_once, *held]) < 0.0)
     # Five times its time later, three fifths of the shape-changing stress are left.
     assert held[-1] < 0.75 * at_once
@@ -231,7 +266,7 @@ def test_a_gel_without_memory_rests_under_a_held_indenter(sensor):
     sensor.reset()
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
     first = session.follow(motion(0.5, 40_000_000))
-    assert session.catch_up() is first
+    assert session.advance() is first
 
 
 BEGINNINGS = {
@@ -267,7 +302,7 @@ def test_a_gel_comes_to_rest_beside_an_indenter_that_stays_where_it_is_led(senso
     assert np.array_equal(rest.gel.skin_position_m, sensor.skin.rest_position_m)
     # It goes on from there, not as one that comes from afar would.
     assert session.follow(motion(2.0, 80_000_000)).pose.position_m[2] > APEX_M - 2.0e-3
-    assert session.catch_up().pose.position_m[2] == APEX_M - 2.0e-3
+    assert session.advance().pose.position_m[2] == APEX_M - 2.0e-3
 
 
 class Timed:
@@ -292,10 +327,10 @@ def test_a_gel_that_remembers_is_given_the_time_that_has_passed():
     session = SensorSession(timed, first_dt_s=0.04)
     session.follow(motion(0.5, 1_000_000_000))
     for step_s in (0.12, 0.04):
-        session.catch_up(step_s)
+        session.advance(step_s)
     session.follow(motion(0.5, 1_200_000_000))
     # Of the 0.2 s between the two poses 0.16 s are over already.
     assert timed.steps_s[-3:] == pytest.approx([0.12, 0.04, 0.04])
     session.first_dt_s = 0.1
-    session.catch_up()
+    session.advance()
     assert timed.steps_s[-1] == 0.1

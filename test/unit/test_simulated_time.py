@@ -61,16 +61,23 @@ def test_a_pace_is_kept_whatever_the_steps(step_s: float) -> None:
     assert pace.late == pace.dropped == 0
 
 
-def test_after_a_jump_what_was_due_on_the_way_is_done_once() -> None:
-    schedule, seen = SimulatedSchedule(), []
-    pace = FramePace(rate_hz=100.0, start_s=0.0)
-    schedule.pace(PeriodicWork(lambda: pace, lambda: seen.append(schedule.now_s)))
-    schedule.every(0.1, lambda: seen.append(-schedule.now_s))
-    far_s = 10.0 + LONGEST_STEP_S
-    schedule.advance(far_s)
-    assert sorted(seen) == [-far_s, far_s]
-    schedule.advance(far_s + 0.01)
-    assert len(seen) == 3
+def test_how_long_it_is_until_something_is_due() -> None:
+    schedule = SimulatedSchedule()
+    assert schedule.until_next_s() == LONGEST_STEP_S
+    schedule.advance(0.5)
+    schedule.at(0.7, lambda: None)
+    assert schedule.until_next_s() == pytest.approx(0.2)
+    schedule.at(0.1, lambda: None)
+    assert schedule.until_next_s() == 0.0
+
+
+def test_what_is_computed_across_a_new_start_is_dropped() -> None:
+    schedule, taken = SimulatedSchedule(), []
+    schedule.compute(0.01, lambda: "before", taken.append)
+    schedule.drop_computed()
+    schedule.compute(0.01, lambda: "after", taken.append)
+    schedule.advance(0.02)
+    assert taken == ["after"]
 
 
 def test_a_pace_is_over_when_it_is_ended_and_another_may_begin() -> None:

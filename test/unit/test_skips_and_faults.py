@@ -97,6 +97,55 @@ def test_a_file_that_pytest_did_not_come_to_is_found(tool: Any, tmp_path: Path) 
     assert missed_by("test/unit/test_first.py") == []
 
 
+def test_tests_that_are_not_there_any_more_are_counted(tool: Any, tmp_path: Path) -> None:
+    (tmp_path / "test_some.py").write_text(TESTS)
+    (tmp_path / "test_module.py").write_text('import pytest\npytest.importorskip("nowhere")\n')
+    for _ in range(2):
+        # What ran twice counts once, whoever ran it.
+        run_tests(tmp_path, "-W", "ignore")
+        run_tests(tmp_path, "-W", "ignore", "-n", "2")
+    skips = tool("skips")
+    tests = skips.read(tmp_path / "skips.json")["tests"]
+    assert tests == [
+        f"test_some.py::{name}"
+        for name in ("test_known_to_fail", "test_runs", "test_skipped", "test_skips_itself")
+    ]
+    assert not skips.lost(tests, {"tests": 6, "allowance": 2})
+    assert "4 tests, expected at least 5" in skips.lost(tests, {"tests": 6, "allowance": 1})
+
+
+CONFTEST = ROOT / "test" / "conftest.py"
+# As launch_testing does, which comes with a ROS installation.
+IMPORTS_FILES = """
+import pytest
+from _pytest.pathlib import import_path
+
+def pytest_pycollect_makemodule(module_path, parent):
+    import_path(module_path, root=None, consider_namespace_packages=False)
+    return pytest.Module.from_parent(parent, path=module_path)
+"""
+
+
+def test_a_file_that_skips_itself_skips_no_other_beside_launch_testing(tmp_path: Path) -> None:
+    folder = tmp_path / "test"
+    folder.mkdir()
+    (tmp_path / "imports_files.py").write_text(IMPORTS_FILES)
+    (folder / "seconds.json").write_text("{}")
+    (folder / "conftest.py").write_text(CONFTEST.read_text(encoding="utf-8"))
+    (folder / "test_absent.py").write_text('import pytest\npytest.importorskip("nowhere")\n')
+    (folder / "test_there.py").write_text("def test_runs():\n    pass\n")
+    given = ["-p", "imports_files", "-p", "no:cacheprovider", "-q", "test"]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *given],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "1 passed, 1 skipped" in done.stdout, done.stdout + done.stderr
+
+
 ROWS = {"view": {("cut", "is shown"), ("full", "says so")}, "find-gap": {("no pose", "says so")}}
 
 

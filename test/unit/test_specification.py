@@ -9,6 +9,7 @@ import dataclasses
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import numpy as np
 import pytest
 import yaml
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.files import given_path, parameter_path
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.make import body_of, skin_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
@@ -107,6 +108,28 @@ def test_mistakes_in_a_file_are_named(tmp_path: Path, text: str, message: str) -
     with pytest.raises(ValueError, match=message) as caught:
         load_sensor(path)
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.fault("sensor and YAML files", "a sensor that is not there")
+def test_an_unknown_sensor_is_refused_with_those_that_there_are(
+    answered: Callable[..., None],
+) -> None:
+    expected = (
+        r"no sensor is named 'DIGITS' \(did you mean 'digit'\?\), expected one of densetact2, "
+        r"digit, .*sensor_a, or the path of a YAML file"
+    )
+    with pytest.raises(FileNotFoundError, match=expected) as refused:
+        load_sensor("DIGITS")
+    answered(refused.value)
+
+
+def test_a_sensor_and_its_image_may_lie_in_the_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "pad.yaml").write_text("camera: {idle_image: ~/idle.png}\n")
+    sensor = load_sensor("~/pad.yaml")
+    assert given_path(sensor.camera.idle_image) == tmp_path / "idle.png"
 
 
 @pytest.mark.parametrize("source", ["no_such_sensor", "/nowhere/sensor.yaml"])

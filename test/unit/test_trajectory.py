@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 import yaml
 
 import msg_adapters
 from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagReader
-from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.data_set import find_indenter, read_data_set
 from dotsim_ros.measured.trajectory import (
     RECORDED_TOPICS,
     ImageChannel,
@@ -249,7 +250,7 @@ def test_data_set_is_read(tmp_path, trajectory):
     assert_same(entry.read(), trajectory)
     assert data_set.skin_mesh().on_base.tolist() == [True, False, False]
     with pytest.raises(FileNotFoundError, match="holds no indenter"):
-        data_set.indenter_mesh("ball")
+        data_set.indenter_file("ball")
 
 
 def test_a_mesh_is_looked_for_in_the_data_set_then_beside_it_or_in_the_folder_named(
@@ -264,17 +265,42 @@ def test_a_mesh_is_looked_for_in_the_data_set_then_beside_it_or_in_the_folder_na
     data_set = read_data_set(data)
     for given, places in ((None, ("mine", "named", "other")), (meshes["named"].parent, ("named",))):
         with pytest.raises(FileNotFoundError, match=r"no mesh ball\.stl .*--indenters") as refused:
-            data_set.indenter_mesh("ball", given)
+            data_set.indenter_file("ball", given)
         looked = [name for name in meshes if str(meshes[name].parent) in str(refused.value)]
         assert sorted(looked) == sorted(places)
     meshes["other"].write_text("beside")
-    assert data_set.indenter_mesh("ball") == meshes["other"]
+    assert data_set.indenter_file("ball") == meshes["other"]
     meshes["mine"].write_text("own")
-    assert data_set.indenter_mesh("ball") == meshes["mine"]
+    assert data_set.indenter_file("ball") == meshes["mine"]
     with pytest.raises(FileNotFoundError, match="holds no indenter"):
-        data_set.indenter_mesh("ball", meshes["named"].parent)
+        data_set.indenter_file("ball", meshes["named"].parent)
     meshes["named"].write_text("named")
-    assert data_set.indenter_mesh("ball", meshes["named"].parent) == meshes["named"]
+    assert data_set.indenter_file("ball", meshes["named"].parent) == meshes["named"]
+
+
+def test_an_indenter_is_a_mesh_a_description_or_a_definition(
+    tmp_path: Path, trajectory: Trajectory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _data_set(tmp_path / "data", trajectory)
+    data_set = read_data_set(tmp_path / "data")
+    folder = tmp_path / "data" / "indenters"
+    folder.mkdir()
+    (folder / "ball.yaml").write_text("kind: sphere\nradius_m: 0.003\n")
+    (folder / "cube.obj").write_text(
+        trimesh.creation.box(extents=[0.004] * 3).export(file_type="obj")
+    )
+    described = find_indenter(data_set, "ball")
+    assert (described.name, described.parameters) == ("ball", (0.003,))
+    assert find_indenter(data_set, "cube").mesh is not None
+    with pytest.raises(FileNotFoundError, match=r"\(did you mean 'ball'\?\).*holds ball, cube"):
+        find_indenter(data_set, "bal")
+    index = tmp_path / "data" / "dataset.yaml"
+    defined = index.read_text().replace("indenter: ball", "indenter: sphere(radius_m=0.002)")
+    index.write_text(defined)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    data_set = read_data_set("~/data")
+    found = find_indenter(data_set, data_set.entries[0].indenter)
+    assert (found.name, found.parameters) == ("sphere(radius_m=0.002)", (0.002,))
 
 
 @pytest.mark.parametrize(
@@ -313,4 +339,4 @@ def test_measured_data_set_is_what_its_index_says():
         assert len(trajectory.pose.stamp_ns) == entry.frame_count
         assert trajectory.skin.position_m.shape == (entry.frame_count, vertex_count, 3)
         assert trajectory.image.pixels.shape == (entry.frame_count, 240, 320, 3)
-        assert data_set.indenter_mesh(entry.indenter).is_file()
+        assert data_set.indenter_file(entry.indenter).is_file()

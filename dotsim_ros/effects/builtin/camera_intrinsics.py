@@ -19,7 +19,7 @@ def _image(values: Values) -> ImageFilter:
     def source(image: SeenImage) -> tuple[FloatArray, FloatArray]:
         x, y = pixel_places(image)
         centre_x, centre_y = image.centre_px
-        shift_x = values["shift_x_rad"] * image.focal_px
+        shift_x = values["shift_x_rad"] * image.focal_x_px
         shift_y = values["shift_y_rad"] * image.focal_px
         ratio = values["focal_ratio"]
         return (

@@ -21,7 +21,7 @@ PLACES_RAD = (0.0, -1.0, -0.5, 0.5, 1.0)
 def _image(values: Values) -> ImageFilter:
     def worn(image: SeenImage) -> FloatArray:
         x, y = pixel_places(image)
-        across_x = (x - image.centre_px[0]) / image.focal_px - values["x_rad"]
+        across_x = (x - image.centre_px[0]) / image.focal_x_px - values["x_rad"]
         across_y = (y - image.centre_px[1]) / image.focal_px - values["y_rad"]
         spot = np.exp(-0.5 * (across_x**2 + across_y**2) / values["radius_rad"] ** 2)
         return within_scale(image.pixels * (1.0 - values["loss_share"] * spot)[..., None])

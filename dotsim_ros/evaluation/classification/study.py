@@ -47,9 +47,8 @@ from dotsim_ros.evaluation.optics.names import BOUND, CLASSIFIED_BY
 from dotsim_ros.evaluation.optics.rows import by_name
 from dotsim_ros.evaluation.optics.source import clipped_presses, refined_footage
 from dotsim_ros.files import write_json
-from dotsim_ros.geometry.indenter import load_mesh
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.measured.data_set import find_indenter, read_data_set
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.provenance import provenance
@@ -263,7 +262,7 @@ def _to_learn_from(
         own = [number for number, press in enumerate(filmed) if press.indenter == indenter]
         # One indenter at a time: a rendered frame takes two megabytes.
         rendered = _rendered(replace(footage, presses=tuple(filmed[n] for n in own)), measured)
-        shape = load_mesh(source.indenter_mesh(indenter))
+        shape = find_indenter(source, indenter)
         for place, (number, press) in enumerate(zip(own, rendered.presses, strict=True)):
             if clips:
                 press = clipped_press(press, poses_of[number], shape, renderer)
@@ -289,7 +288,7 @@ def simulated_touches(
     classes = domain_of(domain_name, recordings_of(measured.data)).classes
     return simulated_presses(
         measured.sensor,
-        {name: load_mesh(source.indenter_mesh(name)) for name in classes},
+        {name: find_indenter(source, name) for name in classes},
         study.plan,
         measured.filmed.idle.shape[:2],
         cache=kept / "skins",
@@ -308,7 +307,7 @@ def _press(study: Study, kept: Path, domain_name: str, indenter: str) -> None:
     pressed_skins(
         _measured(study.data, sensor_file(domain_name, study.sensor)).sensor,
         indenter,
-        load_mesh(read_data_set(study.data).indenter_mesh(indenter)),
+        find_indenter(read_data_set(study.data), indenter),
         _classes(study, domain_name).index(indenter),
         study.plan,
         cache=kept / "skins",

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.evaluation.table import GEOMETRY_COLUMNS, entry_list, markdown_table
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.data_set import DataSet, find_indenter
 from dotsim_ros.measured.presses import Press
 from dotsim_ros.measured.reading import few_of, read_observation
 from dotsim_ros.measured.split import (
@@ -82,7 +82,7 @@ def read_measured(data: DataSet, *, meshes: DataSet | None = None) -> Measured:
                 entry,
                 skin=skin,
                 has_vertices=True,
-                indenter_of=lambda name: load_mesh(source.indenter_mesh(name)),
+                indenter_of=lambda name: find_indenter(source, name),
             )
         except (ValueError, OSError) as error:
             left_out[entry.name] = str(error)

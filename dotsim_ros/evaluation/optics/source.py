@@ -13,9 +13,9 @@ from dotsim_ros.baselines.optics.clipped import clipped_press
 from dotsim_ros.evaluation.optics.judge import frames_by_press, with_frames
 from dotsim_ros.evaluation.optics.split import FrameKey, OpticalSplit
 from dotsim_ros.gel.make import skin_of
-from dotsim_ros.geometry.indenter import Indenter, load_mesh
+from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.learning.pattern import with_learned_pattern
-from dotsim_ros.measured.data_set import DataSet
+from dotsim_ros.measured.data_set import DataSet, find_indenter
 from dotsim_ros.measured.reading import read_motion
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.renderer import SkinRenderer
@@ -48,7 +48,7 @@ def clipped_presses(
     presses = {}
     for press in data.presses:
         if press.indenter not in indenters:
-            indenters[press.indenter] = load_mesh(data_set.indenter_mesh(press.indenter))
+            indenters[press.indenter] = find_indenter(data_set, press.indenter)
         poses = read_motion(entries[press.name]).poses
         presses[press.name] = clipped_press(press, poses, indenters[press.indenter], renderer)
     return presses

@@ -44,8 +44,9 @@ class Film:
             none is seen.
         idle: (H, W, 3) the same camera's image without contact.
         centre_px: (2,) x and y of the optical axis.
-        focal_px: pixels a radian at the optical axis.
+        focal_px: pixels a radian at the optical axis, along y.
         projection: of the camera, as a sensor's file names it.
+        pixel_aspect: the focal length along x over that along y.
     """
 
     stamp_s: FloatArray
@@ -58,6 +59,7 @@ class Film:
     centre_px: FloatArray
     focal_px: float
     projection: str
+    pixel_aspect: float = 1.0
 
     def seen(self) -> Iterator[SeenImage]:
         """Yield the frames as effects take them."""
@@ -73,6 +75,7 @@ class Film:
                 self.depth_m[frame].astype(np.float64),
                 self.normal[frame].astype(np.float64),
                 self.projection,
+                self.pixel_aspect,
             )
 
     def with_effects(self, effects: Sequence[Active]) -> Float32Array:
@@ -98,6 +101,7 @@ def resized(film: Film, width: int, height: int) -> Film:
         scale * (film.centre_px + 0.5) - 0.5,
         scale * film.focal_px,
         film.projection,
+        film.pixel_aspect,
     )
 
 
@@ -220,6 +224,7 @@ class TwinCamera:
             self.camera.principal_point_px,
             self.camera.focal_px,
             self.camera.projection,
+            self.camera.pixel_aspect,
         )
 
     def _seen(self, view: View) -> Float32Array:

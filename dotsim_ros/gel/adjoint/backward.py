@@ -24,7 +24,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.cores import single_threaded
@@ -41,6 +40,7 @@ from dotsim_ros.gel.implicit.refinement import Refinement
 from dotsim_ros.gel.implicit.relaxation import StressMemory
 from dotsim_ros.gel.reshape import shape_rates
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.warp_runtime import wp
 
 
 @single_threaded()

@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import warp as wp
 
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.adjoint.kernels import adjoint_kernels
 from dotsim_ros.gel.implicit.contact import Contact
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.warp_runtime import wp
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,6 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
 from dotsim_ros.arrays import FloatArray
@@ -44,9 +43,10 @@ from dotsim_ros.gel.explicit.kernels import (
 )
 from dotsim_ros.gel.explicit.state import GridState, IndenterMotion, ParticleState
 from dotsim_ros.gel.material import NeoHookean, bulk_modulus_pa, shear_modulus_pa
-from dotsim_ros.geometry.indenter import Indenter, sphere
+from dotsim_ros.geometry.indenter import Indenter, sphere, warn_of_misfit
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.warp_runtime import wp
 
 GRID_MARGIN_CELLS = 5
 # Share of a penetration that skin in contact wants back in one substep.
@@ -261,6 +261,7 @@ class ExplicitGel:
 
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter; its next pose is taken as its first."""
+        warn_of_misfit(indenter, self.skin.rest_position_m)
         self.indenter = indenter
         self._field = indenter_field(indenter, scalar=self._scalar, device=self._device)
         self._last_pose: tuple[Pose, ...] | None = None
@@ -289,6 +290,14 @@ class ExplicitGel:
         skin = self.skin.rest_position_m
         self._state.skin.assign(np.broadcast_to(skin, (self.environment_count, *skin.shape)))
         self._last_pose = None
+
+    def place(self, pose: Pose | Sequence[Pose]) -> None:
+        """Put the indenter where it touches nothing: the next step moves it from there.
+
+        Raises:
+            ValueError: as many poses as environments, or one for all, are needed.
+        """
+        self._last_pose = self._poses(pose)
 
     def step(self, pose: Pose | Sequence[Pose] | None, dt_s: float) -> ExplicitState:
         """Simulate one frame, in which the indenter moves evenly from its last pose to this one.

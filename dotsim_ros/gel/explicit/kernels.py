@@ -16,9 +16,8 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
-import warp as wp
-
 from dotsim_ros.gel.distance_field import distance_functions
+from dotsim_ros.warp_runtime import wp
 
 # Columns of the parameter array.
 LOG_YOUNGS_MODULUS, POISSON_RATIO, SOFTNESS, FRICTION = 0, 1, 2, 3

@@ -10,9 +10,8 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
-import warp as wp
-
 from dotsim_ros.gel.distance_field import distance_functions
+from dotsim_ros.warp_runtime import wp
 
 
 @cache

@@ -99,8 +99,13 @@ def compliance_root(compliance: AnyFloatArray, negligible_m_n: float) -> AnyFloa
         compliance: (3 A, 3 A) C, m/N, rows and columns by component; what makes it indefinite by a
             hair is left out.
         negligible_m_n: no marker's own compliance differs by more.
+
+    Raises:
+        numpy.linalg.LinAlgError: the compliance is not finite, as that of a gel that has diverged.
     """
     root = pivoted_root(compliance, negligible_m_n)
+    if not root.shape[1]:
+        raise np.linalg.LinAlgError("the gel has diverged: its compliance is not finite")
     count, columns = len(root) // 3, root.shape[1]
     return np.ascontiguousarray(root.reshape(3, count, columns).transpose(1, 0, 2))
 

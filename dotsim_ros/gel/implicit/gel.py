@@ -58,7 +58,7 @@ from dotsim_ros.gel.implicit.tangent import (
 )
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
 from dotsim_ros.gel.material import Material, PronySeries, small_strain_moduli_pa
-from dotsim_ros.geometry.indenter import Indenter, way_m
+from dotsim_ros.geometry.indenter import Indenter, warn_of_misfit, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
@@ -317,6 +317,7 @@ class ImplicitGel:
     @exclusive(begins=True)
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and forget the state."""
+        warn_of_misfit(indenter, self.skin.rest_position_m)
         inner_point_m = _inner_point_m(indenter)
         self.contact = Contact(
             indenter,
@@ -380,6 +381,17 @@ class ImplicitGel:
         if not dt_s > 0.0:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
         return [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
+
+    @exclusive()
+    def place(self, environment: int, pose: Pose) -> None:
+        """Put the indenter of an environment to a pose at which it touches nothing, without a way
+        there; no time passes, and the next step leads on from this pose."""
+        world = self.worlds[environment]
+        if self.remembers:
+            self._let_go(world)
+        else:
+            self._come_to_rest(world)
+        world.pose = pose
 
     @exclusive()
     @single_threaded()

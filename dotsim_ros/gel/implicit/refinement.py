@@ -15,13 +15,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
-from dotsim_ros.cache import GEL, content_key, load_arrays, store_arrays, tell_broken
+from dotsim_ros.cache import GEL, content_key, keep_arrays, load_arrays, tell_broken
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
@@ -30,6 +29,7 @@ from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
+from dotsim_ros.warp_runtime import wp
 
 REACH_M = 7.0e-3
 """Pairs of nodes farther apart than this are left out of dG."""
@@ -285,7 +285,7 @@ def _load(path: Path) -> Refinement | None:
 
 
 def _store(path: Path, table: Refinement) -> None:
-    store_arrays(
+    keep_arrays(
         path,
         {
             "indptr": table.indptr,

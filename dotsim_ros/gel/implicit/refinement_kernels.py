@@ -8,7 +8,7 @@
 
 from typing import Any
 
-import warp as wp
+from dotsim_ros.warp_runtime import wp
 
 
 @wp.kernel

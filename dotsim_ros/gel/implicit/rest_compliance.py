@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, FloatArray
-from dotsim_ros.cache import GEL, content_key, load_arrays, store_arrays
+from dotsim_ros.cache import GEL, content_key, keep_arrays, load_arrays
 from dotsim_ros.documents import ArrayForm
 from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
@@ -44,5 +44,5 @@ def kept_compliance(
         # At 1 Pa, so that its last digits do not depend on which modulus asked for it first.
         unit = ElasticBody(grid, NeoHookean(1.0, 0.5 - youngs / (6.0 * bulk)), dtype=np.float32)
         stored = {"compliance": inverse_at_rest(unit)}
-        store_arrays(path, stored)
+        keep_arrays(path, stored)
     return np.asarray(stored["compliance"] / np.float32(youngs), dtype=np.float32)

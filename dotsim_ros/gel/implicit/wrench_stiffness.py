@@ -15,8 +15,9 @@ def wrench_stiffness(
     """Return minus the derivative (6, 6) of the wrench on the indenter by its twist.
 
     The gel is linear with the compliance C = L L^T between the markers, and the contact with its
-    own stiffness H: forces change by (1 + H C)^-1 H J for a motion J of the indenter, of which the
-    wrench takes J^T. It is made symmetric, and positive: what is left out is how friction turns.
+    own stiffness H, which is not symmetric where markers slip: forces change by (1 + H C)^-1 H J
+    for a motion J of the indenter, of which the wrench takes J^T. The result is made symmetric and
+    positive, which friction alone is not.
 
     Args:
         position_m: (A, 3) of the markers, base frame.
@@ -34,14 +35,14 @@ def wrench_stiffness(
     motion[:, 0, 4], motion[:, 0, 5] = z, -y
     motion[:, 1, 3], motion[:, 1, 5] = -z, x
     motion[:, 2, 3], motion[:, 2, 4] = y, -x
-    own = 0.5 * (contact_n_m + contact_n_m.transpose(0, 2, 1))
-    flat_root = root.astype(np.float64)
-    moved = np.matmul(own, motion)
-    loaded = np.matmul(own, flat_root)
-    whole = np.einsum("aij,aik->jk", motion, moved)
-    across = np.einsum("aij,aik->jk", flat_root, moved)
-    between = np.einsum("aij,aik->jk", flat_root, loaded) + np.eye(columns)
-    stiffness = whole - across.T @ linalg.solve(between, across, assume_a="sym")
+    # (3 A, ...) for the products over all markers.
+    moves = motion.reshape(3 * count, 6)
+    forces = np.matmul(contact_n_m, motion).reshape(3 * count, 6)
+    roots = root.reshape(3 * count, columns).astype(np.float64)
+    pulls = np.matmul(contact_n_m, root).reshape(3 * count, columns)
+    between = np.eye(columns) + roots.T @ pulls
+    stiffness = moves.T @ forces - moves.T @ pulls @ linalg.solve(between, roots.T @ forces)
+    # Only the result: with H of slipping markers made symmetric, `between` can be singular.
     value, vector = np.linalg.eigh(0.5 * (stiffness + stiffness.T))
     positive: FloatArray = (vector * np.maximum(value, 0.0)) @ vector.T
     return positive

@@ -25,7 +25,9 @@ export class ForcePlot {
 
   add(time, force) {
     const last = this.points.at(-1);
-    if (last && time <= last[0]) return;
+    if (last && time === last[0]) return;
+    // Time has begun again.
+    if (last && time < last[0]) this.points.length = 0;
     this.points.push([time, ...force]);
     if (this.points.length > KEPT) this.points.splice(0, KEPT / 4);
   }

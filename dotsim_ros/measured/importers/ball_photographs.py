@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
+from dotsim_ros.documents import Table, read_table
 from dotsim_ros.files import read_image
 from dotsim_ros.measured.contact_circle import ContactCircle, find_contact_circles
 
@@ -136,25 +136,29 @@ def with_circles_found(recording: BallRecording) -> BallRecording:
 def _circles(
     table: Path, columns: CircleColumns, folder: Path
 ) -> Iterator[tuple[str, ContactCircle, str]]:
-    if not table.is_file():
-        raise FileNotFoundError(f"no {table}; expected a table with the columns {columns}")
-    with table.open(newline="", encoding="utf-8") as stream:
-        for number, row in enumerate(csv.DictReader(stream), start=2):
-            where = f"{table}, line {number}"
-            try:
-                centre = np.array([float(row[columns.x]), float(row[columns.y])])
-                circle = ContactCircle(centre, float(row[columns.radius]))
-                name = str(row[columns.file])
-            except (KeyError, TypeError, ValueError) as error:
-                raise ValueError(
-                    f"{where}: {row} is no circle; expected the columns {columns}"
-                ) from error
-            if not (np.isfinite(centre).all() and 0.0 < circle.radius_px < np.inf):
-                raise ValueError(f"{where}: {row} is no circle; expected a radius above 0")
-            column, value = columns.withheld
-            if column and row.get(column) == value and not (folder / name).exists():
-                continue
-            yield name, circle, where
+    read = read_table(table)
+    for name, x, y, radius, line, withheld in zip(
+        read.texts(columns.file),
+        *(read.numbers(column) for column in (columns.x, columns.y, columns.radius)),
+        read.lines,
+        _is_withheld(read, columns),
+        strict=True,
+    ):
+        where = f"{table}, line {line}"
+        if not radius > 0.0:
+            raise ValueError(
+                f"{where}, column {columns.radius}: {radius:g}, expected a radius above 0"
+            )
+        if withheld and not (folder / name).exists():
+            continue
+        yield name, ContactCircle(np.array([x, y]), radius), where
+
+
+def _is_withheld(read: Table, columns: CircleColumns) -> list[bool]:
+    column, value = columns.withheld
+    if column not in read.columns:
+        return [False] * len(read.rows)
+    return [cell == value for cell in read.texts(column)]
 
 
 def check_contact(
@@ -183,7 +187,7 @@ def check_contact(
     if np.linalg.norm(found.centre_px - circle.centre_px) > circle.radius_px:
         raise ValueError(
             f"{where}: the circle of {path.name} is at {_place(circle)}, but what differs from the "
-            f"idle photograph is at {_place(found)}; mark the circle anew"
+            f"idle photograph is at {_place(found)}; mark the circle again"
         )
 
 

@@ -10,14 +10,13 @@ or inches for millimetres are off by two or more.
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray, IntArray
-from dotsim_ros.documents import value_text
+from dotsim_ros.documents import Table, read_table
 from dotsim_ros.measured.data_set import STANDARD_GRAVITY_M_S2
 from dotsim_ros.measured.trajectory import PoseChannel, Trajectory, WrenchChannel
 
@@ -80,55 +79,39 @@ def read_force_table(path: str | Path) -> ForceDepth:
 
     Raises:
         FileNotFoundError: no such file.
-        ValueError: a column that is missing, there twice or without a known unit, a row that is no
-            pair of numbers, no row, or depths that do not rise.
+        ValueError: a column that is missing, there twice or without a known unit, a cell that is no
+            number, no row, depths that do not rise, or as `read_table`.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise FileNotFoundError(f"no table of force against depth at {path}")
-    with path.open(newline="", encoding="utf-8-sig") as stream:
-        reader = csv.DictReader(stream)
-        columns = [name.strip() for name in reader.fieldnames or ()]
-        reader.fieldnames = columns
-        depth, metres = _column(columns, "depth", DEPTH_UNITS_M, path)
-        force, newtons = _column(columns, "normal_force", FORCE_UNITS_N, path)
-        rows = []
-        for row in reader:
-            try:
-                rows.append((float(row[depth]) * metres, float(row[force]) * newtons))
-            except (TypeError, ValueError) as error:
-                raise ValueError(
-                    f"{path}, line {reader.line_num}: {depth} is {value_text(row[depth])} and "
-                    f"{force} is {value_text(row[force])}, expected two numbers"
-                ) from error
-    points = np.array(rows, dtype=np.float64).reshape(-1, 2)
-    if not len(points) or not np.isfinite(points).all():
-        raise ValueError(f"{path}: expected rows of finite numbers, got {len(points)} rows")
-    falls = np.flatnonzero(np.diff(points[:, 0]) <= 0.0)
+    table = read_table(path)
+    depth, metres = _column(table, "depth", DEPTH_UNITS_M)
+    force, newtons = _column(table, "normal_force", FORCE_UNITS_N)
+    curve = ForceDepth(table.numbers(depth) * metres, table.numbers(force) * newtons)
+    if not table.rows:
+        raise ValueError(f"{path}: expected rows of numbers, got none below the names")
+    falls = np.flatnonzero(np.diff(curve.depth_m) <= 0.0)
     if falls.size:
+        before, after = 1e3 * curve.depth_m[falls[0] : falls[0] + 2]
         raise ValueError(
-            f"{path}: row {falls[0] + 2} is at {1e3 * points[falls[0] + 1, 0]:g} mm after "
-            f"{1e3 * points[falls[0], 0]:g} mm, expected depths that rise; sort the rows, and give "
-            "each press its own table"
+            f"{path}, line {table.lines[falls[0] + 1]}, column {depth}: {after:g} mm after "
+            f"{before:g} mm, expected depths that rise; sort the rows, and give each press its own "
+            "table"
         )
-    return ForceDepth(points[:, 0], points[:, 1])
+    return curve
 
 
-def _column(
-    columns: list[str], quantity: str, units: dict[str, float], path: Path
-) -> tuple[str, float]:
+def _column(table: Table, quantity: str, units: dict[str, float]) -> tuple[str, float]:
     """Return the name of a quantity's column and its unit in SI."""
-    named = [name for name in columns if name == quantity or name.startswith(f"{quantity}_")]
+    named = [n for n in table.columns if n == quantity or n.startswith(f"{quantity}_")]
     expected = ", ".join(f"{quantity}_{unit}" for unit in units)
     if len(named) != 1:
         raise ValueError(
-            f"{path}: {len(named) or 'no'} column{'s' if len(named) > 1 else ''} of {quantity} "
-            f"among {', '.join(columns) or 'none'}; expected one of {expected}"
+            f"{table.place}: {len(named) or 'no'} column{'s' if len(named) > 1 else ''} of "
+            f"{quantity} among {', '.join(table.columns) or 'none'}; expected one of {expected}"
         )
     unit = named[0].removeprefix(quantity).removeprefix("_")
     if unit not in units:
         raise ValueError(
-            f"{path}: the column {named[0]} has no unit that is known; rename it to one of "
+            f"{table.place}: the column {named[0]} has no unit that is known; rename it to one of "
             f"{expected}"
         )
     return named[0], units[unit]

@@ -1,10 +1,11 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""`closed_loop`: `xarm_sim`, `tactile_sim` and `tactile_policy` in one process.
+"""`dotsim_closed_loop`: `xarm_sim`, `tactile_sim` and `tactile_policy` in one process.
 
 The nodes are the same as those of their own executables, with the same names, parameters, services
-and topics. Between them messages are handed over as they are; others hear them over DDS.
+and topics: `xarm_sim --help` and so on list them. Messages between them are passed on as they are;
+other nodes receive them over DDS.
 """
 
 from __future__ import annotations

@@ -10,17 +10,23 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from dotsim_ros.documents import value_text
-from dotsim_ros.nodes.common.parameter_file import check_parameter_file, found_parameter_file
+from dotsim_ros.nodes.common.parameter_file import (
+    check_parameter_file,
+    found_parameter_file,
+    named_parameters,
+)
 from dotsim_ros.nodes.common.reasons import HOW
 from dotsim_ros.nodes.common.transport import PROFILE_FILES
 
 LARGEST_DOMAIN = 232
 PARAMS_FILE = "--params-file"
+PARAMETER = ("-p", "--param")
 
 
 def check_start(arguments: Sequence[str]) -> None:
@@ -88,3 +94,24 @@ def _parameter_files(arguments: Sequence[str]) -> Iterator[str]:
     for flag, value in pairwise(arguments):
         if flag == PARAMS_FILE:
             yield value
+
+
+def typed_names(arguments: Sequence[str]) -> set[str]:
+    """Return the names of the parameters that a command line itself gives, for whichever node."""
+    rules = (value for flag, value in pairwise(arguments) if flag in PARAMETER)
+    return {rule.partition(":=")[0].rpartition(":")[2] for rule in rules}
+
+
+def names_for(arguments: Sequence[str], node: str) -> set[str]:
+    """Return the names of the parameters that the files of a command line give to a node by its
+    name, not in a section for nodes of any name."""
+    found = (_flat(named_parameters(path, node)) for path in _parameter_files(arguments))
+    return {name for names in found for name in names}
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
+    for name, value in values.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}"

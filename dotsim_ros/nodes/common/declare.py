@@ -18,6 +18,7 @@ from rcl_interfaces.msg import (
 from rclpy.exceptions import ParameterUninitializedException
 from rclpy.parameter import Parameter
 
+from dotsim_ros.files import expanded
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.options import Option, option_of
 from dotsim_ros.nodes.common.reasons import reason_of
@@ -62,7 +63,7 @@ def read(node: GuardedNode, kind: type[Parameters]) -> Parameters:
             value = None
         if value is None:
             raise ValueError(f"{field.name} is given without a value, such as an empty list")
-        values[field.name] = _plain(value)
+        values[field.name] = _plain(value, option_of(field))
     return kind(**values)
 
 
@@ -90,9 +91,14 @@ def follow(
             return
         fields = dataclasses.fields(settings)  # type: ignore[arg-type]
         known = {field.name: option_of(field) for field in fields}
-        changed = {each.name: _plain(each.value) for each in changes if each.name in known}
+        changed = {
+            each.name: _plain(each.value, known[each.name])
+            for each in changes
+            if each.name in known
+        }
         for name in changed:
-            if known[name].fixed_while_configured:
+            is_same = changed[name] == _plain(node.get_parameter(name).value)
+            if known[name].fixed_while_configured and not is_same:
                 raise ValueError(
                     f"{name} is read-only while the node is configured: clean it up first"
                 )
@@ -114,7 +120,9 @@ def follow(
     node.add_parameter_check(on_set)
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: Any, known: Option) -> Any:
+    if known.is_path and value:
+        return str(expanded(value))
     return value if isinstance(value, str | bool | int | float) else tuple(value)
 
 

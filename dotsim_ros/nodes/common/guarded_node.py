@@ -18,19 +18,27 @@ import numpy as np
 from rcl_interfaces.msg import SetParametersResult
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.exceptions import NameValidationException, ParameterException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
+from dotsim_ros.documents import value_text
 from dotsim_ros.nodes.common.health import FAULT_MEMORY_S
 from dotsim_ros.nodes.common.local_topics import (
     LocalPublisher,
     LocalSubscription,
     composed_topics,
 )
-from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.common.reasons import nearest, reason_of
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant, stamp_of
 from msg_adapters import Level, Status
 from msg_adapters.stamps import MAXIMUM_SECONDS, NANOSECONDS_PER_SECOND
@@ -176,15 +184,23 @@ class GuardedNode(Node):
         qos_profile: QoSProfile | int,
         **options: Any,
     ) -> Any:
-        """See `rclpy.node.Node.create_subscription`; errors as `create_publisher`."""
+        """See `rclpy.node.Node.create_subscription`; errors as `create_publisher`.
+
+        Where a publisher offers less than is asked for, the subscription asks for that, as ROS's
+        own recorder does, unless the topic belongs to the steps of simulated time, which lose
+        nothing.
+        """
 
         def take(*what: Any) -> None:
             try:
+                self.before_message()
                 callback(*what)
             except Exception as error:
                 self.note_failure(f"a message on {topic} is left out", error)
 
         quality = copy(qos_profile)
+        if isinstance(quality, int):
+            quality = QoSProfile(depth=quality)
         participant = self.participant if _is_stepped(topic, quality) else None
         # ROS sees by the number of its arguments whether a callback wants to know more.
         wants_more = len(signature(callback).parameters) != 1
@@ -195,25 +211,52 @@ class GuardedNode(Node):
             hear = lambda message, information: take(message, information)  # noqa: E731
         else:
             hear = lambda message: take(message)  # noqa: E731
-        subscription: Any
+        events = copy(options.get("event_callbacks") or SubscriptionEventCallbacks())
+        opened: Any = None
+        local: LocalSubscription | None = None
+
+        def adapt(event: Any) -> None:
+            nonlocal opened
+            if local is not None and local.dds is None:
+                return  # this process alone is heard by now
+            policy = QoSPolicyKind(int(event.last_policy_kind))
+            if participant is None and _ask_less(quality, policy):
+                self.get_logger().warning(
+                    f"{topic}: a publisher offers {_policies(quality)}, which is taken: messages "
+                    "may be lost on the way, or before this node started"
+                )
+                self.destroy_subscription(opened)
+                again = {**options, "qos_overriding_options": None}
+                opened = Node.create_subscription(self, msg_type, topic, hear, quality, **again)
+                if local is not None:
+                    local.dds = opened
+                return
+            name = policy.name.lower()
+            reason = (
+                f"a publisher offers another {name} than {_policies(quality)}: change that, or set "
+                f"qos_overrides.{self.resolve_topic_name(topic)}.subscription.{name}"
+            )
+            self.note_failure(f"nothing comes on {topic}", ValueError(reason))
+
+        events.incompatible_qos = adapt
+        options["event_callbacks"] = events
         try:
-            subscription = super().create_subscription(
+            opened = super().create_subscription(
                 msg_type, topic, hear, quality, **_with_check(options)
             )
         except Exception as error:
             raise self._refusal(topic, error) from error
+        subscription: Any = opened
         if self._local is not None and _is_stepped(topic, quality):
-            if isinstance(quality, int):
-                quality = QoSProfile(depth=quality)
             takes_all = participant is not None or wants_more
-            subscription = LocalSubscription(
+            subscription = local = LocalSubscription(
                 self,
-                subscription.topic_name,
+                opened.topic_name,
                 hear if takes_all else lambda message, _: hear(message),
                 quality,
-                subscription,
+                opened,
             )
-            self._local.subscribe_here(subscription)
+            self._local.subscribe_here(local)
         if participant is not None:
             participant.read(subscription)
         return subscription
@@ -264,6 +307,17 @@ class GuardedNode(Node):
         """
         self._parameter_checks.append(check)
 
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """See `rclpy.node.Node.set_parameters_atomically`; a parameter that the node does not have
+        is refused with the nearest name, where ROS raises an error without any."""
+        for name in (each.name for each in parameter_list):
+            if name and not self.has_parameter(name):
+                meant = nearest(name, self.get_parameters_by_prefix(""))
+                hint = f": is it {meant}?" if meant else ""
+                reason = f"the node has no parameter {value_text(name)}{hint}"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
+
     def leave_topics(self) -> None:
         """Have no part any more in what passes on topics within the process or in steps, before all
         publishers and subscriptions that may have one are destroyed."""
@@ -274,6 +328,9 @@ class GuardedNode(Node):
 
     def before_request(self) -> None:
         """Called before a service is answered."""
+
+    def before_message(self) -> None:
+        """Called before a message is taken."""
 
     def _check_parameters(self, changes: Sequence[Parameter]) -> SetParametersResult:
         for check in self._parameter_checks:
@@ -324,6 +381,22 @@ def _is_stepped(topic: str, quality: QoSProfile | int) -> bool:
         isinstance(quality, QoSProfile) and quality.durability is DurabilityPolicy.TRANSIENT_LOCAL
     )
     return not is_latched and topic not in UNSTEPPED
+
+
+def _ask_less(quality: QoSProfile, policy: QoSPolicyKind) -> bool:
+    """Lower what a subscription asks for to what every publisher offers; return whether it could
+    be lowered."""
+    if policy is QoSPolicyKind.RELIABILITY and quality.reliability is ReliabilityPolicy.RELIABLE:
+        quality.reliability = ReliabilityPolicy.BEST_EFFORT
+        return True
+    if policy is QoSPolicyKind.DURABILITY and quality.durability is not DurabilityPolicy.VOLATILE:
+        quality.durability = DurabilityPolicy.VOLATILE
+        return True
+    return False
+
+
+def _policies(quality: QoSProfile) -> str:
+    return f"{quality.reliability.name.lower()}, {quality.durability.name.lower()}"
 
 
 def _keeps_all(quality: QoSProfile | int) -> QoSProfile:

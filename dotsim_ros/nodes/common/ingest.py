@@ -8,11 +8,16 @@ Needs no ROS.
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, deque
+from collections.abc import Callable
 from enum import StrEnum
 from threading import Lock
 
 import numpy as np
+
+EARLY_S = 0.5
+"""A message that was refused as out of order may be the first of a new time that long."""
+EARLY_COUNT = 20
 
 
 class Fault(StrEnum):
@@ -38,6 +43,58 @@ class RefusedInputError(ValueError):
     def __init__(self, fault: Fault, reason: str) -> None:
         super().__init__(reason)
         self.fault = fault
+
+
+class TimeRestart:
+    """Tells, after a clock has gone back, what was sent before from what is of the new time.
+
+    Topics have no common order: a message of the old time may come after the clock's jump, and one
+    of the new time before it, where it is refused as out of order.
+    """
+
+    def __init__(self) -> None:
+        self._before_ns = self._midway_ns = 0
+        self._early: deque[tuple[float, Callable[[], object]]] = deque(maxlen=EARLY_COUNT)
+
+    def hold(self, act: Callable[[], object], now_s: float) -> None:
+        """Keep what was refused as out of order.
+
+        Args:
+            act: does it again.
+            now_s: steady time.
+        """
+        self._early.append((now_s, act))
+
+    def begin(self, *, before_ns: int, now_ns: int, now_s: float) -> list[Callable[[], object]]:
+        """Note that the clock has gone back; return what was refused just before, to be done again.
+
+        Args:
+            before_ns, now_ns: the clock before and after.
+            now_s: steady time.
+        """
+        self._before_ns, self._midway_ns = before_ns, (before_ns + now_ns) // 2
+        acts = [act for held_s, act in self._early if now_s - held_s < EARLY_S]
+        self._early.clear()
+        return acts
+
+    def check(self, stamp_ns: int, now_ns: int) -> None:
+        """Refuse a message of the time before the clock went back.
+
+        Args:
+            stamp_ns: of the message.
+            now_ns: the clock.
+
+        Raises:
+            RefusedInputError: its stamp is near to the clock before its jump, and farther from the
+                clock.
+        """
+        near_ns = min(abs(stamp_ns - now_ns), self._before_ns - self._midway_ns)
+        if now_ns < self._midway_ns and abs(stamp_ns - self._before_ns) < near_ns:
+            raise RefusedInputError(
+                Fault.ORDER,
+                f"the stamp is {1e-9 * (stamp_ns - now_ns):.3f} s ahead of the clock, which has "
+                "gone back: the message is of the time before",
+            )
 
 
 class InputArbiter:

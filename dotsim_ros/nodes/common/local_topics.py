@@ -91,6 +91,7 @@ class LocalSubscription:
     Attributes:
         topic_name: resolved.
         publishers: those of this process.
+        dds: as above; None where this process alone is heard.
     """
 
     def __init__(
@@ -103,7 +104,7 @@ class LocalSubscription:
     ) -> None:
         self.topic_name = topic
         self.publishers: list[LocalPublisher] = []
-        self._node, self._hear, self._dds = node, hear, dds
+        self._node, self._hear, self.dds = node, hear, dds
         keeps_all = quality.history is HistoryPolicy.KEEP_ALL
         self._waiting: deque[tuple[Any, int]] = deque(maxlen=None if keeps_all else quality.depth)
         # Never within the publisher's call: that holds locks, and runs on another thread.
@@ -115,9 +116,9 @@ class LocalSubscription:
 
     def leave_dds(self) -> None:
         """Hear this process alone from now on."""
-        if self._dds is not None:
-            self._node.destroy_subscription(self._dds)
-            self._dds = None
+        if self.dds is not None:
+            self._node.destroy_subscription(self.dds)
+            self.dds = None
 
     def put(self, message: Any, number: int) -> None:
         """Have a message taken by the executor."""
@@ -126,7 +127,7 @@ class LocalSubscription:
 
     def get_publisher_count(self) -> int:
         """Return how many publishers this hears."""
-        return len(self.publishers) if self._dds is None else int(self._dds.get_publisher_count())
+        return len(self.publishers) if self.dds is None else int(self.dds.get_publisher_count())
 
     def _take(self) -> None:
         while self._waiting:

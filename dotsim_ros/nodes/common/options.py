@@ -25,6 +25,7 @@ class Option:
         minimum: smallest number allowed, or None.
         maximum: largest number allowed, or None.
         choices: the closed set of texts allowed; empty: any.
+        is_path: whether it names a file or folder, in which a leading `~` is the user's home.
         read_only: fixed once the node runs.
         fixed_while_configured: of a `ManagedNode`: taken when it is configured, and free to be set
             while it is not.
@@ -34,6 +35,7 @@ class Option:
     minimum: float | None = None
     maximum: float | None = None
     choices: tuple[str, ...] = ()
+    is_path: bool = False
     read_only: bool = False
     fixed_while_configured: bool = False
 

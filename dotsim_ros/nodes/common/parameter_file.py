@@ -11,11 +11,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 from dotsim_ros.documents import read_yaml, value_text
-from dotsim_ros.files import parameter_path
+from dotsim_ros.files import expanded, parameter_path
 from dotsim_ros.nodes.common.reasons import EXPECTED, reason_of
 
 PARAMETERS_KEY = "ros__parameters"
@@ -28,8 +27,8 @@ def found_parameter_file(name: str) -> str:
     So the shipped files are found from any folder: `drivers/run_camera.yaml`, and as documents of
     the repository call it `params/drivers/run_camera.yaml`. What is nowhere is returned as given.
     """
-    if not name or Path(name).exists():
-        return name
+    if not name or expanded(name).exists():
+        return name and str(expanded(name))
     try:
         found = parameter_path(name.removeprefix(SHARED))
     except FileNotFoundError:

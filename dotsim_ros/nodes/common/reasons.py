@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import difflib
 import re
+from collections.abc import Iterable
 
 from dotsim_ros.documents import value_text
 from dotsim_ros.printable import cut
@@ -25,6 +27,16 @@ EXPECTED = {
 
 _SOURCE_PLACE = re.compile(r",? at /\S+:\d+")
 _UNREADABLE = re.compile(r"Couldn't parse ([a-z ]+): '(.*?)'\. Error: (.*)", re.DOTALL)
+
+
+NEAR = 0.85
+"""Share of equal letters from which one name may be meant by another: 0.92 of `ratehz` and
+`rate_hz`, 0.8 of the different `image_topic` and `bag_topic`."""
+
+
+def nearest(name: str, names: Iterable[str]) -> str:
+    """Return which of several names may be meant by one that is none of them; empty: none."""
+    return "".join(difflib.get_close_matches(name, names, n=1, cutoff=NEAR))
 
 
 def reason_of(error: BaseException) -> str:

@@ -30,19 +30,37 @@ from rclpy.time import Time
 
 import msg_adapters
 from dotsim_ros.cores import keep_single_threaded
-from dotsim_ros.nodes.common.arguments import check_start, with_found_files
+from dotsim_ros.nodes.common.arguments import (
+    check_start,
+    names_for,
+    typed_names,
+    with_found_files,
+)
+from dotsim_ros.nodes.common.clock_watch import ClockJump, ClockWatch
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.log_folder import prepare_log_folder
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.reasons import reason_of
+from dotsim_ros.nodes.common.reasons import nearest, reason_of
 from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant
-from dotsim_ros.nodes.simulated_time.schedule import PacedWork, PeriodicWork, SimulatedSchedule
+from dotsim_ros.nodes.simulated_time.schedule import (
+    LONGEST_STEP_S,
+    PacedWork,
+    PeriodicWork,
+    SimulatedSchedule,
+)
 from msg_adapters import Status
 
 Result = TypeVar("Result")
 
 SILENT_CLOCK_WARNING_S = 5.0
+PAUSED_CLOCK_WARNING_S = 60.0
+"""A simulator may be paused for long."""
+ROUNDING_NS = 1000
+"""A time that is so little before the last one is the same, computed another way."""
 WAKE_PERIOD_S = 0.25
+QUALITY = "qos_overrides."
+"""Parameters of a topic, which are there once it is opened."""
 REFUSED = 2
 """Exit status of a node that could not start from what its user gave it."""
 STEPPED = ParameterDescriptor(
@@ -73,6 +91,10 @@ class WorkingNode(GuardedNode):
     executor's thread as the clock moves on; else it is the steady clock, and threads wait for it.
     With `stepped` too the node is a participant of steps (see `StepParticipant`).
 
+    A simulated time that goes back is a new start: results that are being computed are dropped, and
+    what is given to `on_clock_jump` is called. One that leaps forward leaves something out: nothing
+    of it passes in the node, so that no work is late for it.
+
     Args:
         name: of the node.
 
@@ -94,6 +116,8 @@ class WorkingNode(GuardedNode):
             raise ValueError("stepped is true, which needs simulated time: set use_sim_time too")
         self._schedule = SimulatedSchedule() if is_simulated else None
         self._origin_ns: int | None = None
+        self._clock_watch = ClockWatch(time.monotonic()) if is_simulated else None
+        self._on_jump: list[Callable[[ClockJump], None]] = []
         if self.is_stepped:
             # The steps themselves tell the time, and to hear it twice costs a tenth of a core.
             self._time_source.detach_node()
@@ -135,6 +159,26 @@ class WorkingNode(GuardedNode):
         """Let what is being computed for the simulated time end: it began before the request."""
         if self._schedule is not None:
             self._schedule.settle()
+
+    def before_message(self) -> None:
+        """Begin again where /clock has gone back: the message may be of the new time."""
+        if self._origin_ns is None or self.is_stepped:
+            return
+        time_ns = GuardedNode.time_ns(self)
+        if time_ns and time_ns < self.time_ns() and self._has_jumped(time_ns):
+            self._go_to(time_ns)
+
+    def on_clock_jump(self, act: Callable[[ClockJump], None]) -> None:
+        """Do something when the simulated time goes back or leaps forward, until
+        `drop_scheduled`."""
+        self._on_jump.append(act)
+
+    def clock_silence(self) -> str:
+        """Return in words that the simulated time does not move on; empty where it does, and in
+        real time."""
+        if self._clock_watch is None or self.is_stepped:
+            return ""
+        return self._clock_watch.silence(time.monotonic())
 
     def destroy_node(self) -> None:
         """Wait until the threads have returned, and take the node down."""
@@ -210,6 +254,7 @@ class WorkingNode(GuardedNode):
     def drop_scheduled(self) -> None:
         """Let nothing be done any more that simulated time would bring: frames that are being
         computed, reports of health."""
+        self._on_jump.clear()
         if self._schedule is not None:
             self._schedule.clear()
 
@@ -254,14 +299,14 @@ class WorkingNode(GuardedNode):
         publisher = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
 
         def report() -> None:
-            stamp_ns = self.time_ns()
-            if stamp_ns == 0:
+            stamp_ns, silence = self.time_ns(), self.clock_silence()
+            if silence and stamp_ns == 0:
                 self.get_logger().warning(
-                    f"use_sim_time is set and /clock is silent, or beyond what a stamp holds: "
-                    f"{without_clock}",
-                    throttle_duration_sec=SILENT_CLOCK_WARNING_S,
+                    f"{silence}: {without_clock}", throttle_duration_sec=SILENT_CLOCK_WARNING_S
                 )
-            found = [*statuses(), *self.failure_status()]
+            elif silence:
+                self.get_logger().warning(silence, throttle_duration_sec=PAUSED_CLOCK_WARNING_S)
+            found = [*statuses(), *self.failure_status(), *self._clock_status()]
             publisher.publish(msg_adapters.encode_diagnostics(found, stamp_ns=stamp_ns))
 
         if self._schedule is not None and self.is_stepped:
@@ -270,6 +315,13 @@ class WorkingNode(GuardedNode):
         else:
             self.create_timer(period_s, report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         return report
+
+    def _clock_status(self) -> list[Status]:
+        """Return the state of the clock, for the diagnostics; nothing in real time."""
+        if self._clock_watch is None:
+            return []
+        level, message, values = self._clock_watch.report(time.monotonic())
+        return [Status(f"{self.label}: clock", level, message, self.label, values)]
 
     def _step_to(self, time_ns: int) -> None:
         """Go on in a step; the node's ROS clock, which its log is stamped by, goes with it."""
@@ -280,14 +332,37 @@ class WorkingNode(GuardedNode):
 
     def _go_to(self, time_ns: int) -> None:
         """Do what is due up to a time of the clock that the node goes by."""
-        schedule = self._schedule
+        schedule, watch = self._schedule, self._clock_watch
         assert schedule is not None
+        assert watch is not None
+        watch.move(time.monotonic())
         if self._origin_ns is None:
             self._origin_ns = time_ns
-        elif time_ns < self.time_ns():
-            # A clock that was set back: what passes here does not, only the stamps do.
-            self._origin_ns += time_ns - self.time_ns()
+        elif self._has_jumped(time_ns):
+            self._jump_to(time_ns)
         schedule.advance(1e-9 * (time_ns - self._origin_ns))
+
+    def _has_jumped(self, time_ns: int) -> bool:
+        step_ns = time_ns - self.time_ns()
+        return not -ROUNDING_NS <= step_ns <= round(1e9 * LONGEST_STEP_S)
+
+    def _jump_to(self, time_ns: int) -> None:
+        """Let the times of messages go on from another time than what passes in the node does."""
+        schedule, watch, before_ns = self._schedule, self._clock_watch, self.time_ns()
+        assert schedule is not None
+        assert watch is not None
+        assert self._origin_ns is not None
+        # Of a leap, only so much passes that what comes next is done: a clock may run so fast that
+        # each of its ticks is one.
+        passed_ns = 0 if time_ns < before_ns else round(1e9 * schedule.until_next_s())
+        jump = ClockJump(before_ns, time_ns, time_ns - before_ns - passed_ns)
+        self._origin_ns += jump.shift_ns
+        watch.jump(jump, time.monotonic())
+        self.get_logger().warning(jump.text(), throttle_duration_sec=SILENT_CLOCK_WARNING_S)
+        if jump.is_restart:
+            schedule.drop_computed()
+        for act in list(self._on_jump):
+            act(jump)
 
     def _follow_clock(self) -> None:
         """Go on whenever /clock does."""
@@ -409,6 +484,7 @@ def run_nodes(
     given = with_found_files(sys.argv[1:] if arguments is None else arguments)
     try:
         check_start(given)
+        prepare_log_folder()
         rclpy.init(args=given)
     except (ValueError, OSError, RCLError, UnknownROSArgsError) as error:
         return _refused(error)
@@ -419,6 +495,7 @@ def run_nodes(
             for factory in factories:
                 with interruption.allowed():
                     nodes.append(factory())
+            _name_unused(nodes, given)
             for node in nodes:
                 executor.add_node(node)
                 if isinstance(node, WorkingNode):
@@ -443,6 +520,39 @@ def run_nodes(
         # From here on Python takes its handlers down, and the default one would kill the process.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     return max((int(getattr(node, "exit_status", 0)) for node in nodes), default=0)
+
+
+def _name_unused(nodes: Sequence[Node], arguments: Sequence[str]) -> None:
+    """Log the parameters that nodes were given and do not have.
+
+    What is given for nodes of any name may be meant for another one: that is a warning only where
+    it is nearly a name of the node's.
+    """
+    typed = typed_names(arguments)
+    for node in nodes:
+        by_name = names_for(arguments, node.get_fully_qualified_name())
+        known = list(node.get_parameters_by_prefix(""))
+        is_configured = not node.has_parameter("autostart") or node.get_parameter("autostart").value
+        wrong, others = [], []
+        for name in sorted(node._parameter_overrides):
+            is_quality = name.startswith(QUALITY)
+            if node.has_parameter(name) or (is_quality and not is_configured):
+                continue
+            if name not in by_name and any(other.has_parameter(name) for other in nodes):
+                continue
+            meant = nearest(name, known)
+            if name in by_name | typed or (meant and not is_quality):
+                wrong.append(f"{name} (is it {meant}?)" if meant else name)
+            else:
+                others.append(name)
+        if wrong:
+            node.get_logger().warning(
+                f"without effect, since the node has no parameter of the name: {', '.join(wrong)}"
+            )
+        if others:
+            node.get_logger().info(
+                f"given for any node, and not a parameter of this one: {', '.join(others)}"
+            )
 
 
 def _refused(error: Exception) -> int:

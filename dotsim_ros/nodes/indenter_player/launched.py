@@ -8,6 +8,7 @@ Needs no more than `parameter_file`, for the same reason.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 from dotsim_ros.nodes.common.parameter_file import named_parameters, parameters_of
@@ -22,7 +23,7 @@ PATIENCE_S = 600.0
 
 
 def player_parameters(
-    path: str, *, namespace: str, source: str, is_recorded: bool
+    path: str, *, namespace: str, given: Mapping[str, str], is_recorded: bool
 ) -> dict[str, Any]:
     """Return the parameters of a player that presses the sensor of the same parameter file.
 
@@ -32,7 +33,7 @@ def player_parameters(
     Args:
         path: of the file, checked.
         namespace: of both nodes.
-        source: as the launch file was given it; empty for what the file says.
+        given: `source` and `sensor`, where the launch file was given them.
         is_recorded: whether a recorder hears the poses, which alone is no reason to begin.
     """
     sensor = parameters_of(path, f"{namespace}/{SENSOR}")
@@ -49,4 +50,4 @@ def player_parameters(
         found["sensor"] = str(sensor["sensor"])
     own = named_parameters(path, f"{namespace}/{PLAYER}")
     left = {name: value for name, value in found.items() if name not in own}
-    return {**left, "source": source} if source else left
+    return {**left, **given}

@@ -25,7 +25,9 @@ from rclpy.utilities import try_shutdown
 import msg_adapters
 from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.declare import declare
+from dotsim_ros.nodes.common.ingest import TimeRestart
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
 
@@ -33,6 +35,8 @@ POSE_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)
 POLL_S = 0.02
 ANSWER_POLL_S = 0.001
 FOREVER_S = 1e6
+AGAIN_S = 0.1
+"""A player that has ended looks so often whether simulated time has begun again."""
 WARN_EVERY_S = 5.0
 FARTHEST_AHEAD_NS = 60_000_000_000
 
@@ -59,9 +63,19 @@ class IndenterPlayer(WorkingNode):
                 qos_overriding_options=QoSOverridingOptions.with_default_policies(),
             )
         self._answered = threading.Condition()
-        self._answered_stamp_ns = self._sent_stamp_ns = -1
+        self._time_restart = TimeRestart()
         if self._settings.wait_for_answer:
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
+        self._begin_anew()
+        self.on_clock_jump(self._follow_jump)
+        self._patience_end_s = time.monotonic() + self._settings.wait_for_subscriber_s
+        if self.is_simulated:
+            self.create_timer(
+                WARN_EVERY_S, self._warn_of_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
+            )
+
+    def _begin_anew(self) -> None:
+        """Let the first pose be the next one, and no answer have come."""
         self._poses = self._program_poses()
         self._next: tuple[float, Pose, FloatArray | None] | None = None
         self._start_s: float | None = None
@@ -69,11 +83,17 @@ class IndenterPlayer(WorkingNode):
         self._look_s = self.now_s()
         self._count = 0
         self._asked_s: float | None = None
-        self._patience_end_s = time.monotonic() + self._settings.wait_for_subscriber_s
-        if self.is_simulated:
-            self.create_timer(
-                WARN_EVERY_S, self._warn_of_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        with self._answered:
+            self._answered_stamp_ns = self._sent_stamp_ns = -1
+
+    def _follow_jump(self, jump: ClockJump) -> None:
+        if jump.is_restart:
+            self._time_restart.begin(
+                before_ns=jump.before_ns, now_ns=jump.now_ns, now_s=time.monotonic()
             )
+            self._begin_anew()
+        else:
+            self._start_ns += jump.shift_ns
 
     def begin(self) -> None:
         """Start to play."""
@@ -115,7 +135,7 @@ class IndenterPlayer(WorkingNode):
             self._look_s = self._start_s + self._next[0]
 
     def _end(self) -> None:
-        self._look_s = self.now_s() + FOREVER_S
+        self._look_s = self.now_s() + (AGAIN_S if self.is_simulated else FOREVER_S)
         if self._count == 0:
             return
         self._publisher.wait_for_all_acked(Duration(seconds=2))
@@ -145,6 +165,7 @@ class IndenterPlayer(WorkingNode):
 
     def _on_answer(self, message: WrenchStamped) -> None:
         stamp_ns = msg_adapters.message_stamp_ns(message)
+        self._time_restart.check(stamp_ns, self.time_ns())
         with self._answered:
             # One such stamp would answer all that is still to come.
             if stamp_ns > self._sent_stamp_ns + FARTHEST_AHEAD_NS:

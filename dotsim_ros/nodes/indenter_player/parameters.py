@@ -51,6 +51,7 @@ class PlayerParameters:
     path: str = option(
         "",
         "folder of the bag, or the .npz of real presses (empty: the dozen shipped ones)",
+        is_path=True,
         read_only=True,
     )
     bag_topic: str = option(

@@ -3,9 +3,9 @@
 
 """A sensor of this process under the page's indenter: one thread solves, another one sees.
 
-The gel's thread takes the newest pose, as soon as the time of a frame has passed since the last
-one, and shows the skin at once; the camera's thread renders what it finds to be newest then. So a
-page never waits for either, and nothing piles up. Where the gel comes later than the sensor's rate
+The gel's thread takes the poses since its last frame, as soon as the time of a frame has passed,
+and shows the skin at once; the camera's thread renders what it finds to be newest then. So a page
+never waits for either, and nothing piles up. Where the gel comes later than the sensor's rate
 asks for, the camera rests after each image as long as that took, and leaves the gel its core. Needs
 no ROS.
 """
@@ -26,7 +26,7 @@ from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import pressed_depth_range_of
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
-from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
+from dotsim_ros.nodes.tactile_sim.motion import HELD_MOTIONS, MotionOrder
 from dotsim_ros.nodes.tactile_sim.profile_in_force import Rung, ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES, REALTIME
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
@@ -88,7 +88,7 @@ class SimulatedSubject:
         }
         self._wake = threading.Condition()
         self._is_stopping = False
-        self._ordered: _Ordered | None = None
+        self._ordered: deque[_Ordered] = deque(maxlen=HELD_MOTIONS)
         self._jobs: deque[Callable[[], None]] = deque()
         self._seen: _Seen | None = None
         self._number = 0
@@ -120,7 +120,9 @@ class SimulatedSubject:
     def move(self, pose: Pose | None, number: int) -> None:
         """See `desk.Subject`."""
         with self._wake:
-            self._ordered = _Ordered(pose, number)
+            if pose is None:
+                self._ordered.clear()
+            self._ordered.append(_Ordered(pose, number))
             self._wake.notify_all()
 
     def choose_indenter(self, name: str) -> None:
@@ -196,27 +198,28 @@ class SimulatedSubject:
             Scene(skin.rest_position_m, skin.triangles, self._indenter, self._rest_depth_m)
         )
 
-    def _awaited(self, due_s: float) -> tuple[Callable[[], None] | None, _Ordered | None]:
+    def _awaited(self, due_s: float) -> tuple[Callable[[], None] | None, list[_Ordered]]:
         """Wait for a job, or until a frame is due and there is something to show."""
         with self._wake:
             while not self._is_stopping:
                 if self._jobs:
-                    return self._jobs.popleft(), None
+                    return self._jobs.popleft(), []
                 left_s = due_s - time.monotonic()
                 if left_s > 0.0:
                     self._wake.wait(left_s)
                     continue
-                ordered, self._ordered = self._ordered, None
-                if ordered is not None or self._goes_on():
+                if self._ordered or self._goes_on():
+                    ordered = list(self._ordered)
+                    self._ordered.clear()
                     return None, ordered
                 self._wake.wait()
-        return None, None
+        return None, []
 
     def _goes_on(self) -> bool:
         """Return whether the next frame differs from this one though nothing was ordered."""
         return self._is_behind or self._sensor.remembers
 
-    def _frame(self, ordered: _Ordered | None) -> None:
+    def _frame(self, ordered: Sequence[_Ordered]) -> None:
         begun_s = time.monotonic()
         try:
             moment = self._moment(ordered)
@@ -245,30 +248,28 @@ class SimulatedSubject:
             self._seen = _Seen(moment, shown)
             self._wake.notify_all()
 
-    def _moment(self, ordered: _Ordered | None) -> SensorMoment:
+    def _moment(self, ordered: Sequence[_Ordered]) -> SensorMoment:
         """Return the moment of the next frame.
 
         Raises:
-            RefusedInputError: the gel refuses the pose, or could not be solved.
+            RefusedInputError: the gel refuses a pose, or could not be solved.
         """
         before = self._session.behind
-        if ordered is not None and ordered.pose is None:
-            self._session.reset()
-            self._is_new_start, self._is_behind, self._number = True, False, ordered.number
-            return self._session.moment
-        if ordered is None:
-            moment = self._session.catch_up()
-        else:
-            assert ordered.pose is not None
-            self._number = ordered.number
+        for order in ordered:
+            self._number = order.number
+            if order.pose is None:
+                self._session.reset()
+                self._is_new_start = True
+                continue
             try:
                 # Refused here, the gel keeps what presses it now.
-                self._sensor.check_depth(ordered.pose)
+                self._sensor.check_depth(order.pose)
             except ValueError as error:
                 raise RefusedInputError(Fault.GEL, str(error)) from error
             start = Fault.RESTART if self._is_new_start else None
-            moment = self._session.follow(MotionOrder(ordered.pose, time.monotonic_ns(), start))
+            self._session.order(MotionOrder(order.pose, time.monotonic_ns(), start))
             self._is_new_start = False
+        moment = self._session.advance()
         self._is_behind = self._session.behind > before
         return moment
 

@@ -25,6 +25,7 @@ from rclpy.serialization import deserialize_message
 
 import msg_adapters
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
+from dotsim_ros.nodes.common.log_folder import prepare_log_folder
 from dotsim_ros.nodes.simulated_time.participant import StepParticipant
 
 LOOP_TOPICS: dict[str, type] = {
@@ -70,6 +71,7 @@ class LoopObserver:
         self, topics: Mapping[str, type] = LOOP_TOPICS, *, is_stepped: bool = False
     ) -> None:
         self._context = rclpy.Context()
+        prepare_log_folder()
         rclpy.init(context=self._context)
         self.node = GuardedNode("loop_observer", context=self._context)
         if is_stepped:

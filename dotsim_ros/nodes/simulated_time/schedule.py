@@ -18,8 +18,7 @@ from typing import Any, Protocol, TypeVar
 ROUNDING_S = 1e-9
 """Times that lie closer together are the same one, computed another way."""
 LONGEST_STEP_S = 1.0
-"""A clock that moves further at once has jumped: what was due on the way is done once, at its
-end."""
+"""A clock that moves further at once has leapt: what it leaves out passes nowhere."""
 
 Result = TypeVar("Result")
 
@@ -126,8 +125,9 @@ class SimulatedSchedule:
         self._computing.add(future)
 
         def finish() -> None:
-            self._computing.discard(future)
-            take(future.result())
+            if future in self._computing:
+                self._computing.discard(future)
+                take(future.result())
 
         self._taken_s = max(self._taken_s, self.now_s + delay_s)
         self.at(self._taken_s, finish)
@@ -137,20 +137,27 @@ class SimulatedSchedule:
         for future in list(self._computing):
             future.exception()
 
+    def until_next_s(self) -> float:
+        """Return how long it is until something is due, at most `LONGEST_STEP_S`."""
+        next_s = self._due[0][0] - self.now_s if self._due else LONGEST_STEP_S
+        return min(max(next_s, 0.0), LONGEST_STEP_S)
+
     def advance(self, to_s: float) -> None:
         """Move the time on, and do what is due on the way."""
-        if to_s - self.now_s > LONGEST_STEP_S:
-            self.now_s = to_s
         while self._due and self._due[0][0] <= to_s + ROUNDING_S:
             due_s, _, act = heapq.heappop(self._due)
             self.now_s = max(self.now_s, due_s)
             act()
         self.now_s = max(self.now_s, to_s)
 
-    def clear(self) -> None:
-        """Let what is being computed end, and do nothing of what has been asked for so far."""
+    def drop_computed(self) -> None:
+        """Let what is being computed end, and take nothing of it."""
         self.settle()
         self._computing.clear()
+
+    def clear(self) -> None:
+        """Let what is being computed end, and do nothing of what has been asked for so far."""
+        self.drop_computed()
         self._due.clear()
 
     def close(self) -> None:

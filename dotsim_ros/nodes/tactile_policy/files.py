@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from dotsim_ros.documents import shortened
-from dotsim_ros.files import parameter_path
+from dotsim_ros.files import expanded, shipped_path
 from msg_adapters.image import LARGEST_PIXEL_COUNT
 
 
@@ -29,11 +29,12 @@ def policy_folder(text: str) -> Path:
             "the parameter policy is empty, expected the folder that train-policy wrote, or a name "
             "below params/policies"
         )
-    if Path(text).is_dir():
-        return Path(text)
+    path = expanded(text)
+    if path.is_dir():
+        return path
     if "/" in text:
         raise FileNotFoundError(f"no policy folder {text}")
-    return parameter_path(f"policies/{text}")
+    return shipped_path("policies", text, "policy", "the folder that train-policy wrote")
 
 
 def read_image(path: Path) -> NDArray[np.uint8]:

@@ -149,7 +149,13 @@ class TactilePolicy(WorkingNode):
         self.get_logger().info(
             f"ready: {self._policy.name}, path {self._policy.path}, "
             f"{self._settings.command_rate_hz:g} commands a second on {self._commands.topic_name}; "
-            "disabled until set_enabled is called"
+            "disabled until it is enabled by"
+        )
+        name = self.get_fully_qualified_name()
+        if not self._settings.idle_image:
+            self.get_logger().info(f"ros2 service call {name}/calibrate_idle std_srvs/srv/Trigger")
+        self.get_logger().info(
+            f'ros2 service call {name}/set_enabled std_srvs/srv/SetBool "{{data: true}}"'
         )
         if not self._inputs.hears_force:
             self.get_logger().warning(f"{NO_FORCE_LIMIT}; set it for a sensor that measures force")

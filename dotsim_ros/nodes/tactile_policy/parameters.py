@@ -41,6 +41,7 @@ class TactilePolicyParameters:
     idle_image: str = option(
         "",
         "Image of the sensor at rest. Empty: call calibrate_idle before set_enabled.",
+        is_path=True,
         read_only=True,
     )
     image_transport: str = option(

@@ -51,6 +51,7 @@ SENSOR_TOPICS = {
     "points": "sensor_msgs/msg/PointCloud2",
     "wrench": "geometry_msgs/msg/WrenchStamped",
     "indenter/pose": "geometry_msgs/msg/PoseStamped",
+    "indenter/state": "geometry_msgs/msg/PoseStamped",
 }
 """Message types of the topics that need no type to be given."""
 
@@ -75,10 +76,19 @@ class RecordParameters:
         "",
         "folder of the bag, which must not exist (empty: tactile_DATE_TIME); until the recording "
         "ends it has .partial behind its name",
+        is_path=True,
         read_only=True,
     )
     topics: tuple[str, ...] = option(
-        ("image_raw", "camera_info", "depth/image", "points", "wrench", "indenter/pose"),
+        (
+            "image_raw",
+            "camera_info",
+            "depth/image",
+            "points",
+            "wrench",
+            "indenter/pose",
+            "indenter/state",
+        ),
         "topics to record: names of the sensor, or NAME=PACKAGE/msg/TYPE of a stamped message",
         read_only=True,
     )
@@ -233,6 +243,8 @@ class TactileRecord(WorkingNode):
                 f"({_by_topic(summary.stamp_is_no_time)}); they are in the bag, where the message "
                 "before them lies: mend what publishes them, calibrate refuses such messages"
             )
+        if summary.went_back:
+            logger.warning(f"{_mixed(summary)}: record each time by itself")
         if summary.refused:
             logger.warning(
                 f"{sum(summary.refused.values())} messages are too short to hold a header "
@@ -265,6 +277,8 @@ class TactileRecord(WorkingNode):
         elif summary.missing or self._lost:
             missing = summary.missing + self._lost
             level, message = Level.WARN, f"{missing} messages are missing from the bag"
+        elif summary.went_back:
+            level, message = Level.WARN, _mixed(summary)
         elif odd:
             level, message = Level.WARN, f"{odd} messages have a stamp that is no time"
         values = {
@@ -276,6 +290,7 @@ class TactileRecord(WorkingNode):
             "lost_on_the_way": str(self._lost),
             "refused": str(sum(summary.refused.values())),
             "stamp_is_no_time": str(odd),
+            "went_back": str(sum(summary.went_back.values())),
         }
         return level, message, values
 
@@ -330,6 +345,14 @@ class TactileRecord(WorkingNode):
 
 def _by_topic(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{topic} {count}" for topic, count in counts.items())
+
+
+def _mixed(summary: RecordingSummary) -> str:
+    """Say that messages of several times lie in one bag."""
+    return (
+        f"stamps went back ({_by_topic(summary.went_back)}): time has begun again, and messages of "
+        "before and after lie in this bag by their stamps, mixed"
+    )
 
 
 def _ending(summary: RecordingSummary) -> str:

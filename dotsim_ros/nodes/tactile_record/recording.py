@@ -18,6 +18,9 @@ from msg_adapters import serialized_stamp_ns
 FLUSH_PERIOD_S = 0.5
 """No message waits longer than this in memory, unless the disk does not keep up."""
 
+BACK_NS = 100_000_000
+"""Stamps of one topic that go back by more are those of a time that has begun again."""
+
 _HEADER_BYTES = 12
 _FLUSH = ("", b"")
 """In the queue: bring what came before to the disk."""
@@ -35,6 +38,7 @@ class RecordingSummary:
         refused: messages too short to hold a header.
         stamp_is_no_time: messages in the bag whose stamp is negative or malformed; they lie at the
             log time of the message before.
+        went_back: how often the stamps of a topic went back: time began again.
         error: why the recording broke off, or None.
         folder: where the bag is.
     """
@@ -45,6 +49,7 @@ class RecordingSummary:
     lost: Mapping[str, int]
     refused: Mapping[str, int]
     stamp_is_no_time: Mapping[str, int]
+    went_back: Mapping[str, int]
     error: str | None
     folder: Path
 
@@ -99,6 +104,8 @@ class BagRecording:
         self._dropped: Counter[str] = Counter()
         self._refused: Counter[str] = Counter()
         self._stamp_is_no_time: Counter[str] = Counter()
+        self._went_back: Counter[str] = Counter()
+        self._last_ns: dict[str, int] = {}
         self._newest_ns: int | None = None
         self._error: str | None = None
         self._flush_period_s = flush_period_s
@@ -145,6 +152,7 @@ class BagRecording:
                 lost=dict(left) if is_over else {},
                 refused=dict(self._refused),
                 stamp_is_no_time=dict(self._stamp_is_no_time),
+                went_back=dict(self._went_back),
                 error=self._error,
                 folder=self._bag.folder,
             )
@@ -199,6 +207,9 @@ class BagRecording:
             # Acquisition times, so that a replay keeps the pace of the sensor.
             log_time_ns = serialized_stamp_ns(serialized)
             self._newest_ns = max(self._newest_ns or 0, log_time_ns)
+            if log_time_ns < self._last_ns.get(topic, 0) - BACK_NS:
+                self._went_back[topic] += 1
+            self._last_ns[topic] = log_time_ns
         except ValueError:
             # A recorder keeps what came; who reads it finds the stamp in the message.
             self._stamp_is_no_time[topic] += 1

@@ -12,7 +12,7 @@ it is free, see `optics.bands`.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,8 @@ from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
-from dotsim_ros.geometry.indenter import indenter_from_text
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.ingest import FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
 from dotsim_ros.nodes.common.rivals import rivals_of
@@ -37,11 +38,11 @@ from dotsim_ros.nodes.simulated_time.latency import Latency
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
 from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
-from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, statuses
+from dotsim_ros.nodes.tactile_sim.health import Condition, FrameCounter, lag_text, statuses
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,
     MotionOrder,
-    NewestMotion,
+    MotionQueue,
 )
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import BY_FORCE, REALTIME, TF, TactileSimParameters
@@ -125,7 +126,7 @@ class ConfiguredSensor:
         )
         self._counter = FrameCounter()
         self._faults = FaultLog()
-        self._newest = NewestMotion()
+        self._motions = MotionQueue()
         self._frame_ns: int | None = None
         self._pace = self._new_pace()
         self._outputs = FramePublishers(node, sensor, self.settings, noise=specification.noise)
@@ -140,11 +141,12 @@ class ConfiguredSensor:
             node,
             self.settings,
             faults=self._faults,
-            on_motion=self._newest.put if self._is_realtime else self._lockstep_frame,
+            on_motion=self._motions.put if self._is_realtime else self._lockstep_frame,
         )
         self._external_wrenches = ExternalWrenches(
             node, self.settings, world_rotation=self._input.world_rotation
         )
+        self._node.on_clock_jump(self._on_clock_jump)
         self._node.report_health(
             self.settings.diagnostics_period_s,
             self._health,
@@ -219,7 +221,7 @@ class ConfiguredSensor:
         specification = replace(specification, noise=NoiseSpecification())
         sensor = TactileSensor(
             specification,
-            indenter=indenter_from_text(self.settings.indenter),
+            indenter=load_indenter(self.settings.indenter),
             device=self.settings.device,
             progress=self._tell_progress,
         )
@@ -249,7 +251,7 @@ class ConfiguredSensor:
             self._input.integrate(stamp_ns, passed_s)
             self._node.compute(
                 self._latency,
-                partial(self._simulated, self._newest.take(), passed_s),
+                partial(self._simulated, self._motions.take(), passed_s),
                 partial(self._publish, stamp_ns),
                 FRAMES_BROKEN,
             )
@@ -264,13 +266,12 @@ class ConfiguredSensor:
         # As long as a velocity holds: after a clock's leap nothing moves through what it left out.
         return min(passed_s, self.settings.input_timeout_s)
 
-    def _simulated(self, motion: MotionOrder | None, passed_s: float) -> SensorMoment:
-        """Return the next moment: of a motion, or of the gel that goes on."""
+    def _simulated(self, motions: Sequence[MotionOrder], passed_s: float) -> SensorMoment:
+        """Return the next moment: of the motions since the last one, or of the gel that goes on."""
         with self._lock:
-            if motion is not None:
-                self._input.guard(lambda: self._session.follow(motion))
-            else:
-                self._input.guard(lambda: self._session.catch_up(passed_s))
+            for motion in motions:
+                self._input.guard(partial(self._session.order, motion))
+            self._input.guard(lambda: self._session.advance(passed_s))
             return self._rendered(self._session.moment)
 
     def _lockstep_frame(self, motion: MotionOrder) -> None:
@@ -309,6 +310,9 @@ class ConfiguredSensor:
             self._node.get_logger().warning(
                 f"input: {missing}", throttle_duration_sec=MISSING_INPUT_LOG_S
             )
+        lag_m, maximum_lag_m = self._session.take_largest_lag_m(), self.settings.maximum_lag_m
+        if lag_m > maximum_lag_m:
+            self._node.get_logger().warning(lag_text(lag_m, maximum_lag_m), once=True)
         force = None if self._drive is None else self._drive.report()
         if force is not None and force[0] is Level.WARN:
             self._node.get_logger().warning(
@@ -326,7 +330,10 @@ class ConfiguredSensor:
                 is_realtime=self._is_realtime,
                 late=self._pace.late + self._session.behind,
                 dropped=self._pace.dropped,
+                lag_m=lag_m,
+                maximum_lag_m=maximum_lag_m,
                 profile=self._profile.values(),
+                clock_silence=self._node.clock_silence(),
                 rivals=rivals_of(self._node, self._outputs.topics),
             ),
             counter=self._counter,
@@ -338,9 +345,17 @@ class ConfiguredSensor:
         )
 
     def _forget_motion(self) -> None:
-        self._newest.take()
+        self._motions.take()
         self._frame_ns = None
         self._input.forget()
+
+    def _on_clock_jump(self, jump: ClockJump) -> None:
+        with self._lock:
+            self._frame_ns = None
+            if jump.is_restart:
+                self._motions.take()
+                self._session.begin_anew()
+                self._input.restart(before_ns=jump.before_ns)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
         with self._lock:
@@ -388,7 +403,7 @@ class ConfiguredSensor:
         """
         indenter = None
         if changed.indenter != self.settings.indenter:
-            indenter = indenter_from_text(changed.indenter)
+            indenter = load_indenter(changed.indenter)
         # All that may be refused comes before anything is changed, and what takes long (ten seconds
         # for the largest mesh) before the frames have to wait for it.
         self._outputs.framing_of(changed)

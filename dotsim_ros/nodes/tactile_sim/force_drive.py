@@ -18,7 +18,6 @@ from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.health import Report
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
-from dotsim_ros.nodes.tactile_sim.pursuit import clearance_m
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.twin.force_following import ForceFollower, is_met
 from msg_adapters import Level
@@ -48,7 +47,8 @@ def touch_m(pose: Pose, sensor: TactileSensor) -> float:
     # An indenter's side may touch where its tip is below all of the skin.
     lowest_m = float(heights_m.min() - np.ptp(sensor.indenter.bounds_m()[:, 2]))
     for _ in range(TOUCH_STEP_COUNT):
-        gap_m = clearance_m(_moved(pose, here_m), sensor.indenter, skin_m)
+        there = _moved(pose, here_m)
+        gap_m = float(sensor.indenter.distance_from(skin_m, there).min())
         if gap_m < NEAR_M:
             return here_m
         here_m -= gap_m

@@ -34,6 +34,7 @@ class ForceInput:
         parameters: frames, clock and limits.
         quality: of the subscription: that of the poses.
         guard: does something with an input, and counts and logs it where it is refused.
+        check_time: refuses a stamp (ns) of the time before the clock went back.
         on_motion: takes each motion of lockstep, once its force is known.
     """
 
@@ -44,10 +45,11 @@ class ForceInput:
         quality: QoSProfile,
         *,
         guard: Callable[[Callable[[], object]], None],
+        check_time: Callable[[int], None],
         on_motion: Callable[[MotionOrder], None],
     ) -> None:
         self._node, self._parameters = node, parameters
-        self._guard, self._on_motion = guard, on_motion
+        self._guard, self._check_time, self._on_motion = guard, check_time, on_motion
         self._is_realtime = parameters.clock == REALTIME
         self._pairing = ForcePairing(maximum_step_s=parameters.maximum_step_s)
         self._heard_s: float | None = None
@@ -106,6 +108,7 @@ class ForceInput:
         stamp_ns = msg_adapters.message_stamp_ns(message)
         if stamp_ns == 0 and self._is_realtime:
             stamp_ns = self._pairing.stamp_of_now(self._node.time_ns())
+        self._check_time(stamp_ns)
         self._pairing.put_force(
             checked_force(
                 force_n,

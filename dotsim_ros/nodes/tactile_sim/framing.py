@@ -119,7 +119,7 @@ class Framing:
         return CameraIntrinsics(
             width=self.size_px[0],
             height=self.size_px[1],
-            focal_px=part.focal_px * scale,
+            focal_px=part.focal_xy_px * scale,
             principal_point_px=(part.principal_point_px + 0.5) * scale - 0.5,
             distortion=coefficients,
             distortion_model=model,

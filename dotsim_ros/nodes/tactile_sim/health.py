@@ -97,7 +97,11 @@ class Condition:
         is_realtime: the clock.
         late: frames that started late, or show the indenter on its way to the newest pose.
         dropped: frames that were left out.
+        lag_m: how far from its newest pose the indenter was at most in a frame since the last
+            report.
+        maximum_lag_m: how far is normal.
         profile: what is told of it.
+        clock_silence: that the time of the frames does not move on, in words; empty where it does.
         rivals: who else publishes what this sensor does, in words; empty for nobody.
     """
 
@@ -109,7 +113,10 @@ class Condition:
     is_realtime: bool
     late: int
     dropped: int
+    lag_m: float
+    maximum_lag_m: float
     profile: Mapping[str, str]
+    clock_silence: str = ""
     rivals: str = ""
 
 
@@ -142,6 +149,7 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
         "rate_hz": f"{counter.rate_hz(now_s):.2f}",
         "dropped": str(condition.dropped),
         "late": str(condition.late),
+        "lag_m": f"{condition.lag_m:.6f}",
         **condition.profile,
         **{f"{part}_p95_ms": f"{value:.2f}" for part, value in counter.p95_ms().items()},
     }
@@ -149,11 +157,24 @@ def _frames(condition: Condition, counter: FrameCounter, now_s: float) -> Report
         return Level.WARN, "inactive: activate the node to continue", values
     if not condition.is_enabled:
         return Level.WARN, "disabled: call set_enabled to continue", values
+    if condition.clock_silence:
+        return Level.WARN, condition.clock_silence, values
     if condition.rivals:
         return Level.WARN, condition.rivals, values
     if condition.is_realtime and counter.count and condition.dropped > 0.01 * counter.count:
         return Level.WARN, "frames are dropped: the machine is too slow for this rate", values
+    if condition.lag_m > condition.maximum_lag_m:
+        return Level.WARN, lag_text(condition.lag_m, condition.maximum_lag_m), values
     return Level.OK, "running", values
+
+
+def lag_text(lag_m: float, maximum_lag_m: float) -> str:
+    """Return in words that the indenter lags behind."""
+    return (
+        f"the indenter is {1e3 * lag_m:.2f} mm behind its newest pose, more than maximum_lag_m, "
+        f"{maximum_lag_m:g} m: it moves faster than the frames can follow in contact; move it more "
+        "slowly, raise rate_hz where the machine allows, or use simulated time"
+    )
 
 
 def _input(condition: Condition, faults: FaultLog, now_s: float) -> Report:

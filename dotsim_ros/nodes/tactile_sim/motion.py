@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from threading import Lock
 
 import numpy as np
@@ -20,6 +20,8 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 FARTHEST_M = 10.0
 """An indenter that is farther away is none of this sensor's."""
 LARGEST_SPEED_M_S, LARGEST_RATE_RAD_S = 100.0, 1000.0
+HELD_MOTIONS = 1000
+"""Of one frame: a second at 1 kHz."""
 
 
 @dataclass(frozen=True)
@@ -137,26 +139,30 @@ def after_last(now_ns: int, last_ns: int | None, *, maximum_step_s: float) -> in
     return max(now_ns, last_ns + 1)
 
 
-class NewestMotion:
-    """Holds the newest motion between the thread that receives and the one that simulates."""
+class MotionQueue:
+    """Holds the motions since the last frame, between the thread that receives and the one that
+    simulates: a bounded number of them, the newest always.
+    """
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._motion: MotionOrder | None = None
+        self._motions: list[MotionOrder] = []
 
     def put(self, motion: MotionOrder) -> None:
-        """Replace what is held; a new start that was not simulated yet stays one."""
+        """Add a motion; nothing before a new start counts."""
         with self._lock:
-            held = self._motion
-            if motion.new_start is None and held is not None:
-                motion = replace(motion, new_start=held.new_start)
-            self._motion = motion
+            if motion.new_start is not None:
+                self._motions.clear()
+            elif len(self._motions) >= HELD_MOTIONS:
+                # Every second one is left out, but for the first, which may be a new start.
+                del self._motions[1::2]
+            self._motions.append(motion)
 
-    def take(self) -> MotionOrder | None:
-        """Return what is held, once."""
+    def take(self) -> list[MotionOrder]:
+        """Return what is held, the oldest first, once."""
         with self._lock:
-            motion, self._motion = self._motion, None
-        return motion
+            motions, self._motions = self._motions, []
+        return motions
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,13 @@ from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
-from dotsim_ros.nodes.common.ingest import Fault, FaultLog, InputArbiter, RefusedInputError
+from dotsim_ros.nodes.common.ingest import (
+    Fault,
+    FaultLog,
+    InputArbiter,
+    RefusedInputError,
+    TimeRestart,
+)
 from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.tactile_sim.force_input import ForceInput
 from dotsim_ros.nodes.tactile_sim.motion import (
@@ -46,11 +52,11 @@ from dotsim_ros.nodes.tactile_sim.parameters import (
 from dotsim_ros.nodes.tactile_sim.transform_input import TransformInput
 from dotsim_ros.printable import cut
 
-# Only the newest counts, but a single one must not get lost. For a publisher of best effort the
-# user overrides the reliability by parameter; ROS warns that the two do not match.
-REALTIME_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)
-# The middleware keeps the newest meanwhile, so a flood of poses cannot starve the frames.
-REALTIME_PAUSE_S = 0.002
+# A fifth of a second at 100 Hz, in which a busy machine may not get to read: the indenter follows
+# the path of all poses. More would delay a faster stream.
+REALTIME_QOS = QoSProfile(depth=20, reliability=ReliabilityPolicy.RELIABLE)
+# The middleware drops the oldest meanwhile, so a flood of poses cannot starve the frames.
+REALTIME_PAUSE_S = 0.001
 # Every one counts: nothing is overwritten before it is simulated.
 LOCKSTEP_QOS = QoSProfile(history=HistoryPolicy.KEEP_ALL, reliability=ReliabilityPolicy.RELIABLE)
 
@@ -96,6 +102,7 @@ class MotionInput:
         self._faults = faults
         self._on_motion = on_motion
         self._lock = Lock()
+        self._time_restart = TimeRestart()
         self._arbiter = InputArbiter(timeout_s=parameters.input_timeout_s)
         self._gate = MotionGate(
             base_frame=parameters.base_frame,
@@ -116,6 +123,7 @@ class MotionInput:
                 parameters,
                 self._quality(),
                 guard=self.guard,
+                check_time=self._check_time,
                 on_motion=on_motion,
             )
             if not self._is_realtime:
@@ -123,7 +131,11 @@ class MotionInput:
         self._transforms: TransformInput | None = None
         if parameters.pose_source == TF:
             self._transforms = TransformInput(
-                node, parameters, guard=self.guard, on_pose=self._take_transform
+                node,
+                parameters,
+                guard=self.guard,
+                check_time=self._check_time,
+                on_pose=self._take_transform,
             )
         elif parameters.pose_source == ODOMETRY:
             self._subscribe(Odometry, "indenter/odometry", self._hear_odometry)
@@ -175,6 +187,23 @@ class MotionInput:
             self._moved_ns = None
             self._pose = self._parameters.start_pose()
 
+    def restart(self, *, before_ns: int) -> None:
+        """Start anew, since the clock has gone back: stamps of its new time are accepted.
+
+        Args:
+            before_ns: the clock before.
+        """
+        early = self._time_restart.begin(
+            before_ns=before_ns, now_ns=self._node.time_ns(), now_s=time.monotonic()
+        )
+        self.forget()
+        if self._transforms is not None:
+            self._transforms.restart()
+        for act in early:
+            self.guard(act)
+        if self._transforms is not None:
+            self.guard(self._transforms.pass_on)
+
     def configure(self, parameters: TactileSimParameters) -> None:
         """Take changed limits."""
         with self._lock:
@@ -192,6 +221,8 @@ class MotionInput:
         try:
             act()
         except RefusedInputError as error:
+            if error.fault is Fault.ORDER and self._node.is_simulated:
+                self._time_restart.hold(act, time.monotonic())
             self._note(error.fault, str(error))
         except ValueError as error:
             self._note(Fault.NUMBERS, str(error))
@@ -305,7 +336,12 @@ class MotionInput:
         # Tools that leave stamps at zero mean "now"; in lockstep there is no other clock.
         if stamp_ns == 0 and self._is_realtime:
             return self._gate.stamp_of_now(self._node.time_ns())
+        self._check_time(stamp_ns)
         return stamp_ns
+
+    def _check_time(self, stamp_ns: int) -> None:
+        """Refuse a message of the time before the clock went back."""
+        self._time_restart.check(stamp_ns, self._node.time_ns())
 
     def _move(self, pose: Pose, stamp_ns: int) -> MotionOrder:
         with self._lock:

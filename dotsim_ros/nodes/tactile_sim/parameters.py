@@ -119,6 +119,13 @@ class TactileSimParameters(OutputParameters):
         minimum=1e-4,
         maximum=10.0,
     )
+    maximum_lag_m: float = option(
+        0.001,
+        "An indenter that a frame shows further than this from its newest pose is warned of: it "
+        "lags behind since it moves faster than frames can follow in contact.",
+        minimum=1e-5,
+        maximum=10.0,
+    )
     maximum_step_s: float = option(
         1.0,
         "Stamps that step back by more than this are a new start (a bag played again); by less, "
@@ -195,6 +202,7 @@ class TactileSimParameters(OutputParameters):
         "",
         "Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
         "beside it may describe it. Empty: the sensor's own.",
+        is_path=True,
         fixed_while_configured=True,
     )
     image_noise_levels: float = option(
@@ -207,12 +215,14 @@ class TactileSimParameters(OutputParameters):
     effects: str = option(
         "",
         "Overlay of effects to add to the sensor, a YAML file that find_gap wrote. Empty: none.",
+        is_path=True,
         read_only=True,
     )
     effects_folder: str = option(
         "",
         "Folder of effects of your own that the overlay may name, one a Python file: the files of "
         "those that it names are run as programs. Empty: those shipped.",
+        is_path=True,
         read_only=True,
     )
     exposure_s: float = option(

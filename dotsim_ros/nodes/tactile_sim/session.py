@@ -17,11 +17,18 @@ import numpy as np
 
 from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.effects.live import LiveEffects
+from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
+from dotsim_ros.geometry.indenter import way_m
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.motion import NANOSECONDS_PER_SECOND, MotionOrder
-from dotsim_ros.nodes.tactile_sim.pursuit import pursue
+from dotsim_ros.nodes.tactile_sim.pursuit import (
+    TOUCH_M,
+    CommandedPath,
+    Move,
+    clear_of_gel,
+)
 from dotsim_ros.sensor import GelFailureError
 
 if TYPE_CHECKING:
@@ -92,7 +99,7 @@ class SensorSession:
         sensor: the sensor, at rest.
         first_dt_s: the time step of a motion that nothing leads to.
         limit_m: how far the indenter may move in contact in one frame; a longer motion takes
-            several frames. Infinite for none.
+            several frames, along the path of the commanded poses. Infinite for none.
         effects: at work between the commanded pose and what is measured; the sensor's gel has them.
         drive: where to press for a force, in place of the depth that a pose has; None: the pose.
 
@@ -116,14 +123,14 @@ class SensorSession:
         self.first_dt_s = first_dt_s
         self._limit_m = limit_m
         self._effects = LiveEffects(effects, sensor)
-        self._commanded: Pose | None = None
-        self._at: Pose | None = None
-        self._is_behind = False
+        self._path = CommandedPath(way_m=self._way_m, depth_m=self._depth_m)
         self.behind = 0
+        self._lag_m = self._largest_lag_m = 0.0
+        self._ordered_ns: int | None = None
         self._last_stamp_ns: int | None = None
         self._is_broken = False
         self._force_n = np.zeros(3)
-        self.moment = self._pressed(None, first_dt_s)
+        self.moment = self._pressed(None, first_dt_s, before_m=None)
 
     def warm_up(self) -> float:
         """Press once and forget it, so that no frame waits for a compiler; return the seconds.
@@ -143,6 +150,25 @@ class SensorSession:
         self.reset()
         return time.monotonic() - start_s
 
+    def order(self, motion: MotionOrder) -> None:
+        """Take the next pose that the indenter is to go to; `advance` leads it there.
+
+        Raises:
+            RefusedInputError: the pose presses too deep, and a motion that is limited must not
+                begin; the last frame stays, and the next motion starts from rest.
+        """
+        if motion.new_start is not None or self._is_broken:
+            self._sensor.reset()
+            self._effects.begin()
+            self._forget_motion()
+        self._ordered_ns = motion.stamp_ns
+        if self._drive is None and not np.isinf(self._limit_m):
+            try:
+                self._sensor.check_depth(motion.pose)
+            except ValueError as error:
+                raise self._refusal(error) from error
+        self._path.add(motion.pose)
+
     def follow(self, motion: MotionOrder) -> SensorMoment:
         """Simulate a motion, or as much of it as one frame may.
 
@@ -150,62 +176,93 @@ class SensorSession:
             RefusedInputError: the gel refuses the pose or cannot be solved; the last frame stays,
                 and the next motion starts from rest.
         """
-        if motion.new_start is not None or self._is_broken:
-            self._sensor.reset()
-            self._effects.begin()
-            self._forget_force()
-            self._last_stamp_ns = None
-            self._at = None
-            self._force_n = np.zeros(3)
-        step_s = self._step_s(motion.stamp_ns)
-        self._last_stamp_ns = motion.stamp_ns
-        return self._move(motion.pose, step_s)
+        self.order(motion)
+        return self.advance()
 
-    def catch_up(self, step_s: float | None = None) -> SensorMoment:
-        """Go on to the newest pose, which `follow` did not reach, or the newest force; where both
-        are reached, let a gel that remembers, or an effect, evolve under the held indenter.
+    def advance(self, step_s: float | None = None) -> SensorMoment:
+        """Go on along the poses that were ordered, or to the newest force; where both are reached,
+        let a gel that remembers, or an effect, evolve under the held indenter.
 
         Args:
-            step_s: time since the frame before; by default that of a motion that nothing leads to.
+            step_s: time since the frame before, where no pose has been ordered since, whose stamps
+                tell; by default that of a motion that nothing leads to.
 
         Raises:
             RefusedInputError: as `follow`.
         """
-        goes_on = self._is_behind or self._sensor.remembers or self._effects.act_in_time
-        if self._commanded is None or self._is_broken:
+        if self._path.newest is None or self._is_broken:
             return self.moment
-        is_followed = self._drive is None or self._drive.is_met(self._commanded)
+        if self._ordered_ns is not None:
+            step_s, self._last_stamp_ns = self._step_s(self._ordered_ns), self._ordered_ns
+            self._ordered_ns = None
+            return self._move(step_s)
+        goes_on = not self._path.is_reached or self._sensor.remembers or self._effects.act_in_time
+        is_followed = self._drive is None or self._drive.is_met(self._path.newest)
         if is_followed and not goes_on:
             return self.moment
         step_s = self.first_dt_s if step_s is None else step_s
         if self._last_stamp_ns is not None:
             self._last_stamp_ns += int(step_s * NANOSECONDS_PER_SECOND)
-        return self._move(self._commanded, step_s)
+        return self._move(step_s)
 
-    def _move(self, commanded: Pose, step_s: float) -> SensorMoment:
-        self._commanded, self._is_behind = commanded, False
+    def take_largest_lag_m(self) -> float:
+        """Return how far from the newest pose the indenter was at most in a frame, since this was
+        asked for last; from any thread."""
+        largest_m, self._largest_lag_m = self._largest_lag_m, self._lag_m
+        return largest_m
+
+    def _move(self, step_s: float) -> SensorMoment:
+        before_m = None if self._path.here is None else self.moment.gel.skin_position_m
         try:
-            wanted = commanded if self._drive is None else self._drive.pose(commanded)
-            pose = self._effects.moved(wanted, self._force_n, step_s)
-            reached = self._within_reach(pose)
-            self.moment = self._pressed(reached, step_s)
+            move = self._next_move()
+            pose = self._effects.moved(move.pose, self._force_n, step_s)
+            self.moment = self._pressed(pose, step_s, before_m=before_m, move=move)
         except ValueError as error:
-            self._is_broken = True
-            fault = Fault.FAILURE if isinstance(error, GelFailureError) else Fault.GEL
-            raise RefusedInputError(fault, str(error)) from error
+            raise self._refusal(error) from error
         self._is_broken = False
-        self._at = reached
         if self._drive is not None:
-            got = wanted if reached is pose else reached
-            self._drive.answer(got, self.moment.gel.wrench.force_n)
-        if reached is not pose:
-            self._is_behind = True
+            self._drive.answer(move.pose, self.moment.gel.wrench.force_n)
+        if not self._path.is_reached:
             self.behind += 1
+        self._lag_m = self._path.lag_m
+        self._largest_lag_m = max(self._largest_lag_m, self._lag_m)
         return self.moment
 
-    def _pressed(self, pose: Pose | None, step_s: float) -> SensorMoment:
-        before_m = None if self._at is None else self.moment.gel.skin_position_m
-        gel = self._sensor.press(pose, step_s)
+    def _next_move(self) -> Move:
+        if self._drive is None:
+            return self._path.advance(self._limit_m)
+        # One that waits for a force above the skin may be moved across at once.
+        waits = not np.isinf(self._limit_m) and not np.any(self._force_n)
+        move = self._path.advance(np.inf if waits else self._limit_m)
+        pose, start = self._drive.pose(move.pose), None
+        if waits or move.start is not None:
+            start = clear_of_gel(pose, self._sensor.rest_depth_m)
+        return Move(pose, start)
+
+    def _pressed(
+        self,
+        pose: Pose | None,
+        step_s: float,
+        *,
+        before_m: FloatArray | None,
+        move: Move | None = None,
+    ) -> SensorMoment:
+        """Return the moment after a move that effects, or a force, have made one to this pose.
+
+        Args:
+            pose: of the indenter, None for none.
+            step_s: since the frame before.
+            before_m: (V, 3) the skin then; None where nothing leads here.
+            move: as commanded.
+        """
+        way = [pose]
+        if pose is not None and move is not None:
+            shift_m = pose.position_m - move.pose.position_m
+            if move.start is not None:
+                self._put(_shifted(move.start, shift_m), pose)
+            way = [*(_shifted(leg, shift_m) for leg in move.between), pose]
+        for leg in way:
+            gel = self._sensor.press(leg, step_s / len(way))
         self._force_n = gel.wrench.force_n
         return SensorMoment(
             self._sensor,
@@ -214,24 +271,34 @@ class SensorSession:
             self._effects.camera(before_m, step_s),
         )
 
-    def _within_reach(self, pose: Pose) -> Pose:
-        if np.isinf(self._limit_m):
-            return pose
-        # Now, not when the indenter gets there: a press that is refused must not begin.
-        self._sensor.check_depth(pose)
-        rest_m = self._sensor.skin.rest_position_m
-        start, skin_m = self._at, self.moment.gel.skin_position_m
-        if start is None:
-            # The sensor comes to a first pose along the indenter's axis.
-            away_m = float(np.ptp(rest_m, axis=0).max()) * pose.rotation()[:, 2]
-            start, skin_m = Pose(pose.position_m + away_m, pose.quaternion_xyzw), rest_m
-        return pursue(
-            start,
-            pose,
-            indenter=self._sensor.indenter,
-            skin_position_m=skin_m,
-            limit_m=self._limit_m,
-        )
+    def _put(self, start: Pose, pose: Pose) -> None:
+        """Put the indenter where the move to a pose begins. An effect may have it touch the gel
+        there: then it goes on from where it is, or where that is far, comes from outside."""
+        depth_m, before = self._sensor.rest_depth_m, self.moment.pose
+        if depth_m(start) > -0.5 * TOUCH_M:
+            indenter = self._sensor.indenter
+            if before is not None and way_m(before, pose, indenter) <= LARGEST_SUBSTEP_M:
+                return
+            start = clear_of_gel(start, depth_m)
+        self._sensor.place(start)
+
+    def _refusal(self, error: ValueError) -> RefusedInputError:
+        """Let the next motion start from rest; return why this one was not made."""
+        self._is_broken = True
+        fault = Fault.FAILURE if isinstance(error, GelFailureError) else Fault.GEL
+        return RefusedInputError(fault, str(error))
+
+    def _way_m(self, start: Pose, end: Pose) -> float:
+        """Return how far the indenter moves from one commanded pose to another."""
+        if self._drive is not None:
+            # What they say along its axis is not used.
+            axis, shift_m = end.rotation()[:, 2], end.position_m - start.position_m
+            end = _shifted(end, -(shift_m @ axis) * axis)
+        return way_m(start, end, self._sensor.indenter)
+
+    def _depth_m(self, pose: Pose) -> float:
+        # Under a force the indenter is in contact wherever it is, and equally deep.
+        return 0.0 if self._drive is not None else self._sensor.rest_depth_m(pose)
 
     def _step_s(self, stamp_ns: int) -> float:
         if self._last_stamp_ns is None or stamp_ns <= self._last_stamp_ns:
@@ -245,10 +312,7 @@ class SensorSession:
 
     def begin_anew(self) -> None:
         """Bring the gel to rest, with no indenter near it; the time of the session goes on."""
-        self._forget_force()
-        self._last_stamp_ns = None
-        self._is_broken = self._is_behind = False
-        self._at = self._commanded = None
+        self._forget_motion()
         self._rest(None)
 
     def relax(self) -> SensorMoment:
@@ -269,7 +333,12 @@ class SensorSession:
         self.moment = SensorMoment(self._sensor, gel, pose, camera)
         self._sensor.reset()
 
-    def _forget_force(self) -> None:
+    def _forget_motion(self) -> None:
+        self._path.forget()
+        self._lag_m = 0.0
+        self._ordered_ns = self._last_stamp_ns = None
+        self._is_broken = False
+        self._force_n = np.zeros(3)
         if self._drive is not None:
             self._drive.forget()
 
@@ -303,3 +372,7 @@ class SensorSession:
     def is_touched(self) -> bool:
         """Return whether the last frame shows a contact."""
         return bool(np.any(self.moment.gel.wrench.force_n != 0.0))
+
+
+def _shifted(pose: Pose, shift_m: FloatArray) -> Pose:
+    return Pose(pose.position_m + shift_m, pose.quaternion_xyzw)

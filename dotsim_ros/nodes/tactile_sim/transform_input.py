@@ -37,6 +37,7 @@ class TransformInput:
         node: owns the subscriptions.
         parameters: names of the frames, and clock.
         guard: does something with an input, and counts and logs it where it is refused.
+        check_time: refuses a stamp (ns) of the time before the clock went back.
         on_pose: takes the pose of the indenter in the base frame at each new time (ns).
 
     Raises:
@@ -49,9 +50,10 @@ class TransformInput:
         parameters: TactileSimParameters,
         *,
         guard: Callable[[Callable[[], object]], None],
+        check_time: Callable[[int], None],
         on_pose: Callable[[Pose, int], None],
     ) -> None:
-        self._guard, self._on_pose = guard, on_pose
+        self._guard, self._check_time, self._on_pose = guard, check_time, on_pose
         self._pair = (parameters.base_frame, parameters.indenter_frame)
         self._world = (parameters.world_frame, parameters.base_frame)
         pairs = [self._pair, self._world] if parameters.world_frame else [self._pair]
@@ -70,6 +72,12 @@ class TransformInput:
     def forget(self) -> None:
         """Pass on the pose that is known as soon as the next transform comes."""
         self._last_ns = None
+
+    def restart(self) -> None:
+        """Forget all that moves, since time begins again; what is static stays."""
+        with self._lock:
+            self._tree.forget_motion()
+        self.forget()
 
     def missing(self) -> str:
         """Return why there is no pose of the indenter, in words; empty where there is one."""
@@ -102,22 +110,26 @@ class TransformInput:
         for transform in message.transforms:
             # One that is refused takes no other with it.
             self._guard(partial(self._put, transform, is_static))
-        self._guard(self._pass_on)
+        self._guard(self.pass_on)
 
     def _put(self, transform: msg_adapters.Message, is_static: bool) -> None:
+        stamp_ns = msg_adapters.message_stamp_ns(transform)
+        if not is_static:
+            self._check_time(stamp_ns)
         try:
             with self._lock:
                 self._tree.put(
                     transform.header.frame_id,
                     transform.child_frame_id,
-                    msg_adapters.message_stamp_ns(transform),
+                    stamp_ns,
                     lambda: Pose(*msg_adapters.decode_transform(transform)),
                     is_static=is_static,
                 )
         except OutOfOrderError as error:
             raise RefusedInputError(Fault.ORDER, str(error)) from None
 
-    def _pass_on(self) -> None:
+    def pass_on(self) -> None:
+        """Pass on the pose of the indenter, where it is known and new."""
         with self._lock:
             found = self._tree.locate(*self._pair)
         if found is not None and found[1] != self._last_ns:

@@ -32,6 +32,7 @@ class TimeStepperParameters:
     participants: str = option(
         "",
         "YAML file of the nodes that time waits for (empty: the shipped participants.yaml)",
+        is_path=True,
         read_only=True,
     )
     period_s: float = option(0.01, "simulated time of a step, 0.001 to 1 s", read_only=True)

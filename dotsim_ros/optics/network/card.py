@@ -100,8 +100,9 @@ def camera_hash(camera: Camera) -> str:
         *camera.distortion,
         *camera.pose.position_m,
         *camera.pose.rotation().ravel(),
-        # Networks of fisheyes are older than other projections, and keep their hash.
+        # Networks are older than other projections and pixels, and keep their hash.
         *((1.0,) if camera.projection == PinholeCamera.projection else ()),
+        *((camera.pixel_aspect,) if camera.pixel_aspect != 1.0 else ()),
     ]
     text = " ".join(f"{number:.6f}" for number in np.asarray(numbers) + 0.0)
     return hashlib.sha256(text.encode()).hexdigest()[:16]

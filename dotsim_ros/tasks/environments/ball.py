@@ -10,7 +10,7 @@ speed. The ball does not turn.
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -22,19 +22,20 @@ from dotsim_ros.gel.implicit.gel import PressTooDeepError
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.sensor import GelFailureError, TactileSensor
-from dotsim_ros.specification import SolverSpecification, given_sensor
+from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 from dotsim_ros.tasks.environments.observation import (
-    SOLVER,
     check_observation,
+    coarse,
     observation_space,
     observe,
-    with_rendered_size,
 )
-from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
+from dotsim_ros.tasks.policy.paths import contact_with, reference_path
 
 FRAME_S = 0.04
 LARGEST_SPEED_M_S = 0.008
 BALL_RADIUS_M = 0.004
+ROUNDING = 1e-6
+"""By which an action may be larger than 1."""
 
 
 class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
@@ -44,12 +45,12 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
         observation: one of `observation.KINDS`.
         image_size_px: width and height of image and depth.
         duration_s: of an episode.
-        sensor: name, file or specification of a dome.
-        solver: of the gel, in place of the sensor's own.
+        sensor: name, file or specification.
+        solver: of the gel; None for a coarse one, or for a pad its own.
         render_mode: "rgb_array" for the tactile image, or None.
 
     Raises:
-        ValueError: an observation or size that there is not.
+        ValueError: an observation or size that there is not, or an episode without a frame.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 25}  # noqa: RUF012
@@ -60,21 +61,22 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
         observation: str = "image",
         image_size_px: tuple[int, int] = (64, 64),
         duration_s: float = 4.0,
-        sensor: str = "densetact2",
-        solver: SolverSpecification = SOLVER,
+        sensor: str | Path | SensorSpecification = "densetact2",
+        solver: SolverSpecification | None = None,
         render_mode: str | None = None,
     ) -> None:
         check_observation(observation, image_size_px)
         self._observation, self._size_px = observation, image_size_px
         self.render_mode = render_mode
-        specification = replace(given_sensor(sensor), solver=solver)
+        specification = coarse(given_sensor(sensor), solver, image_size_px)
         self.sensor = TactileSensor.load(
-            with_rendered_size(specification, image_size_px),
-            indenter={"kind": "sphere", "radius_m": BALL_RADIUS_M},
+            specification, indenter={"kind": "sphere", "radius_m": BALL_RADIUS_M}
         )
-        self.contact = DomeContact(specification.gel.outer_radius_m, BALL_RADIUS_M)
+        self.contact = contact_with(specification.gel, BALL_RADIUS_M)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (3,), np.float32)
         self.observation_space = observation_space(observation, self.sensor, image_size_px)
+        if not FRAME_S <= duration_s < np.inf:
+            raise ValueError(f"duration_s is {duration_s}, expected at least {FRAME_S} s, a frame")
         self._largest_count = round(duration_s / FRAME_S)
         self._count = 0
         self.position_m = np.zeros(3)
@@ -96,14 +98,18 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
         """Move for one frame.
 
         Raises:
-            ValueError: not three finite numbers; nothing has moved. Larger ones than 1 are cut.
+            ValueError: not three numbers from -1 to 1; nothing has moved.
             gymnasium.error.ResetNeeded: `reset` was not called.
         """
-        given = np.asarray(action, dtype=np.float64)
-        if given.shape != (3,) or not np.all(np.isfinite(given)):
+        try:
+            given = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError):
+            given = np.full(3, np.nan)
+        # Written so that a number that is not one is refused.
+        if given.shape != (3,) or not np.all(np.abs(given) <= 1.0 + ROUNDING):
             raise ValueError(
                 f"action is {action!r}, expected three finite numbers from -1 to 1; the ball has "
-                "not moved"
+                "not moved. gymnasium.wrappers.ClipAction cuts what a policy asks for"
             )
         if self.gel is None:
             raise gymnasium.error.ResetNeeded("call reset before step")
@@ -188,7 +194,7 @@ class PressEnvironment(BallEnvironment):
 
 
 class FollowEnvironment(BallEnvironment):
-    """`DenseTactFollow-v0`: go along a path on the dome, which touch alone tells.
+    """`DenseTactFollow-v0`: go along a path on the skin, which touch alone tells.
 
     The reward is how far the ball came along, in frames of the path's own speed, less its distance
     from the path in millimetres. An episode ends at `FARTHEST_M` from it.
@@ -196,19 +202,31 @@ class FollowEnvironment(BallEnvironment):
     Args:
         path: one of `paths.PATHS`.
         others: as for `BallEnvironment`.
+
+    Raises:
+        ValueError: as `BallEnvironment`, no such path, or one that is too deep for the gel.
     """
 
     FARTHEST_M = 3.0e-3
+    START_M = 0.3e-3
 
     def __init__(self, *, path: str = "figure_eight", **others: Any) -> None:
         super().__init__(**others)
         self.path = reference_path(path, self.contact)
+        try:
+            for place_m in self.path.position_m[::20]:
+                self.sensor.check_depth(Pose(place_m - [0.0, 0.0, self.START_M]))
+        except PressTooDeepError as error:
+            raise ValueError(
+                f"path {path!r} is too deep for the gel of {self.sensor.specification.name!r}: "
+                f"{error}"
+            ) from error
         self._laps = 0.0
 
     def _start(self) -> FloatArray:
         self._laps = 0.0
         arc_m = float(self.np_random.uniform(0.0, self.path.length_m))
-        return self.path.at(arc_m)[0] + self.np_random.uniform(-0.3e-3, 0.3e-3, 3)
+        return self.path.at(arc_m)[0] + self.np_random.uniform(-self.START_M, self.START_M, 3)
 
     def _distance_m(self) -> float:
         return float(self.path.nearest(self.position_m)[0])

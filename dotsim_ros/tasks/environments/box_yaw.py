@@ -15,7 +15,8 @@ sequence of moves chosen beforehand, serves more than half of the episodes.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -26,20 +27,23 @@ from numpy.typing import NDArray
 from dotsim_ros.gel.implicit.gel import PressTooDeepError
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.sensor import GelFailureError, TactileSensor
-from dotsim_ros.specification import SolverSpecification, given_sensor
+from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 from dotsim_ros.tasks.environments.coupling import MujocoCoupling
 from dotsim_ros.tasks.environments.observation import (
-    SOLVER,
     check_observation,
+    coarse,
     observation_space,
     observe,
-    with_rendered_size,
 )
 
 FRAME_RATE_HZ = 24.0
 STEPS_A_FRAME = 20
 """Of MuJoCo: with half as many, one episode in twenty had a box thrown around by the gel, six times
 as many as with these; twice as many change nothing."""
+LOWERING_STEPS = 3
+"""In which the sensor comes down, as a robot would."""
+PAD_STEPS_A_FRAME, PAD_LOWERING_STEPS = 400, 12
+"""The same for a pad, which is some twenty times as stiff."""
 LARGEST_PROGRESS = 1.0
 """Of the reward in a frame, as a share of the way to the target."""
 MOVES = np.array(
@@ -105,7 +109,7 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         image_size_px: width and height of image and depth.
         task: what is asked.
         sensor: name, file or specification.
-        solver: of the gel, in place of the sensor's own.
+        solver: of the gel; None for a coarse one, or for a pad its own.
         render_mode: "rgb_array" for the tactile image, or None.
 
     `info` has the yaw in degrees and whether it is there. An episode that cannot be won any more,
@@ -124,17 +128,18 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         observation: str = "image",
         image_size_px: tuple[int, int] = (64, 64),
         task: BoxYawTask | None = None,
-        sensor: str = "densetact2",
-        solver: SolverSpecification = SOLVER,
+        sensor: str | Path | SensorSpecification = "densetact2",
+        solver: SolverSpecification | None = None,
         render_mode: str | None = None,
     ) -> None:
         check_observation(observation, image_size_px)
         self.task = BoxYawTask() if task is None else task
         self._observation, self._size_px = observation, image_size_px
         self.render_mode = render_mode
-        specification = replace(given_sensor(sensor), solver=solver)
-        self.sensor = TactileSensor.load(with_rendered_size(specification, image_size_px))
-        step_s = 1.0 / FRAME_RATE_HZ / STEPS_A_FRAME
+        self.sensor = TactileSensor.load(coarse(given_sensor(sensor), solver, image_size_px))
+        is_dome = self.sensor.specification.gel.shape == "dome"
+        self._lowering_steps = LOWERING_STEPS if is_dome else PAD_LOWERING_STEPS
+        step_s = 1.0 / FRAME_RATE_HZ / (STEPS_A_FRAME if is_dome else PAD_STEPS_A_FRAME)
         text = WORLD.format(
             step_s=step_s,
             friction=self.task.friction,
@@ -171,7 +176,7 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
         side = float(random.choice([-1.0, 1.0]))
         along_m = float(random.uniform(-task.spread_m, task.spread_m))
         depth_m = float(random.uniform(*task.depth_m))
-        # The dome hangs from its base, apex down.
+        # The sensor hangs from its base, apex down.
         height_m = 2.0 * task.half_height_m + float(self.sensor.skin.apex_m[2])
         across_m = side * (task.half_width_m - task.inside_m)
         turned = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
@@ -189,8 +194,7 @@ class BoxYawEnvironment(gymnasium.Env[NDArray[Any], np.int64]):
             )
         else:
             self._coupling.reset()
-        # It comes down in small steps, as a robot would.
-        for height in np.linspace(height_m, height_m - depth_m, 3):
+        for height in np.linspace(height_m, height_m - depth_m, self._lowering_steps):
             self.data.mocap_pos[0, 2] = height
             self._gel = self._coupling.step()
         self._count = 0

@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.closed_mesh import IndenterMesh, closed_surface
 from dotsim_ros.geometry.indenter import (
     Indenter,
     IndenterKind,
-    IndenterMesh,
     box,
     capsule,
     flat_punch,
@@ -46,7 +46,7 @@ def indenter_of(model: mujoco.MjModel, geom: int, away: FloatArray) -> tuple[Ind
             +z of the indenter's frame, along which it comes to its first pose.
 
     Raises:
-        ValueError: a geom that has no inside, such as a plane or a height field.
+        ValueError: a geom that has no inside, such as a plane, a height field or a mesh with holes.
     """
     shape, frame = _shape_of(model, geom)
     placed = Pose(np.zeros(3), _turn_z_to(away))
@@ -89,11 +89,12 @@ def _shape_of(model: mujoco.MjModel, geom: int) -> tuple[Indenter, Pose]:
 def _mesh_of(model: mujoco.MjModel, mesh: int) -> Indenter:
     first, count = int(model.mesh_vertadr[mesh]), int(model.mesh_vertnum[mesh])
     begin, faces = int(model.mesh_faceadr[mesh]), int(model.mesh_facenum[mesh])
-    surface = IndenterMesh(
-        np.array(model.mesh_vert[first : first + count], dtype=np.float64),
-        np.array(model.mesh_face[begin : begin + faces], dtype=np.int32),
+    surface = closed_surface(
+        model.mesh_vert[first : first + count],
+        model.mesh_face[begin : begin + faces],
+        f"mesh {model.mesh(mesh).name!r} of the model",
     )
-    return Indenter(IndenterKind.MESH, (), mesh=surface)
+    return Indenter(IndenterKind.MESH, (), mesh=IndenterMesh(*surface))
 
 
 def _turn_z_to(direction: FloatArray) -> FloatArray:

@@ -25,7 +25,8 @@ is seen; displacements of the skin's markers (V, 3), m; force and torque of the 
 LARGEST_DEPTH_M = 0.1
 SKIN_SPACING_M = 1.0e-3
 SOLVER = SolverSpecification(grid_spacing_m=3.6e-3, refined=False, tolerance_m=100e-6, iterations=2)
-"""Coarse, so that an hour is enough to learn on two cores."""
+"""Of a dome: coarse, so that an hour is enough to learn on two cores. The thin gel of a pad would
+diverge with it."""
 
 
 def check_observation(kind: str, size_px: tuple[int, int]) -> None:
@@ -42,12 +43,20 @@ def check_observation(kind: str, size_px: tuple[int, int]) -> None:
         )
 
 
-def with_rendered_size(
-    specification: SensorSpecification, size_px: tuple[int, int]
+def coarse(
+    specification: SensorSpecification,
+    solver: SolverSpecification | None,
+    size_px: tuple[int, int],
 ) -> SensorSpecification:
-    """Return a sensor that sees what it saw, with as few pixels as a size (width, height) needs:
-    images keep the camera's shape, and are cropped to the middle by `observe`. Its skin has a
-    marker a pixel of a small image, no finer."""
+    """Return a sensor for learning, with another solver; where that is None, with `SOLVER` if it is
+    a dome, and with its own if it is a pad.
+
+    It sees what it saw, with as few pixels as a size (width, height) needs: images keep the
+    camera's shape, and are cropped to the middle by `observe`. Its skin has a marker a pixel of a
+    small image, no finer.
+    """
+    if solver is None:
+        solver = SOLVER if specification.gel.shape == "dome" else specification.solver
     camera = specification.camera
     gel = replace(specification.gel, skin_spacing_m=SKIN_SPACING_M)
     unit = math.gcd(camera.width, camera.height)
@@ -59,6 +68,7 @@ def with_rendered_size(
     return replace(
         specification,
         gel=gel,
+        solver=solver,
         camera=replace(
             camera, width=count * across, height=count * down, principal_point_px=(x, y)
         ),

@@ -1,14 +1,16 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reference paths of a ball on a dome, as the sensor feels them: closed, and free of crossings.
+"""Reference paths of a ball on a sensor, as it feels them: closed, and free of crossings.
 
 A path is where the indenter is in the sensor's frame, its axes held parallel to the sensor's. It is
 drawn in the direction of the contact on the dome and the depth of the indentation. No two parts of
 a path come close in both, so touch alone identifies where on it the indenter is and which way it
 goes.
 
-Depth is nominal: how far the undeformed dome and the ball overlap.
+On a pad, a place of the face stands for a direction of the contact on the dome.
+
+Depth is nominal: how far the undeformed gel and the ball overlap.
 """
 
 from __future__ import annotations
@@ -22,6 +24,8 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.geometry.pad_face import face_normal
+from dotsim_ros.specification import GelSpecification, face_drop_m
 
 SPEED_M_S = 0.005
 """Speed on straight parts of a path."""
@@ -32,6 +36,12 @@ SMALLEST_SPEED_M_S = 0.001
 SAMPLE_COUNT = 1200
 SMOOTHING_M = 0.3e-3
 """Length over which a path's speed is smoothed."""
+TRAVEL_RADIUS_M = 0.0184
+"""Radius at which the ball's centre travels, m: turns lengths into tilts."""
+FARTHEST_TILT_RAD, DEEPEST_M = 0.4, 2.1e-3
+"""No path goes farther from the apex, or deeper."""
+DEEPEST_SHARE = 0.3
+"""Of a pad's thickness; a dome of 15.75 mm is pressed to 0.22 of its gel's."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +80,70 @@ class DomeContact:
         scale = np.where(sideways > 0.0, angle / np.where(sideways > 0.0, sideways, 1.0), 0.0)
         depth = self.dome_radius_m + self.ball_radius_m - distance
         return centre[..., :2] * scale[..., None], depth
+
+
+@dataclass(frozen=True)
+class PadContact:
+    """A ball that touches a pad: as on the dome, with lengths and depths that the pad has room for.
+
+    Attributes:
+        size_m: of the pad along x and y, and its thickness in the middle.
+        curvature_per_m: of its face along x and y.
+        ball_radius_m: of the ball, whose frame has its origin at its lowest point.
+
+    Raises:
+        ValueError: the ball is too large for the pad.
+    """
+
+    size_m: tuple[float, float, float]
+    curvature_per_m: tuple[float, float] = (0.0, 0.0)
+    ball_radius_m: float = 0.004
+
+    def __post_init__(self) -> None:
+        if self.lever_m <= 0.0:
+            raise ValueError(
+                f"a ball of {self.ball_radius_m:g} m radius is too large for a pad of "
+                f"{self.size_m[0]:g} x {self.size_m[1]:g} m, expected a pad that is wider than it"
+            )
+
+    @property
+    def lever_m(self) -> float:
+        """Distance from the middle of the face that stands for a tilt of 1 rad: as on the dome, or
+        less where the ball would reach beyond the pad on a path."""
+        room_m = 0.5 * min(self.size_m[:2]) - self.ball_radius_m
+        return min(TRAVEL_RADIUS_M, room_m / FARTHEST_TILT_RAD)
+
+    @property
+    def depth_share(self) -> float:
+        """By what a depth is multiplied: 1, or less where a path would press a thin gel deeper than
+        `DEEPEST_SHARE` of its thickness."""
+        return min(1.0, DEEPEST_SHARE * self.size_m[2] / DEEPEST_M)
+
+    def position_m(self, tilt_rad: ArrayLike, depth_m: ArrayLike) -> FloatArray:
+        """Return where the indenter's frame is, (..., 3) in the sensor's frame.
+
+        Args:
+            tilt_rad: (..., 2) of the contact on a dome, for which a place of the face stands.
+            depth_m: (...) nominal depth on a dome, negative before contact.
+        """
+        place = self.lever_m * np.asarray(tilt_rad, dtype=np.float64)
+        x, y = place[..., 0], place[..., 1]
+        z = self.size_m[2] - face_drop_m(x, y, self.curvature_per_m)
+        depth = np.asarray(depth_m, dtype=np.float64)
+        depth = np.where(depth > 0.0, self.depth_share, 1.0) * depth
+        outward = (self.ball_radius_m - depth)[..., None] * face_normal(x, y, self.curvature_per_m)
+        return np.stack([x, y, z - self.ball_radius_m], axis=-1) + outward
+
+
+def contact_with(gel: GelSpecification, ball_radius_m: float) -> DomeContact | PadContact:
+    """Return how a ball touches a gel, dome or pad.
+
+    Raises:
+        ValueError: as `PadContact`.
+    """
+    if gel.shape == "dome":
+        return DomeContact(gel.outer_radius_m, ball_radius_m)
+    return PadContact(gel.pad_size_m, gel.face_curvature_per_m, ball_radius_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,10 +224,6 @@ def _stadium(phase: FloatArray, half_length: float, radius: float) -> FloatArray
     return curve
 
 
-TRAVEL_RADIUS_M = 0.0184
-"""Radius at which the ball's centre travels, m: turns lengths into tilts."""
-
-
 def _line(phase: FloatArray) -> tuple[FloatArray, FloatArray]:
     curve = _stadium(phase, 0.0066, 0.5e-3)
     tilt = np.stack([curve[:, 0] / TRAVEL_RADIUS_M, np.zeros(len(phase))], axis=-1)
@@ -189,7 +259,7 @@ _CURVES: dict[str, Callable[[FloatArray], tuple[FloatArray, FloatArray]]] = {
 PATHS = tuple(_CURVES)
 
 
-def reference_path(name: str, contact: DomeContact | None = None) -> ReferencePath:
+def reference_path(name: str, contact: DomeContact | PadContact | None = None) -> ReferencePath:
     """Return a path by its name.
 
     - `line`: to and fro over the apex, 13 mm, out at 0.9 mm of depth and back at 1.9 mm.
@@ -199,7 +269,7 @@ def reference_path(name: str, contact: DomeContact | None = None) -> ReferencePa
 
     Args:
         name: one of PATHS.
-        contact: of which ball on which dome.
+        contact: of which ball on which dome or pad.
 
     Raises:
         ValueError: no such path.

@@ -1,0 +1,109 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""Where tables and compiled kernels are kept, and that nothing ends where they cannot be."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dotsim_ros.cache import keep_arrays, load_arrays
+from dotsim_ros.files import cache_directory, usable_folder
+
+KEPT = """
+from dotsim_ros.files import cache_directory
+from dotsim_ros.warp_runtime import wp
+wp.config.log_level = 30
+wp.init()
+print(cache_directory(), wp.config.kernel_cache_dir, sep="\\n")
+"""
+CHOICES = ("DOTSIM_ROS_CACHE", "XDG_CACHE_HOME", "WARP_CACHE_PATH", "HOME")
+
+
+def kept(tmp_path: Path, **choices: str) -> tuple[Path, Path, list[str]]:
+    """Return where a process keeps tables and kernels, and what it said of that."""
+    (tmp_path / "temporary").mkdir(exist_ok=True)
+    environment = {name: value for name, value in os.environ.items() if name not in CHOICES}
+    done = subprocess.run(
+        [sys.executable, "-c", KEPT],
+        env={**environment, "TMPDIR": str(tmp_path / "temporary"), **choices},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    tables, kernels = done.stdout.splitlines()[-2:]
+    said = [line for line in done.stderr.splitlines() if not line.startswith("Warp CUDA")]
+    return Path(tables), Path(kernels), said
+
+
+def test_one_variable_moves_tables_and_kernels(tmp_path: Path) -> None:
+    home, chosen = tmp_path / "home", tmp_path / "chosen"
+    tables, kernels, said = kept(tmp_path, HOME=str(home))
+    assert (tables, kernels.parent) == (home / ".cache/dotsim_ros", tables / "warp")
+    assert kernels.is_dir()
+    tables, kernels, said = kept(tmp_path, HOME=str(home), DOTSIM_ROS_CACHE=str(chosen))
+    assert (tables, kernels.parent) == (chosen, chosen / "warp")
+    tables, kernels, said = kept(tmp_path, HOME=str(home), DOTSIM_ROS_CACHE="~/tables")
+    assert tables == home / "tables"
+    compiled = tmp_path / "compiled"
+    tables, kernels, said = kept(tmp_path, HOME=str(home), WARP_CACHE_PATH=str(compiled))
+    assert (tables, kernels.parent) == (home / ".cache/dotsim_ros", compiled)
+    assert said == []
+
+
+@pytest.mark.fault("sensor and YAML files", "a home that cannot be written, for tables and kernels")
+def test_a_home_that_cannot_be_written_gives_way_to_a_temporary_folder(
+    tmp_path: Path, answered: Callable[..., None]
+) -> None:
+    (tmp_path / "home").write_text("a file")
+    tables, kernels, said = kept(tmp_path, HOME=str(tmp_path / "home"))
+    assert tables.parent == tmp_path / "temporary"
+    assert (tables.stat().st_mode & 0o077, kernels.parent) == (0, tables / "warp")
+    (line,) = said
+    assert f"{tables} serves; set DOTSIM_ROS_CACHE to a folder that can be written" in line
+    answered(line)
+    # The next process finds there what this one has kept.
+    assert kept(tmp_path, HOME=str(tmp_path / "home"))[0] == tables
+
+
+@pytest.mark.parametrize("variable", ["DOTSIM_ROS_CACHE", "WARP_CACHE_PATH"])
+def test_a_file_in_place_of_a_cache_is_named_once(tmp_path: Path, variable: str) -> None:
+    (tmp_path / "file").write_text("a file")
+    choices = {"HOME": str(tmp_path / "home"), variable: str(tmp_path / "file")}
+    tables, kernels, said = kept(tmp_path, **choices)
+    (line,) = said
+    assert str(tmp_path / "file") in line
+    assert f"set {variable}" in line
+    moved = tables if variable == "DOTSIM_ROS_CACHE" else kernels.parent
+    assert moved.parent == tmp_path / "temporary"
+
+
+def test_a_temporary_folder_that_others_can_write_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    open_to_all = tmp_path / f"dotsim_ros-{os.getuid()}"
+    open_to_all.mkdir()
+    open_to_all.chmod(0o777)
+    monkeypatch.setenv("DOTSIM_ROS_CACHE", "/proc/nowhere")
+    found = usable_folder("DOTSIM_ROS_CACHE", None)
+    assert (found.parent, found.stat().st_mode & 0o777) == (tmp_path, 0o700)
+    # Processes that this one starts keep in the same folder.
+    assert cache_directory() == found == Path(os.environ["DOTSIM_ROS_CACHE"])
+
+
+def test_an_answer_that_cannot_be_kept_ends_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "file").write_text("a file")
+    path = tmp_path / "file" / "answer.npz"
+    keep_arrays(path, {"answer": np.ones(3)})
+    assert "is not kept, and will be computed again" in caplog.text
+    assert load_arrays(path) is None
