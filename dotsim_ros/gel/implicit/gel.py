@@ -79,8 +79,8 @@ PATCH_MARGIN_M = 2.2e-3
 PATCH_KEPT_M = 1.0e-3
 """...which is kept while it holds all that are closer than this."""
 BORNE_WITHIN_M = 20.0e-6
-"""A marker that another one bears for is still borne where it leaves the indenter by less: or it
-would bear its own, be pressed, and be borne again by turns, and the force would not settle."""
+"""A marker that another one bears for is still borne where it leaves the indenter by less. Without
+this it alternates between the two, and the force does not settle."""
 REGION_RADIUS_M = 2.4e-3
 """Cells closer than this to a marker in contact are assembled anew..."""
 REGION_MARGIN_M = 0.8e-3
@@ -90,14 +90,14 @@ REGION_GRADIENT = 0.2
 cells keep the stiffness that they have at rest, Newton's method diverges once theirs is twice that:
 at 0.4, it does so in presses of 3 mm."""
 LARGEST_CONTRACTION = 0.7
-"""In a gel that hardly gives in volume it does so earlier: a gradient g turns what keeps the volume,
-whose stiffness is K in place of mu, so that a step leaves g^2 K / mu of the error before it. The
-limit is lower where that would be more than this share; at 1, the force under a punch that was held
-went up and down by 0.7 % without end."""
+"""In a nearly incompressible gel it does so earlier: a gradient g rotates the volumetric stiffness,
+which is K in place of mu, so that a step leaves g^2 K / mu of the error before it. The limit is
+lower where that would be more than this share; at 1, the force under a punch at rest went up and
+down by 0.7 % without end."""
 REGION_KEPT = 1.25
 """A region is kept while no cell outside is strained by more than so many times the limit."""
 SLOW_SHARE = 0.5
-"""Once a search converges slowly, the limit is this share of it."""
+"""Once a search converges slowly, the limit is multiplied by this."""
 FAR_TOLERANCES = 2.0
 """Forces out of balance far from the contact wait where they move the skin by less than about so
 many tolerances."""
@@ -425,8 +425,8 @@ class ImplicitGel:
         response, patch = world.response, world.patch
         wrench, penetration, count = Wrench(), 0.0, 0
         if response is not None and patch is not None:
-            # What the gel bears. The indenter's answer at its markers is off by as much as these are
-            # from balance: a micrometre of the skin is a tenth of the pressure.
+            # Of what the gel bears: the contact law's forces at these markers are off by as much as
+            # the markers are from balance, and a micrometre of the skin is a tenth of the pressure.
             marker = patch.marker
             wrench = wrench_on_indenter(world.skin_position_m[marker], world.marker_force_n[marker])
             penetration = max(0.0, -float(response.distance_m.min(initial=np.inf)))
