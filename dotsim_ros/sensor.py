@@ -69,7 +69,8 @@ class Frame:
         wrench: force and torque of the gel on the indenter, about the base frame's origin.
         max_penetration_m: largest penetration of a marker into the indenter.
         timings_s: seconds spent on contact, solve, depth, image.
-        converged: whether the gel's solver met its tolerance.
+        converged: whether the gel's solver expects to be within its tolerance of an equilibrium,
+            on the skin and in the force: docs/gel.md.
         idle_image: (H, W, 3) uint8, the image without contact; shared by all frames, not to be
             written to.
         max_skin_motion_m: largest distance of a skin marker from its position at rest.
