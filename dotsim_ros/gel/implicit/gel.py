@@ -461,21 +461,22 @@ class ImplicitGel:
         return self._from_touch(start, path) if world.response is None else list(path)
 
     def _from_touch(self, start: Pose, path: list[Pose]) -> list[Pose | None]:
-        """Return the part of a path that touches the gel at rest, in moves that are shorter; the
-        last pose alone where none does."""
+        """Return the part of a straight path that touches the gel at rest, in moves that are
+        shorter; the last pose alone where none does."""
+        end = path[-1]
         while len(path) > 1 and not self._touches_rest(path[0]):
             start = path.pop(0)
         if not self._touches_rest(path[0]):
-            return [path[0]]
-        longest_m = TOUCH_SHARE * self.discretization.spacing_m
+            return [end]
+        way = way_m(start, end, self.contact.indenter)
+        move_m = TOUCH_SHARE * self.discretization.spacing_m
+        # Counted from the end: a start that is a little farther away changes none of them.
+        shares = [1.0 - k * move_m / way for k in range(int(way / move_m), 0, -1)]
         short: list[Pose | None] = []
-        for waypoint in path:
-            count = max(1, math.ceil(way_m(start, waypoint, self.contact.indenter) / longest_m))
-            poses = [interpolate(start, waypoint, k / count) for k in range(1, count)]
-            short += [pose for pose in poses if short or self._touches_rest(pose)]
-            short.append(waypoint)
-            start = waypoint
-        return short
+        for pose in (interpolate(start, end, share) for share in shares):
+            if short or self._touches_rest(pose):
+                short.append(pose)
+        return [*short, end]
 
     def _shares_near(self, start: Pose, end: Pose) -> tuple[float, float]:
         """Return between which shares of the straight way the indenter can meet the gel at all; an
