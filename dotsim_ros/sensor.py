@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 import warnings
 from collections.abc import Callable, Mapping
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
+from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, body_of, make_gel, skin_of
@@ -67,7 +69,8 @@ class Frame:
         wrench: force and torque of the gel on the indenter, about the base frame's origin.
         max_penetration_m: largest penetration of a marker into the indenter.
         timings_s: seconds spent on contact, solve, depth, image.
-        converged: whether the gel's solver met its tolerance.
+        converged: whether the gel's solver expects to be within its tolerance of an equilibrium,
+            on the skin and in the force: docs/gel.md.
         idle_image: (H, W, 3) uint8, the image without contact; shared by all frames, not to be
             written to.
         max_skin_motion_m: largest distance of a skin marker from its position at rest.
@@ -155,6 +158,11 @@ def _whole_view(camera: Camera) -> _View:
 class TactileSensor:
     """One sensor with one indenter.
 
+    For one thread at a time, since a press goes on from the one before it. A call that moves the
+    gel raises RuntimeError while another thread's is running, and, once two threads were found to
+    do so, in any thread but that of the last reset. Threads that hold a lock of their own from a
+    reset to the last step of a motion may share a sensor. `see` waits for its turn instead.
+
     The noise of an image is drawn by the sensor's `noise.seed` and the frame's `time_s`, so the
     same motion after a reset gives the same images to the last bit; `reset` can take another seed.
 
@@ -177,6 +185,9 @@ class TactileSensor:
         device: str = "cpu",
         progress: Callable[[float], None] | None = None,
     ) -> None:
+        self.exclusive_use = ExclusiveUse("sensor")
+        # Images have no past: what two threads ask for is right one after the other.
+        self._images = threading.RLock()
         self.specification, self.device, self.indenter = specification, device, indenter
         self.skin = skin_of(specification.gel)
         self.whole_camera = Camera.from_specification(specification.camera)
@@ -292,13 +303,14 @@ class TactileSensor:
                 "a network completes the image of this sensor, and knows its whole view only: cut "
                 "and resize the finished image"
             )
-        before = self.camera, self._view
-        self.camera, self._view = camera, view
-        try:
-            self._make_images()
-        except ValueError:
-            self.camera, self._view = before
-            raise
+        with self._images:
+            before = self.camera, self._view
+            self.camera, self._view = camera, view
+            try:
+                self._make_images()
+            except ValueError:
+                self.camera, self._view = before
+                raise
 
     def _make_images(self) -> None:
         """Make what renders for the camera, from the idle frame of the whole one."""
@@ -334,12 +346,13 @@ class TactileSensor:
             ValueError: as `fit_idle_image`; the image before stays.
         """
         fitted = fit_idle_image(image, self.whole_camera, disc=disc)
-        before = self._own_idle
-        self._own_idle = IdleFrame(fitted, before.lighting, before.vignetting)
-        if self.specification.camera.colour == "grey":
-            self._own_idle = self._own_idle.as_grey()
-        self._make_images()
-        self._warn_of_misfit()
+        with self._images:
+            before = self._own_idle
+            self._own_idle = IdleFrame(fitted, before.lighting, before.vignetting)
+            if self.specification.camera.colour == "grey":
+                self._own_idle = self._own_idle.as_grey()
+            self._make_images()
+            self._warn_of_misfit()
 
     def _warn_of_misfit(self) -> None:
         """Warn where the idle image was not taken through this sensor's camera."""
@@ -355,6 +368,7 @@ class TactileSensor:
                 stacklevel=3,
             )
 
+    @exclusive(begins=True)
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and return to rest."""
         self._solvers.set_indenter(indenter)
@@ -383,6 +397,7 @@ class TactileSensor:
             ),
         )
 
+    @exclusive()
     def set_solver(self, solver: SolverSpecification, *, largest_jump_m: float = np.inf) -> float:
         """Go on with another solver from where the indenter is, with the friction that there is.
 
@@ -403,6 +418,7 @@ class TactileSensor:
         self.specification = replace(self.specification, solver=solver)
         return jump_m
 
+    @exclusive(begins=True)
     def reset(self, *, noise_seed: int | None = None) -> None:
         """Return to rest; time begins anew, and with it the noise of the images.
 
@@ -434,6 +450,7 @@ class TactileSensor:
         assert placed is not None
         return self._rest_depth(placed)
 
+    @exclusive()
     def place(self, pose: Pose | ApexPose) -> None:
         """Put the indenter to a pose at which it does not touch the gel, without a way there.
 
@@ -447,6 +464,7 @@ class TactileSensor:
         assert placed is not None
         self._gel.place(placed)
 
+    @exclusive()
     def wrench_stiffness(self) -> FloatArray:
         """Return minus the derivative (6, 6) of the wrench on the indenter by its twist at the last
         pose, both about the base frame's origin: as `wrench_stiffness.wrench_stiffness` has it.
@@ -456,6 +474,7 @@ class TactileSensor:
         """
         return self._gel.wrench_stiffness()
 
+    @exclusive()
     def press(self, pose: Pose | ApexPose | None, dt_s: float = FRAME_S) -> GelFrame:
         """Move the indenter to a pose in the base frame (None: away) and return the gel.
 
@@ -486,6 +505,7 @@ class TactileSensor:
         self._time_s += dt_s
         return replace(gel, time_s=self._time_s)
 
+    @exclusive()
     def press_to_force(
         self, start: Pose | ApexPose, force_n: float, dt_s: float = FRAME_S
     ) -> tuple[GelFrame, Pose]:
@@ -528,6 +548,10 @@ class TactileSensor:
             gel: from `press`.
             pose: of the indenter, that `press` was given.
         """
+        with self._images:
+            return self._seen(gel, self._placed(pose))
+
+    def _seen(self, gel: GelFrame, pose: Pose | None) -> Frame:
         clock = time.perf_counter
         start = clock()
         view = self._renderer.render(gel.skin_position_m)
@@ -542,7 +566,7 @@ class TactileSensor:
         timings = {**gel.timings_s, "depth": seen - start, "image": clock() - seen}
         return Frame(
             time_s=gel.time_s,
-            indenter_pose=self._placed(pose),
+            indenter_pose=pose,
             image=image,
             depth_m=view.depth_m,
             normal=view.normal,
@@ -565,7 +589,8 @@ class TactileSensor:
         Args:
             before_m, after_m: (V, 3) the skin then and now, base frame.
         """
-        view = self._renderer.render(after_m)
+        with self._images:
+            view = self._renderer.render(after_m)
         return image_motion_px(view, self.skin.triangles, self.camera.project(before_m))
 
     def marker_motion(self, skin_position_m: FloatArray) -> MarkerMotion:
@@ -584,6 +609,7 @@ class TactileSensor:
             )
         return self.markers.motion(skin_position_m, self.camera)
 
+    @exclusive()
     def step(self, pose: Pose | ApexPose | None, dt_s: float = FRAME_S) -> Frame:
         """Return the frame after a move of the indenter: `press`, then `see`.
 

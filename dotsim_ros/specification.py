@@ -361,7 +361,8 @@ class SolverSpecification:
         unit="m",
         low=1e-12,
         high=1e-3,
-        help="Newton's method ends when an iteration moves no marker farther.",
+        help="Newton's method ends when it expects to be this close to the equilibrium on the "
+        "skin, and within 1 % of the force for each 1e-5 m of it.",
     )
     iterations: int = quantity(15, low=1, high=1000, help="Most Newton iterations of a substep.")
     friction_passes: int = quantity(

@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import Any
 
 from dotsim_ros.cores import available_core_count, keep_single_threaded
+from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.gel.implicit.gel import GelState
 from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter
@@ -105,6 +106,7 @@ class GelBatch:
                 "one of each"
             )
         count = min(environment_count, worker_count or available_core_count())
+        self.exclusive_use = ExclusiveUse("batch of gels")
         self.environment_count = environment_count
         self._shares: list[_Share] = []
         self._lost: GelWorkerError | None = None
@@ -138,6 +140,7 @@ class GelBatch:
     ) -> None:
         self.close()
 
+    @exclusive()
     def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
         """Move the indenter of every environment to its pose (None: away) and find the gel.
 
@@ -156,10 +159,12 @@ class GelBatch:
         found = self._ask(lambda _share: ("follow",))
         return [state for states in found for state in states]
 
+    @exclusive(begins=True)
     def reset(self) -> None:
         """Return every environment to rest."""
         self._ask(lambda _share: ("reset",))
 
+    @exclusive(begins=True)
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter of every environment and forget their states."""
         self._ask(lambda _share: ("set_indenter", indenter))

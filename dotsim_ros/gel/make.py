@@ -37,7 +37,8 @@ class GelFrame:
         skin_position_m: (V, 3) skin markers, base frame.
         wrench: of the gel on the indenter.
         max_penetration_m: largest penetration of a marker into the indenter.
-        converged: whether the gel's solver met its tolerance.
+        converged: whether the gel's solver expects to be within its tolerance of an equilibrium,
+            on the skin and in the force: docs/gel.md.
         timings_s: seconds spent on contact and solve.
         time_s: simulated time since the last reset.
     """

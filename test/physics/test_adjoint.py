@@ -246,7 +246,11 @@ def test_gradient_by_a_common_motion_of_all_poses(index: int) -> None:
 
 @pytest.mark.parametrize("index", range(6))
 def test_gradient_by_an_offset_in_the_indenters_frame(index: int) -> None:
-    case = replace(SLIDING, indenter=BLUNT_CONE, twist=(0.0, 0.0, 0.0, 0.04, -0.02, 0.03))
+    # From a pose in the air: without one the way to the first pose in the gel comes along the
+    # indenter's axis, and turns with it.
+    path = ((0.0, 0.0005, 0.0005), *SLIDING.path)
+    twist = (0.0, 0.0, 0.0, 0.04, -0.02, 0.03)
+    case = replace(SLIDING, indenter=BLUNT_CONE, path=path, twist=twist)
     step = 1e-8 if index < 3 else 1e-6
     derivative = float(adjoint(case).indenter_offset[index])
     if index == 5:

@@ -74,7 +74,7 @@ def test_the_sign_of_a_kernel_is_noticed(tmp_path: Path) -> None:
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=skipped)
     kernels = tmp_path / "dotsim_ros" / "gel" / "implicit" / "contact_kernels.py"
     text = kernels.read_text(encoding="utf-8")
-    friction = "                f -= k * s\n"
+    friction = "                f -= (a * law.tangential_stiffness) * s\n"
     assert text.count(friction) == 1
     kernels.write_text(text.replace(friction, friction.replace("-=", "+=")), encoding="utf-8")
     # What the changed code computes is kept apart.

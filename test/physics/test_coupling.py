@@ -144,7 +144,11 @@ def test_the_stiffness_is_the_derivative_of_the_wrench(sensor: TactileSensor) ->
 
 
 def test_the_stiffness_is_the_derivative_where_markers_slip(sensor: TactileSensor) -> None:
-    sensor.set_indenter(load_indenter("sphere_4mm"))
+    # Over 5 um the force changes by a third of what the sensor's own tolerance leaves of it.
+    solver = replace(sensor.specification.solver, tolerance_m=1.0e-7, iterations=50)
+    sensor = TactileSensor.load(
+        replace(sensor.specification, solver=solver), indenter=load_indenter("sphere_4mm")
+    )
     stiffness, force_n = {}, {}
     # As in a slide that is half way to the limit, and next to it; then all of them slip.
     for slid_um in (0, 50, 100, 150, 200, 250, 300, 350, 355, 400, 450, 500, 505, 550, 600):
@@ -154,7 +158,7 @@ def test_the_stiffness_is_the_derivative_where_markers_slip(sensor: TactileSenso
     for slid_um in (350, 500):
         change_n = force_n[slid_um] - force_n[slid_um + 5]
         assert change_n / 5e-6 == pytest.approx(stiffness[slid_um], rel=0.05)
-    assert stiffness[350] < 0.9 * stiffness[0]
+    assert stiffness[500] < 0.5 * stiffness[350] < 0.475 * stiffness[0]
     assert abs(stiffness[600]) < 0.1 * stiffness[0]
 
 

@@ -14,6 +14,7 @@ from dotsim_ros.geometry.indenter import Indenter, box_edge, flat_punch, sphere
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 
 PUNCH_RADIUS_M = 4.0e-3
+GRID_SPACING_M = 2.4e-3
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +40,15 @@ def near_the_apex(skin: SkinMesh, reach_m: float) -> IndexArray:
 
 
 def bearers(
-    skin: SkinMesh, indenter: Indenter, reach_m: float = 5.5e-3, pressed_m: float = np.inf
+    skin: SkinMesh,
+    indenter: Indenter,
+    reach_m: float = 5.5e-3,
+    pressed_m: float = np.inf,
+    grid_spacing_m: float = GRID_SPACING_M,
 ) -> IndexArray:
     marker = near_the_apex(skin, reach_m)
     height = skin.apex_m[2] - 1.0e-3
-    return ContactPoints(skin).bearers(
+    return ContactPoints(skin, grid_spacing_m).bearers(
         marker,
         skin.rest_position_m[marker],
         np.isin(marker, near_the_apex(skin, pressed_m)),
@@ -53,7 +58,7 @@ def bearers(
 
 def test_under_a_flat_face_fewer_bear_for_the_same_area(skin: SkinMesh) -> None:
     bearer = bearers(skin, flat_punch(PUNCH_RADIUS_M, 0.02, 3.0e-4))
-    area = ContactPoints(skin).area_m2(bearer)
+    area = ContactPoints(skin, GRID_SPACING_M).area_m2(bearer)
     assert area.sum() == pytest.approx(skin.rest_area_m2.sum())
     inside = near_the_apex(skin, 3.0e-3)
     assert np.count_nonzero(area[inside]) < 0.5 * len(inside)
@@ -69,6 +74,12 @@ def test_none_bears_for_others_that_is_not_pressed_itself(skin: SkinMesh) -> Non
     given = bearer != every
     assert given.any()
     assert np.isin(bearer[given], near_the_apex(skin, 2.0e-3)).all()
+
+
+def test_on_a_finer_grid_every_marker_bears_its_own(skin: SkinMesh) -> None:
+    punch = flat_punch(PUNCH_RADIUS_M, 0.02, 3.0e-4)
+    bearer = bearers(skin, punch, grid_spacing_m=2.0e-3)
+    assert np.array_equal(bearer, np.arange(skin.vertex_count))
 
 
 def test_beside_an_edge_every_marker_bears_its_own(skin: SkinMesh) -> None:

@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
 from dotsim_ros.cores import single_threaded
+from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.bond import LooseBond, lost_stiffness
 from dotsim_ros.gel.discretization import discretize
@@ -56,7 +57,7 @@ from dotsim_ros.gel.implicit.tangent import (
     inverse_at_rest,
 )
 from dotsim_ros.gel.implicit.wrench_stiffness import wrench_stiffness
-from dotsim_ros.gel.material import Material, PronySeries
+from dotsim_ros.gel.material import Material, PronySeries, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter, warn_of_misfit, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
@@ -67,13 +68,19 @@ FORGOTTEN_N = 1.0e-9
 a released marker would otherwise decay for hundreds of steps, count as contact all the while, and
 end as subnormal numbers, with which a product takes ten times as long."""
 LARGEST_SUBSTEP_M = 0.6e-3
-"""The indenter moves no farther in a substep, so that no marker passes through it."""
+"""The indenter moves no farther in a substep, so that no marker passes through it..."""
+TOUCH_SHARE = 0.05
+"""...and in a step that begins without contact by no more than this share of the grid's spacing:
+friction then follows the contact as it grows, and no marker is thrown off an edge or a tip."""
 NEAR_M = 5.0e-3
 """An indenter that is farther from the ball around the gel is on a way that touches nothing."""
 PATCH_MARGIN_M = 2.2e-3
 """Markers closer to the indenter than this are in a new patch..."""
 PATCH_KEPT_M = 1.0e-3
 """...which is kept while it holds all that are closer than this."""
+BORNE_WITHIN_M = 20.0e-6
+"""A marker that another one bears for is still borne where it leaves the indenter by less. Without
+this it alternates between the two, and the force does not settle."""
 REGION_RADIUS_M = 2.4e-3
 """Cells closer than this to a marker in contact are assembled anew..."""
 REGION_MARGIN_M = 0.8e-3
@@ -82,9 +89,21 @@ REGION_GRADIENT = 0.2
 """...and cells that are strained or turned, by the norm of their displacement's gradient. Where
 cells keep the stiffness that they have at rest, Newton's method diverges once theirs is twice that:
 at 0.4, it does so in presses of 3 mm."""
-REGION_GRADIENT_KEPT = 0.25
-"""A region is kept while no cell outside is strained by more; once a search converges slowly, only
-while none is by more than `REGION_GRADIENT`."""
+LARGEST_CONTRACTION = 0.7
+"""In a nearly incompressible gel it does so earlier: a gradient g rotates the volumetric stiffness,
+which is K in place of mu, so that a step leaves g^2 K / mu of the error before it. The limit is
+lower where that would be more than this share; at 1, the force under a punch at rest went up and
+down by 0.7 % without end."""
+REGION_KEPT = 1.25
+"""A region is kept while no cell outside is strained by more than so many times the limit."""
+SLOW_SHARE = 0.5
+"""Once a search converges slowly, the limit is multiplied by this."""
+FAR_TOLERANCES = 2.0
+"""Forces out of balance far from the contact wait where they move the skin by less than about so
+many tolerances."""
+SEEN_EVERY = 8
+"""Of the skin's markers, one in so many shows how far an iteration moves the skin: they lie closer
+together than the grid can bend."""
 FAR_SLIDE_M = 0.1e-3
 """A marker that slides farther in a substep follows the indenter's surface, not a straight line."""
 NEIGHBOURS = 4
@@ -227,12 +246,13 @@ class ImplicitGel:
         exact: bool = False,
         progress: Callable[[float], None] | None = None,
     ) -> None:
+        self.exclusive_use = ExclusiveUse("gel")
         self.shape, self.skin, self.material, self.solver = shape, skin, material, solver
         self.contact_specification, self.device = contact, device
         self.environment_count, self.exact = environment_count, exact
         self.discretization = discretize(shape, skin.rest_position_m, solver.grid_spacing_m)
         d = self.discretization
-        self.points = ContactPoints(skin)
+        self.points = ContactPoints(skin, solver.grid_spacing_m)
         self.skin_weight = d.skin_interpolation.matrix(d.node_count)
         lost_bond = None if bond is None else lost_stiffness(shape, d, bond, material.law)
         self.body = ElasticBody(
@@ -251,6 +271,13 @@ class ImplicitGel:
             lost_bond=lost_bond,
         )
         self._relaxation = [Relaxation(material.prony) for _ in range(environment_count)]
+        youngs_pa, bulk_pa = small_strain_moduli_pa(material.law)
+        shear_pa = 3.0 * bulk_pa * youngs_pa / (9.0 * bulk_pa - youngs_pa)
+        self._region_gradient = min(
+            REGION_GRADIENT, math.sqrt(LARGEST_CONTRACTION * shear_pa / bulk_pa)
+        )
+        self._seen_weight = self.skin_weight[::SEEN_EVERY]
+        self._far_n_m = FAR_TOLERANCES * youngs_pa * d.spacing_m
         self._mass = d.mass_over_density * material.density_kg_m3
         local: LocalTangent | None = None
         self.refinement: Refinement | None = None
@@ -281,11 +308,13 @@ class ImplicitGel:
         count = int(np.ceil(np.ptp(shape.bounds_m(), axis=0)[:2].max() / CORE_CLEARANCE_M)) + 1
         base = np.linspace(lower, upper, count)
         plane = np.stack(np.meshgrid(base[:, 0], base[:, 1], [0.0]), axis=-1).reshape(-1, 3)
-        self._rigid_points_m = np.concatenate([shape.bonded_surface(1.0e-3)[0], plane])
+        self._rigid = cKDTree(np.concatenate([shape.bonded_surface(1.0e-3)[0], plane]))
+        self._skin_at_rest = cKDTree(skin.rest_position_m)
         self.trace = Trace()
         self.observer: Observer | None = None
         self.set_indenter(indenter)
 
+    @exclusive(begins=True)
     def set_indenter(self, indenter: Indenter) -> None:
         """Replace the indenter and forget the state."""
         warn_of_misfit(indenter, self.skin.rest_position_m)
@@ -306,6 +335,7 @@ class ImplicitGel:
         )
         return inverse_at_rest(bonded)
 
+    @exclusive(begins=True)
     def set_relaxation(self, relaxation: PronySeries) -> None:
         """Replace the gel's relaxation and return to rest."""
         self.material = replace(self.material, prony=relaxation)
@@ -315,6 +345,7 @@ class ImplicitGel:
                 body.set_history(1.0, nothing, environment)
         self.reset()
 
+    @exclusive(begins=True)
     def reset(self) -> None:
         """Return every environment to rest."""
         self.worlds = [self._fresh_world() for _ in range(self.environment_count)]
@@ -326,6 +357,7 @@ class ImplicitGel:
         rest = self.skin.rest_position_m
         return World(np.zeros(shape), np.zeros(shape), np.zeros_like(rest), rest.copy())
 
+    @exclusive()
     def step(self, poses: Sequence[Pose | None], dt_s: float) -> list[GelState]:
         """Move the indenter of every environment to its pose (None: away) and find the gel.
 
@@ -340,6 +372,7 @@ class ImplicitGel:
         """
         return self.follow(self.plan(poses, dt_s), dt_s)
 
+    @exclusive()
     def plan(self, poses: Sequence[Pose | None], dt_s: float) -> list[list[Pose | None]]:
         """Return the poses of the substeps on the way to a pose in every environment, and move
         nothing; arguments and errors are those of `step`."""
@@ -349,6 +382,7 @@ class ImplicitGel:
             raise ValueError(f"dt_s is {dt_s}, expected a positive number of seconds")
         return [self._path(world, pose) for world, pose in zip(self.worlds, poses, strict=True)]
 
+    @exclusive()
     def place(self, environment: int, pose: Pose) -> None:
         """Put the indenter of an environment to a pose at which it touches nothing, without a way
         there; no time passes, and the next step leads on from this pose."""
@@ -359,6 +393,7 @@ class ImplicitGel:
             self._come_to_rest(world)
         world.pose = pose
 
+    @exclusive()
     @single_threaded()
     def follow(self, paths: Sequence[Sequence[Pose | None]], dt_s: float) -> list[GelState]:
         """Move along paths that `plan` has found for the same duration."""
@@ -370,7 +405,7 @@ class ImplicitGel:
         Raises:
             PressTooDeepError: it comes too close to what the gel is bonded to.
         """
-        clearance = self._nearest_m(self._rigid_points_m, pose, CORE_CLEARANCE_M)
+        clearance = self._nearest_m(self._rigid, pose, CORE_CLEARANCE_M)
         if clearance < CORE_CLEARANCE_M:
             raise PressTooDeepError(
                 f"the indenter at {np.round(pose.position_m * 1e3, 2).tolist()} mm comes within "
@@ -390,7 +425,10 @@ class ImplicitGel:
         response, patch = world.response, world.patch
         wrench, penetration, count = Wrench(), 0.0, 0
         if response is not None and patch is not None:
-            wrench = wrench_on_indenter(world.skin_position_m[patch.marker], response.force_n)
+            # Of what the gel bears: the contact law's forces at these markers are off by as much as
+            # the markers are from balance, and a micrometre of the skin is a tenth of the pressure.
+            marker = patch.marker
+            wrench = wrench_on_indenter(world.skin_position_m[marker], world.marker_force_n[marker])
             penetration = max(0.0, -float(response.distance_m.min(initial=np.inf)))
             count = int(np.count_nonzero(response.pressure_pa))
         return GelState(
@@ -420,9 +458,25 @@ class ImplicitGel:
         path = [interpolate(start, pose, k / count) for k in near] + [pose]
         for waypoint in path:
             self.check_depth(waypoint)
-        while len(path) > 1 and world.response is None and not self._touches_rest(path[0]):
-            path.pop(0)
-        return list(path)
+        return self._from_touch(start, path) if world.response is None else list(path)
+
+    def _from_touch(self, start: Pose, path: list[Pose]) -> list[Pose | None]:
+        """Return the part of a straight path that touches the gel at rest, in moves that are
+        shorter; the last pose alone where none does."""
+        end = path[-1]
+        while len(path) > 1 and not self._touches_rest(path[0]):
+            start = path.pop(0)
+        if not self._touches_rest(path[0]):
+            return [end]
+        way = way_m(start, end, self.contact.indenter)
+        move_m = TOUCH_SHARE * self.discretization.spacing_m
+        # Counted from the end: a start that is a little farther away changes none of them.
+        shares = [1.0 - k * move_m / way for k in range(int(way / move_m), 0, -1)]
+        short: list[Pose | None] = []
+        for pose in (interpolate(start, end, share) for share in shares):
+            if short or self._touches_rest(pose):
+                short.append(pose)
+        return [*short, end]
 
     def _shares_near(self, start: Pose, end: Pose) -> tuple[float, float]:
         """Return between which shares of the straight way the indenter can meet the gel at all; an
@@ -459,18 +513,20 @@ class ImplicitGel:
         """Return whether the indenter meets the gel at rest: its skin, or all of it within."""
         if self._shape.contains(pose.apply(self._inner_point_m)):
             return True
-        return self._nearest_m(self.skin.rest_position_m, pose, ONSET_M) < ONSET_M
+        return self._nearest_m(self._skin_at_rest, pose, ONSET_M) < ONSET_M
 
-    def _nearest_m(self, points_m: FloatArray, pose: Pose, reach_m: float) -> float:
-        """Return the least distance of points (N, 3) from the indenter, inf where all are farther
-        from the box around it than `reach_m`."""
-        local = (points_m - pose.position_m) @ pose.rotation()
+    def _nearest_m(self, points: cKDTree, pose: Pose, reach_m: float) -> float:
+        """Return the least distance of points from the indenter, inf where all are farther than
+        `reach_m` from the ball around it."""
         lower, upper = self.contact.indenter.bounds_m()
-        near = np.all((local > lower - reach_m) & (local < upper + reach_m), axis=1)
-        if not near.any():
+        radius_m = 0.5 * float(np.linalg.norm(upper - lower))
+        near = points.query_ball_point(pose.apply(0.5 * (lower + upper)), radius_m + reach_m)
+        if not near:
             return np.inf
-        return float(self.contact.indenter.signed_distance(local[near]).min())
+        local = (points.data[near] - pose.position_m) @ pose.rotation()
+        return float(self.contact.indenter.signed_distance(local).min())
 
+    @exclusive()
     @single_threaded()
     def wrench_stiffness(self, environment: int) -> FloatArray:
         """Return minus the derivative (6, 6) of the wrench on the indenter by its twist, both about
@@ -585,10 +641,14 @@ class ImplicitGel:
                 chosen, self.skin.rest_position_m, self.skin_weight, self.refinement
             )
         marker = world.patch.marker
+        is_pressed = (distance[marker] < 0.0) | (world.history.pressure_pa[marker] > 0.0)
+        if world.bearer is not None:
+            is_borne = world.bearer[marker] != marker
+            is_pressed |= is_borne & (distance[marker] < BORNE_WITHIN_M)
         world.bearer = self.points.bearers(
             marker,
             world.skin_position_m[marker],
-            (distance[marker] < 0.0) | (world.history.pressure_pa[marker] > 0.0),
+            is_pressed,
             lambda position_m: self._answer(world, pose, marker, position_m).normal,
         )
         self.contact.set_area(self.points.area_m2(world.bearer))
@@ -659,14 +719,14 @@ class ImplicitGel:
                 return tangents.exact.factor(displacement, environment)
             gradient = local.cell_gradient(displacement)
             if at_m is None:
-                limits = (REGION_GRADIENT, REGION_GRADIENT_KEPT)
+                limits = (self._region_gradient, REGION_KEPT * self._region_gradient)
                 region = self._region(
                     world, world.region, near, local, gradient, limits, environment
                 )
                 world.region = region
             else:
                 # For this substep alone: it makes each of them slower.
-                limits = (REGION_GRADIENT, REGION_GRADIENT)
+                limits = (SLOW_SHARE * self._region_gradient,) * 2
                 region = wide = self._region(
                     world, wide, near, local, gradient, limits, environment
                 )
@@ -689,6 +749,8 @@ class ImplicitGel:
             linearise,
             at_rest,
             self.contact.least_compliance_m_n,
+            self._seen_weight,
+            self._far_n_m * self.solver.tolerance_m,
         )
 
     def _region(

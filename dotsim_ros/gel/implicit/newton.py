@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactResponse, Lag
@@ -37,8 +38,12 @@ SMALLEST_SCALE = 1.0e-3
 CONTRACTION = 0.25
 """Share of an iteration's step that the next one is expected to take, until one is measured."""
 SMALLEST_CONTRACTION = 0.15
-LEFT_SHARE = 0.3
-"""Share of the tolerance that an iteration may leave to the one after it."""
+LEFT_SHARE = 0.2
+"""Share of the tolerances that an iteration may leave to the one after it."""
+FORCE_TOLERANCE_PER_M = 1.0e3
+"""Tolerance of the force on the indenter as a share of it, by the tolerance of the skin: 1 % at
+0.01 mm. That of the skin does not bound it: in a gel that hardly gives in volume, 0.01 mm of skin
+can be a tenth of the force."""
 CONTACT_SHARE = 0.3
 """Share of the tolerance to which the contact of the linear gel is solved."""
 LARGEST_CONTACT_TOLERANCE_M = 3.0e-6
@@ -97,6 +102,8 @@ class EquilibriumProblem:
             at the displacements (N, 3) given.
         at_rest: the step (3 N,) that answers forces (3 N,) on a gel that nothing touches.
         contact_compliance_m_n: the least of any marker against the indenter.
+        seen_weight: (M, N) weights of the nodes in markers all over the skin.
+        far_n: forces out of balance far away may wait below this.
     """
 
     patch: Patch | None
@@ -107,6 +114,8 @@ class EquilibriumProblem:
     linearise: Callable[[NearMarkers, FloatArray | None], Factor]
     at_rest: Callable[[FloatArray], FloatArray]
     contact_compliance_m_n: float
+    seen_weight: sparse.csr_matrix
+    far_n: float
 
     def at(self, displacement_m: FloatArray, force_n: FloatArray, lag: Lag) -> Point:
         """Return the point of displacements (N, 3) and forces (C, 3) on the patch's markers."""
@@ -149,7 +158,7 @@ class Trace:
 class _NewtonStep:
     """A step of the nodes (N, 3), of the forces on the patch's markers (C, 3), and of what the
     refinement adds under them (C, 3); where it takes the markers (C, 3), how the indenter answers
-    there under which lag; how far it moves any marker that took part; the energy's slope along
+    there under which lag; how far it moves any marker of the skin; the energy's slope along
     it; whether the contact was solved."""
 
     displacement_m: FloatArray
@@ -211,7 +220,7 @@ class EquilibriumSearch:
         clock = time.perf_counter()
         point = self.problem.at(displacement_m, guess.force_n, lag)
         self.trace.add("force", clock)
-        last_m = np.inf
+        last_m = last = np.inf
         iteration, allowed = 0, self.solver.iterations
         while iteration < allowed:
             iteration += 1
@@ -220,11 +229,10 @@ class EquilibriumSearch:
                 self._be_careful()
                 step = self._step(point, lag, guess)
             guess, lag = _after(point, step), step.lag
-            if last_m < np.inf:
-                measured = step.largest_m / last_m
-                self.contraction = float(np.clip(measured, SMALLEST_CONTRACTION, 1.0))
-            left_m = step.largest_m * self.contraction
-            if step.is_solved and left_m < LEFT_SHARE * self.solver.tolerance_m:
+            size = self._in_tolerances(point, step)
+            if last < np.inf:
+                self.contraction = float(np.clip(size / last, SMALLEST_CONTRACTION, 1.0))
+            if step.is_solved and size * self.contraction < LEFT_SHARE:
                 self.trace.moves.append((step.largest_m, 1.0))
                 return self._ended(self._after(point, step)), iteration, True
             trial, scale = self._search_line(point, step)
@@ -239,9 +247,18 @@ class EquilibriumSearch:
             is_slow = self.is_careful or step.largest_m > SLOW_CONVERGENCE * last_m
             if is_slow and iteration < allowed:
                 self._relinearise(trial)
-            last_m = step.largest_m if scale == 1.0 else np.inf
+            last_m, last = (step.largest_m, size) if scale == 1.0 else (np.inf, np.inf)
             point = trial
         return self._ended(point), iteration, False
+
+    def _in_tolerances(self, point: Point, step: _NewtonStep) -> float:
+        """Return how large a step is, of the skin or of the force, as a multiple of its
+        tolerance."""
+        change_n = step.force_n.sum(axis=0)
+        before_n = point.force_n.sum(axis=0)
+        force_n = max(np.linalg.norm(before_n), np.linalg.norm(before_n + change_n))
+        share = 0.0 if force_n == 0.0 else float(np.linalg.norm(change_n) / force_n)
+        return max(step.largest_m, share / FORCE_TOLERANCE_PER_M) / self.solver.tolerance_m
 
     def _energy_j(self, point: Point, response: ContactResponse) -> float:
         added_j = 0.5 * float(np.vdot(point.force_n, point.added_m))
@@ -317,7 +334,8 @@ class EquilibriumSearch:
         position = point.position_m + moved
         response = self.problem.respond(patch.marker, position, renewed)
         self.trace.add("solve", clock)
-        largest = float(np.abs(moved[rows]).max())
+        seen = np.abs(self.problem.seen_weight @ displacement)
+        largest = float(max(np.abs(moved[rows]).max(), seen.max()))
         return _NewtonStep(
             displacement,
             force,
@@ -386,7 +404,7 @@ class EquilibriumSearch:
         if isinstance(factor, LocalFactor) and not self.is_slow:
             inside = float(np.linalg.norm(right[factor.region.dof]))
             outside = np.sqrt(max(0.0, float(right @ right) - inside * inside))
-            if outside < FAR_SHARE * inside:
+            if outside < min(FAR_SHARE * inside, self.problem.far_n):
                 return factor.solve_near(right)
         return factor.solve(right)
 

@@ -56,14 +56,14 @@ REALTIME = Profile(
     "realtime",
     "two Newton iterations and 0.6 mm of motion a frame; skin within 1 mm of exact",
     grid_factor=1.0,
-    smallest_tolerance_m=100.0e-6,
+    smallest_tolerance_m=30.0e-6,
     largest_iterations=2,
     move_m=LARGEST_SUBSTEP_M,
     skin_error_m=1.0e-3,
 )
 """A frame that takes too long is late, has a longer way to go next time, and takes too long again:
 better one that misses the tolerance, which is reported. Newton's method ends where it expects to be
-right to a third of the tolerance, which saves the second solve of most frames; the next frame
+right to a fifth of the tolerance, which saves the second solve of most frames; the next frame
 continues from there. A frame that took long must not make the next one take longer: with two
 substeps a slide had two steady states, one frame of 50 ms and 0.5 mm or one of 100 ms and 1 mm, and
 stayed in the second."""

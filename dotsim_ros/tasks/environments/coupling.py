@@ -28,6 +28,7 @@ import numpy as np
 from scipy import linalg
 
 from dotsim_ros.arrays import FloatArray
+from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.gel.make import GelFrame
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.sensor import TactileSensor
@@ -282,17 +283,20 @@ class MujocoGripper:
                 f"coupling_s is {coupling_s}, expected a multiple of MuJoCo's time step of "
                 f"{step_s} s"
             )
+        self.exclusive_use = ExclusiveUse("coupling")
         self.model, self.data, self.coupling_s = model, data, coupling_s
         self.fingers = tuple(CoupledFinger(model, data, finger, move_m) for finger in fingers)
         self._has_warned, self._checked_count = False, 0
         self.reset()
         _coupled[id(data)] = self
 
+    @exclusive(begins=True)
     def reset(self) -> list[GelFrame]:
         """Forget what was pressed, and begin from where MuJoCo's bodies are now."""
         mujoco.mj_forward(self.model, self.data)
         return [finger.reset() for finger in self.fingers]
 
+    @exclusive()
     def step(self) -> list[GelFrame]:
         """Move the world on by `coupling_s`, and return the gels at its end, a finger each.
 
