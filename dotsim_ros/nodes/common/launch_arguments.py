@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from launch import LaunchContext  # type: ignore[attr-defined]
+from launch import LaunchContext
 from launch.actions import DeclareLaunchArgument, LogInfo
 
 from dotsim_ros.documents import is_number, parse_yaml, value_text
