@@ -53,13 +53,13 @@ _HOMES = {
     "dotsim_ros.geometry.pose": ("Pose", "Wrench"),
     "dotsim_ros.geometry.indenter": ("Indenter", "load_indenter"),
     "dotsim_ros.gel.make": ("make_gel_batch",),
-    "dotsim_ros.measured.data_set": ("DataSet", "read_data_set"),
-    "dotsim_ros.measured.data_set_writer": (
+    "dotsim_ros.data.data_set": ("DataSet", "read_data_set"),
+    "dotsim_ros.data.data_set_writer": (
         "DataSetWriter",
         "trajectory_of_frames",
         "write_data_set",
     ),
-    "dotsim_ros.measured.trajectory": ("Trajectory",),
+    "dotsim_ros.data.trajectory": ("Trajectory",),
     "dotsim_ros.calibration.calibrate": ("calibrate",),
     "dotsim_ros.calibration.run": ("Calibration",),
     "dotsim_ros.effects.effect": ("Effect",),
@@ -72,6 +72,13 @@ _HOMES = {
 if TYPE_CHECKING:
     from dotsim_ros.calibration.calibrate import calibrate
     from dotsim_ros.calibration.run import Calibration
+    from dotsim_ros.data.data_set import DataSet, read_data_set
+    from dotsim_ros.data.data_set_writer import (
+        DataSetWriter,
+        trajectory_of_frames,
+        write_data_set,
+    )
+    from dotsim_ros.data.trajectory import Trajectory
     from dotsim_ros.effects.effect import Effect
     from dotsim_ros.effects.library import load_effects
     from dotsim_ros.gap.find import find_gap
@@ -79,13 +86,6 @@ if TYPE_CHECKING:
     from dotsim_ros.gel.make import make_gel_batch
     from dotsim_ros.geometry.indenter import Indenter, load_indenter
     from dotsim_ros.geometry.pose import Pose, Wrench
-    from dotsim_ros.measured.data_set import DataSet, read_data_set
-    from dotsim_ros.measured.data_set_writer import (
-        DataSetWriter,
-        trajectory_of_frames,
-        write_data_set,
-    )
-    from dotsim_ros.measured.trajectory import Trajectory
     from dotsim_ros.sensor import Frame, GelFailureError, TactileSensor
     from dotsim_ros.specification import SensorSpecification, load_sensor, write_sensor
 else:

@@ -15,9 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
-from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
-from dotsim_ros.files import whole_file, write_image
 from dotsim_ros.gel.explicit.gel import DivergenceError
 from dotsim_ros.gel.make import GelFrame, body_of, make_gel, skin_of
 from dotsim_ros.gel.rest_depth import RestDepth
@@ -26,6 +23,11 @@ from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.markers import MarkerMotion, PrintedMarkers
 from dotsim_ros.geometry.pose import ApexPose, Pose, Wrench
+from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
+from dotsim_ros.io.exclusive_use import ExclusiveUse, exclusive
+from dotsim_ros.io.files import whole_file, write_image
+from dotsim_ros.io.progress import FirstTimeNotice
+from dotsim_ros.io.warp_runtime import say_if_kernels_compile
 from dotsim_ros.optics.flow import image_motion_px
 from dotsim_ros.optics.idle import IdleFrame, LitDisc, fit_idle_image, part_of_idle
 from dotsim_ros.optics.image import ImageRenderer
@@ -34,10 +36,8 @@ from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.picture import frame_picture
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.progress import FirstTimeNotice
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, given_sensor
 from dotsim_ros.twin.force_control import pose_at_force
-from dotsim_ros.warp_runtime import say_if_kernels_compile
 
 FRAME_S = 0.04
 """Usual time from one frame to the next: that of `tactile_sim` at its 25 Hz."""

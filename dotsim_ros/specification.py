@@ -26,11 +26,11 @@ import numpy as np
 import yaml
 from numpy.typing import ArrayLike
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import read_yaml, value_text
-from dotsim_ros.files import expanded, shipped_path, whole_file, write_text
-from dotsim_ros.printable import printable
-from dotsim_ros.quantity import (
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import read_yaml, value_text
+from dotsim_ros.io.files import expanded, shipped_path, whole_file, write_text
+from dotsim_ros.io.printable import printable
+from dotsim_ros.io.quantity import (
     check_fields,
     field_table,
     number_text,

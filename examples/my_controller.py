@@ -11,8 +11,8 @@ from sensor_msgs.msg import Image
 
 import msg_adapters
 from dotsim_ros import TactileSensor
+from dotsim_ros.control.policy.network import load_policy
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
-from dotsim_ros.tasks.policy.network import load_policy
 
 
 class MyController(Node):

@@ -9,7 +9,7 @@ from pathlib import Path
 import mujoco
 
 import dotsim_ros
-from dotsim_ros.tasks.environments.coupling import MujocoCoupling
+from dotsim_ros.control.environments.coupling import MujocoCoupling
 
 WORLD = """
 <mujoco>

@@ -19,7 +19,7 @@ import mujoco
 import numpy as np
 
 from dotsim_ros import TactileSensor
-from dotsim_ros.tasks.environments.coupling import Finger, MujocoGripper
+from dotsim_ros.control.environments.coupling import Finger, MujocoGripper
 
 OBJECTS = {"ball": 'type="sphere" size=".005"', "box": 'type="box" size=".005 .005 .005"'}
 WEIGHT_N = 0.05 * 9.81

@@ -12,7 +12,7 @@ import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from dotsim_ros.files import cache_directory
+from dotsim_ros.io.files import cache_directory
 from fuzz.run import TargetSummary, attempt, limit_growth, prepare_in, run_target
 from fuzz.targets import TARGETS
 

@@ -15,13 +15,13 @@ import numpy as np
 import trimesh
 import yaml
 
+from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import active_effects, read_overlay
-from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import MAXIMUM_EXTENT_M, Indenter, load_indenter
-from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.specification import load_sensor
 from fuzz.mutate import spoilt_bytes, spoilt_text, spoilt_tree

@@ -13,12 +13,10 @@ from random import Random
 import numpy as np
 import yaml
 
-from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set import INDEX, DataSet, DataSetEntry, read_data_set
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.reading import Observation, read_observation
-from dotsim_ros.measured.trajectory import (
+from dotsim_ros.data.data_set import INDEX, DataSet, DataSetEntry, read_data_set
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.reading import Observation, read_observation
+from dotsim_ros.data.trajectory import (
     ImageChannel,
     PoseChannel,
     SkinChannel,
@@ -26,6 +24,8 @@ from dotsim_ros.measured.trajectory import (
     WrenchChannel,
     read_trajectory,
 )
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.skin_mesh import dome_skin
 from fuzz.mutate import flipped_bit, spoilt_bytes, spoilt_text, spoilt_tree
 from fuzz.target import Finding, Target, answer
 

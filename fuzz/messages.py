@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import msg_adapters
-from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE, BagMessage
+from dotsim_ros.data.bag import BAG_TYPES, TYPESTORE, BagMessage
 from fuzz.mutate import spoilt_bytes
 from fuzz.target import Finding, Target, answer
 

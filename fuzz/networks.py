@@ -17,12 +17,12 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.control.policy.network import load_policy
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.network.carded_weights import CARD_KEY, GRAPH, WEIGHTS
 from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.policy.network import load_policy
 from fuzz.mutate import spoilt_bytes, spoilt_tree
 from fuzz.target import Target, answer
 

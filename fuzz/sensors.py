@@ -11,7 +11,7 @@ from typing import Any
 
 import yaml
 
-from dotsim_ros.quantity import Quantity, quantities_of
+from dotsim_ros.io.quantity import Quantity, quantities_of
 from dotsim_ros.specification import (
     LARGEST_MEMORY_BYTES,
     SECTIONS,

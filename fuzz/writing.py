@@ -14,13 +14,13 @@ from random import Random
 
 import numpy as np
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.data_set_writer import DataSetWriter
+from dotsim_ros.data.trajectory import PoseChannel, Trajectory
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay, read_overlay, write_overlay
-from dotsim_ros.files import write_image, write_json
 from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.measured.trajectory import PoseChannel, Trajectory
-from dotsim_ros.replacement import replace_files
+from dotsim_ros.io.files import write_image, write_json
+from dotsim_ros.io.replacement import replace_files
 from dotsim_ros.specification import load_sensor, write_sensor
 from fuzz.target import Finding, Target
 

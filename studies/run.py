@@ -32,8 +32,8 @@ from typing import Any
 
 from cyclopts import App, Parameter
 
-from dotsim_ros.files import write_json
-from dotsim_ros.provenance import commit_of, provenance
+from dotsim_ros.io.files import write_json
+from dotsim_ros.io.provenance import commit_of, provenance
 from studies.data import DATA
 from studies.results_page import RESULTS, tables_of
 

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 
 BUSY = """
 import os, sys

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 
-from dotsim_ros.files import cache_directory
+from dotsim_ros.io.files import cache_directory
 
 PROPERTY = "fault"
 AREAS = (

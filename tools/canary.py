@@ -25,10 +25,10 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.files import write_text
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import ApexPose, Pose
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.files import write_text
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, load_sensor
 

@@ -9,13 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.fitting import FitProblem, PressLinearisation
 from dotsim_ros.calibration.loss import FORCE
+from dotsim_ros.data.reading import Observation
+from dotsim_ros.data.trajectory import Topics
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.reading import Observation
-from dotsim_ros.measured.trajectory import Topics
+from dotsim_ros.io.arrays import FloatArray
 
 DEEP_M = 1.0e-3
 """Presses that stay shallower show little of anything but E."""

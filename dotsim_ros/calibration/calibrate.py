@@ -27,13 +27,13 @@ from dotsim_ros.calibration.run import (
     face_drop_m,
     run_calibration,
 )
-from dotsim_ros.cores import single_threaded
-from dotsim_ros.files import check_output_file, check_output_folder
-from dotsim_ros.measured.data_set import DataSet, read_data_set
-from dotsim_ros.measured.split import HELD_OUT_COUNT, hold_out_of_protocols
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
+from dotsim_ros.data.data_set import DataSet, read_data_set
+from dotsim_ros.data.split import HELD_OUT_COUNT, hold_out_of_protocols
+from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
+from dotsim_ros.io.cores import single_threaded
+from dotsim_ros.io.files import check_output_file, check_output_folder
+from dotsim_ros.io.worker_pool.pool import Crew, check_workers
 from dotsim_ros.specification import SensorSpecification, given_sensor, write_sensor
-from dotsim_ros.worker_pool.pool import Crew, check_workers
 
 LOSSES = (POINTS, CHAMFER, FORCE)
 FITTED = ("E", "nu", "friction")

@@ -14,29 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.calibration.fitting import FitProblem
 from dotsim_ros.calibration.loss import POINTS, LossNoise
 from dotsim_ros.calibration.run import Progress, measured_skin
 from dotsim_ros.calibration.stages import open_workers
-from dotsim_ros.cores import single_threaded
-from dotsim_ros.files import cache_directory
+from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.data.presses import Prediction, Press
+from dotsim_ros.data.reading import Omission, few_of, read_observations, read_press_images
+from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.measured.presses import Prediction, Press
-from dotsim_ros.measured.reading import Omission, few_of, read_observations, read_press_images
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
-from dotsim_ros.metrics.images import image_psnr_db
-from dotsim_ros.metrics.presses import JUDGED_DEPTH_M, judged_frames
-from dotsim_ros.metrics.surfaces import relative_rms, surface_distance, weighted_rms
-from dotsim_ros.optics.image import ImageRenderer
-from dotsim_ros.optics.noise import with_noise
-from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.page import (
+from dotsim_ros.io.arrays import FloatArray, ImageArray
+from dotsim_ros.io.cores import single_threaded
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.page import (
     LARGEST_WIDTH_INCHES,
     Bullets,
     Gallery,
@@ -48,13 +42,19 @@ from dotsim_ros.page import (
     page_figure,
     page_files,
 )
-from dotsim_ros.printable import figure_label
-from dotsim_ros.provenance import provenance
-from dotsim_ros.replacement import finish_replacement, replace_files
+from dotsim_ros.io.printable import figure_label
+from dotsim_ros.io.provenance import provenance
+from dotsim_ros.io.replacement import finish_replacement, replace_files
+from dotsim_ros.io.worker_pool.pool import Crew, check_workers
+from dotsim_ros.optics.image import ImageRenderer
+from dotsim_ros.optics.noise import with_noise
+from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification, given_sensor
 from dotsim_ros.twin.footage import SkinFollower, camera_for, twin_renderers
+from dotsim_ros.twin.image_metrics import image_psnr_db
+from dotsim_ros.twin.press_metrics import JUDGED_DEPTH_M, judged_frames
 from dotsim_ros.twin.simulator import SAME_FACE_M
-from dotsim_ros.worker_pool.pool import Crew, check_workers
+from dotsim_ros.twin.surface_metrics import relative_rms, surface_distance, weighted_rms
 
 ERRORS = "errors.json"
 CHANNELS = ("skin", "force", "image")

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.loss import (
     CHAMFER,
     FORCE,
@@ -32,10 +31,11 @@ from dotsim_ros.calibration.parameters import (
     coordinates,
     with_coordinates,
 )
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.reading import Observation
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.reading import Observation
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator
 

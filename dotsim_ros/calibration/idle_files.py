@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from dotsim_ros.documents import read_yaml
-from dotsim_ros.files import given_path, parameter_path, whole_file, write_text
+from dotsim_ros.io.documents import read_yaml
+from dotsim_ros.io.files import given_path, parameter_path, whole_file, write_text
 from dotsim_ros.optics.idle import description_of, fine_path, stated_lights
 from dotsim_ros.specification import SensorSpecification, read_comment
 

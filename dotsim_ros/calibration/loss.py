@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.presses import Press
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.presses import Press
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import SimulatedPress
 
 SKIN, FORCE = "skin", "force"

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import bulk_modulus_pa
 from dotsim_ros.gel.values import GelValues
+from dotsim_ros.io.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.advice import far_modulus
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import (
@@ -23,9 +22,9 @@ from dotsim_ros.calibration.parameters import (
 )
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import CHANNEL_SETS, Combination, Identifiability
-from dotsim_ros.files import whole_file, write_json
-from dotsim_ros.metrics.presses import by_indenter, summarize
-from dotsim_ros.page import (
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.files import whole_file, write_json
+from dotsim_ros.io.page import (
     LARGEST_WIDTH_INCHES,
     Block,
     Bullets,
@@ -39,8 +38,9 @@ from dotsim_ros.page import (
     image_of,
     page_figure,
 )
-from dotsim_ros.printable import figure_label, one_line, printable
-from dotsim_ros.provenance import provenance
+from dotsim_ros.io.printable import figure_label, one_line, printable
+from dotsim_ros.io.provenance import provenance
+from dotsim_ros.twin.press_metrics import by_indenter, summarize
 
 ONE_PRESS = (
     "One press was fitted: its intervals hold the stated noise alone, not what differs between "

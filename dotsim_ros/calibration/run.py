@@ -13,7 +13,6 @@ from time import monotonic
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.advice import shown_modulus_pa, why_not_identified
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import CHAMFER, FORCE, POINTS, LossNoise
@@ -28,17 +27,18 @@ from dotsim_ros.calibration.statistics import (
     median_estimate,
     offset_step,
 )
+from dotsim_ros.data.data_set import DataSet
+from dotsim_ros.data.plausibility import HARDEST_PA, SOFTEST_PA, check_same_shape
+from dotsim_ros.data.reading import Observation, Omission, few_of, read_observations
+from dotsim_ros.data.trajectory import Topics
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.data_set import DataSet
-from dotsim_ros.measured.plausibility import HARDEST_PA, SOFTEST_PA, check_same_shape
-from dotsim_ros.measured.reading import Observation, Omission, few_of, read_observations
-from dotsim_ros.measured.trajectory import Topics
-from dotsim_ros.metrics.presses import PressFrameScore, score_press
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.worker_pool.pool import Crew
 from dotsim_ros.specification import SensorSpecification
+from dotsim_ros.twin.press_metrics import PressFrameScore, score_press
 from dotsim_ros.twin.simulator import GelSimulator
-from dotsim_ros.worker_pool.pool import Crew
 
 SOLVE_BUDGET = 40
 """Usual most solves of a press in a whole calibration."""

@@ -19,8 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import PHYSICS, content_key, tell_broken
 from dotsim_ros.calibration.fitting import (
     FitProblem,
     PressFit,
@@ -29,15 +27,17 @@ from dotsim_ros.calibration.fitting import (
     linearise,
     simulate,
 )
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import short_name, write_json
+from dotsim_ros.data.presses import Prediction
+from dotsim_ros.data.reading import Observation
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.presses import Prediction
-from dotsim_ros.measured.reading import Observation
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cache import PHYSICS, content_key, tell_broken
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import short_name, write_json
+from dotsim_ros.io.worker_pool.pool import Crew, open_pool
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator
-from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 
 @dataclass(frozen=True)

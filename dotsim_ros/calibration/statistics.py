@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import FORCE, SKIN
 from dotsim_ros.calibration.parameters import coordinate_bounds, coordinates
+from dotsim_ros.io.arrays import BoolArray, FloatArray
 
 IDENTIFIABLE_SHARE = 0.5
 """A parameter is identifiable if the data leave at most this share of its prior's width."""

@@ -23,9 +23,9 @@ def made_anew(directory: Path, name: str) -> Iterator[None]:
         name: of it.
 
     Raises:
-        FileExistsError: as `dotsim_ros.replacement.remove_made`, before the block.
+        FileExistsError: as `dotsim_ros.io.replacement.remove_made`, before the block.
     """
-    from dotsim_ros.replacement import note_made, remove_made
+    from dotsim_ros.io.replacement import note_made, remove_made
 
     remove_made(directory, name)
     try:

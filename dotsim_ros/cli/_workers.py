@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.worker_pool.pool import Crew
+    from dotsim_ros.io.worker_pool.pool import Crew
 
 COUNT = 2
 
@@ -37,7 +37,7 @@ def crew_of(arguments: argparse.Namespace) -> Crew:
     Raises:
         ValueError: no worker, or an address of another form.
     """
-    from dotsim_ros.worker_pool.pool import crew
+    from dotsim_ros.io.worker_pool.pool import crew
 
     return crew(arguments.workers, arguments.ray_address)
 

@@ -31,7 +31,7 @@ from dotsim_ros.cli._workers import add_worker_arguments, crew_of, show_stage
 
 if TYPE_CHECKING:
     from dotsim_ros.calibration.loss import LossNoise
-    from dotsim_ros.measured.trajectory import Topics
+    from dotsim_ros.data.trajectory import Topics
 
 LOSSES = ("points", "chamfer", "force")
 HELD_OUT_COUNT = 9
@@ -158,7 +158,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _run_guided(arguments: argparse.Namespace) -> None:
-    from dotsim_ros.files import write_text
+    from dotsim_ros.io.files import write_text
 
     try:
         from dotsim_ros.calibration.calibrate import report_folder
@@ -197,7 +197,7 @@ def _run_guided(arguments: argparse.Namespace) -> None:
 def _run_presses(arguments: argparse.Namespace, sensor: str | Path) -> None:
     from dotsim_ros.calibration.calibrate import calibrate, report_folder
     from dotsim_ros.calibration.report import FIGURES, PAGE, summary_lines
-    from dotsim_ros.files import write_text
+    from dotsim_ros.io.files import write_text
 
     calibration = calibrate(
         arguments.data,
@@ -236,7 +236,7 @@ def _noise(arguments: argparse.Namespace) -> LossNoise:
 
 
 def _topics(arguments: argparse.Namespace) -> Topics:
-    from dotsim_ros.measured.trajectory import Topics
+    from dotsim_ros.data.trajectory import Topics
 
     given = {name: getattr(arguments, f"{name}_topic") for name in ("pose", "wrench", "skin")}
     return Topics(**{name: topic for name, topic in given.items() if topic is not None})

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from dotsim_ros.measured.data_set import DataSet
+    from dotsim_ros.data.data_set import DataSet
     from dotsim_ros.specification import SensorSpecification
     from dotsim_ros.twin.footage import FilmedData
 
@@ -91,11 +91,11 @@ def run(arguments: argparse.Namespace) -> int:
     )
     from dotsim_ros.calibration.camera.score import score_frames
     from dotsim_ros.calibration.idle_files import idle_image_of
-    from dotsim_ros.files import write_image, write_json
+    from dotsim_ros.data.data_set import read_data_set
+    from dotsim_ros.data.trajectory import Topics
     from dotsim_ros.geometry.camera import Camera
-    from dotsim_ros.measured.data_set import read_data_set
-    from dotsim_ros.measured.trajectory import Topics
-    from dotsim_ros.provenance import provenance
+    from dotsim_ros.io.files import write_image, write_json
+    from dotsim_ros.io.provenance import provenance
     from dotsim_ros.specification import load_sensor
     from dotsim_ros.twin.footage import read_filmed_data, with_measured_skin
 
@@ -188,7 +188,7 @@ def split(data_set: DataSet, arguments: argparse.Namespace) -> tuple[list[str], 
     Raises:
         ValueError: no images, an unknown trajectory or indenter, or nothing left to fit on.
     """
-    from dotsim_ros.measured.split import hold_out_of_protocols
+    from dotsim_ros.data.split import hold_out_of_protocols
 
     indenter_of = {entry.name: entry.indenter for entry in data_set.entries if entry.has_images}
     if not indenter_of:
@@ -234,7 +234,7 @@ def _write_sensor(
 ) -> None:
     """Write the idle image, its description and the sensor's file, in this order."""
     from dotsim_ros.calibration.idle_files import idle_image_of, write_description
-    from dotsim_ros.files import write_image
+    from dotsim_ros.io.files import write_image
     from dotsim_ros.optics.idle import fine_path
     from dotsim_ros.specification import read_comment, sensor_path, write_sensor
 

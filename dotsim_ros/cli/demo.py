@@ -41,14 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
-    from dotsim_ros.measured.bag_hash import bag_sha256
+    from dotsim_ros.data.bag_hash import bag_sha256
+    from dotsim_ros.io.progress import PrintedProgress
     from dotsim_ros.nodes.common.processes import NodeProcess
     from dotsim_ros.nodes.common.transport import stay_local
     from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
     from dotsim_ros.nodes.loop.observer import LoopObserver
     from dotsim_ros.nodes.simulated_time.participants import Participant
     from dotsim_ros.nodes.simulated_time.stepper import Stepper, StepperSettings
-    from dotsim_ros.progress import PrintedProgress
     from dotsim_ros.view.bag import ViewRequest, view_bag
     from dotsim_ros.view.timeline import ViewTopics
 

@@ -51,9 +51,20 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration and print the paths of its files."""
     import numpy as np
 
-    from dotsim_ros.files import beside, write_json
+    from dotsim_ros.control.loop.bag import read_loop_bag
+    from dotsim_ros.control.loop.judge import judge, summary_of, trial_start
+    from dotsim_ros.control.loop.recording import LoopRecording
+    from dotsim_ros.control.loop.report import path_image, trial_report
+    from dotsim_ros.control.policy.card import read_policy
+    from dotsim_ros.control.policy.demonstration import contact_of
+    from dotsim_ros.control.policy.paths import reference_path
+    from dotsim_ros.control.policy.rollout import APPROACH_S
+    from dotsim_ros.data.bag_hash import bag_sha256
     from dotsim_ros.geometry.indenter import load_indenter
-    from dotsim_ros.measured.bag_hash import bag_sha256
+    from dotsim_ros.io.files import beside, write_json
+    from dotsim_ros.io.page import write_page
+    from dotsim_ros.io.progress import bar
+    from dotsim_ros.io.provenance import provenance
     from dotsim_ros.nodes.common.transport import stay_local
     from dotsim_ros.nodes.loop.closed_loop import (
         SENSOR,
@@ -63,18 +74,7 @@ def run(arguments: argparse.Namespace) -> int:
         policy_name,
     )
     from dotsim_ros.nodes.tactile_policy.files import policy_folder
-    from dotsim_ros.page import write_page
-    from dotsim_ros.progress import bar
-    from dotsim_ros.provenance import provenance
     from dotsim_ros.specification import load_sensor
-    from dotsim_ros.tasks.control.loop_recording import LoopRecording
-    from dotsim_ros.tasks.loop.bag import read_loop_bag
-    from dotsim_ros.tasks.loop.judge import judge, summary_of, trial_start
-    from dotsim_ros.tasks.loop.report import path_image, trial_report
-    from dotsim_ros.tasks.policy.card import read_policy
-    from dotsim_ros.tasks.policy.demonstration import contact_of
-    from dotsim_ros.tasks.policy.paths import reference_path
-    from dotsim_ros.tasks.policy.rollout import APPROACH_S
 
     if not (0.0 < arguments.laps < MOST_LAPS):
         raise ValueError(f"--laps is {arguments.laps:g}, expected more than 0, under {MOST_LAPS:g}")

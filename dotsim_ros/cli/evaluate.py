@@ -59,10 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
         table_of,
         write_evaluation,
     )
-    from dotsim_ros.files import write_json
-    from dotsim_ros.measured.trajectory import Topics
-    from dotsim_ros.page import HTML, block_markdown
-    from dotsim_ros.printable import one_line
+    from dotsim_ros.data.trajectory import Topics
+    from dotsim_ros.io.files import write_json
+    from dotsim_ros.io.page import HTML, block_markdown
+    from dotsim_ros.io.printable import one_line
 
     given = {c: getattr(arguments, f"{c}_topic") for c in ("pose", "wrench", "skin", "image")}
     found = evaluate_twin(

@@ -96,7 +96,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError("name a data set with --measured, or ask for --demo or --example")
     if arguments.example:
         _check_alone(arguments, "--example shows a finished report", ("example",))
-        from dotsim_ros.files import parameter_path
+        from dotsim_ros.io.files import parameter_path
 
         print(parameter_path(EXAMPLE).resolve().as_uri())
         return 0
@@ -105,12 +105,12 @@ def run(arguments: argparse.Namespace) -> int:
         from dotsim_ros.gap.demo import run_demo
 
         return run_demo(arguments.out, seed=arguments.seed, workers=crew_of(arguments))
-    from dotsim_ros.files import write_json
     from dotsim_ros.gap.find import find_gap, fit_optical_noise
     from dotsim_ros.gap.findings import as_record
-    from dotsim_ros.page import HTML
-    from dotsim_ros.printable import one_line
-    from dotsim_ros.progress import PrintedProgress
+    from dotsim_ros.io.files import write_json
+    from dotsim_ros.io.page import HTML
+    from dotsim_ros.io.printable import one_line
+    from dotsim_ros.io.progress import PrintedProgress
 
     common: dict[str, Any] = {
         "sensor": arguments.sensor,

@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Write the data set, and say what it holds."""
-    from dotsim_ros.measured.importers.registry import IMPORTERS
+    from dotsim_ros.data.importers.registry import IMPORTERS
 
     made = IMPORTERS[arguments.name](arguments.source, arguments.out)
     frames = sum(entry.frame_count for entry in made.entries)

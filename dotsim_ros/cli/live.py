@@ -106,7 +106,7 @@ def _has_screen() -> bool:
 
 def _simulated(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
     """Return what presses a sensor of this process until Ctrl-C."""
-    from dotsim_ros.files import shipped_names
+    from dotsim_ros.io.files import shipped_names
     from dotsim_ros.nodes.live_page.simulated import SimulatedSubject
     from dotsim_ros.nodes.tactile_sim.profiles import PROFILES
     from dotsim_ros.specification import load_sensor
@@ -153,7 +153,7 @@ def _attached(arguments: argparse.Namespace) -> Callable[[LiveDesk], int]:
             "--attach needs ROS 2, which is not there: source /opt/ros/jazzy, or "
             "pip install 'dotsim_ros[ros,live]'"
         ) from error
-    from dotsim_ros.files import shipped_names
+    from dotsim_ros.io.files import shipped_names
     from dotsim_ros.nodes.common.spin import run_node
     from dotsim_ros.nodes.live_page.attachment import LiveAttachment
 

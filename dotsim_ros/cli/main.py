@@ -24,7 +24,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
-from dotsim_ros.printable import one_line
+from dotsim_ros.io.printable import one_line
 
 FAILED = 1
 WRONG_CALL = 2
@@ -113,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = _overview().parse_args(words)
     if "OMP_NUM_THREADS" not in os.environ:
         # For each process that a command starts, and for this one where NumPy is yet to be loaded:
-        # `dotsim_ros.cores` says why.
+        # `dotsim_ros.io.cores` says why.
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         with _ending_on_terminate():
@@ -171,7 +171,7 @@ def _run(verb: str, rest: Sequence[str]) -> int:
 
 def _expand_homes(parsed: argparse.Namespace) -> None:
     """Put the user's home for a leading `~` of paths: shells leave it in `--out=~/report`."""
-    from dotsim_ros.files import expanded
+    from dotsim_ros.io.files import expanded
 
     for name, value in vars(parsed).items():
         if isinstance(value, Path):
@@ -190,7 +190,7 @@ def _check_outputs(parsed: argparse.Namespace) -> None:
     for name in (*OUTPUT_FOLDERS, *OUTPUT_FILES):
         if name not in given:
             continue
-        from dotsim_ros.files import check_output_file, check_output_folder
+        from dotsim_ros.io.files import check_output_file, check_output_folder
 
         is_file = name in OUTPUT_FILES or given[name].suffix in (".yaml", ".yml")
         (check_output_file if is_file else check_output_folder)(given[name])

@@ -55,9 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Simulate, and print the matrix."""
-    from dotsim_ros.files import write_json
     from dotsim_ros.gap.plan import plan, plan_lines
     from dotsim_ros.gap.presses.search_state import GapRequest
+    from dotsim_ros.io.files import write_json
     from dotsim_ros.specification import load_sensor
 
     request = GapRequest(

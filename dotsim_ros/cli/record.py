@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the bag, and say what is in it and what is not."""
-    from dotsim_ros.files import write_json
-    from dotsim_ros.measured.repair import repair_bag
+    from dotsim_ros.data.repair import repair_bag
+    from dotsim_ros.io.files import write_json
 
     repaired = repair_bag(arguments.repair, arguments.out)
     for words in repaired.damage:

@@ -42,8 +42,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the list, and write it and the pictures."""
-    from dotsim_ros.files import shipped_names, write_json
-    from dotsim_ros.provenance import provenance
+    from dotsim_ros.io.files import shipped_names, write_json
+    from dotsim_ros.io.provenance import provenance
 
     shipped = shipped_names("sensors")
     names = arguments.names or shipped

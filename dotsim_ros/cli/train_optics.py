@@ -72,8 +72,8 @@ def split(arguments: argparse.Namespace) -> tuple[tuple[str, ...], tuple[str, ..
     Raises:
         ValueError: an unknown trajectory or indenter, or nothing left to train on.
     """
-    from dotsim_ros.measured.data_set import read_data_set
-    from dotsim_ros.measured.split import HELD_OUT_COUNT, hold_out_of_protocols
+    from dotsim_ros.data.data_set import read_data_set
+    from dotsim_ros.data.split import HELD_OUT_COUNT, hold_out_of_protocols
 
     entries = [entry for entry in read_data_set(arguments.data).entries if entry.has_images]
     indenter_of = {entry.name: entry.indenter for entry in entries}
@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
-    from dotsim_ros.files import write_json
+    from dotsim_ros.io.files import write_json
     from dotsim_ros.specification import load_sensor, read_comment, sensor_path
 
     sensor_file = arguments.sensor_out or arguments.out / SENSOR

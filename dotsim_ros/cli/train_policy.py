@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from dotsim_ros.tasks.policy.training import PolicyProgress
+    from dotsim_ros.control.policy.training import PolicyProgress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,12 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Train, write the files, and print the figures."""
     try:
-        from dotsim_ros.tasks.policy.training import PolicyRecipe, train_policy
+        from dotsim_ros.control.policy.training import PolicyRecipe, train_policy
     except ModuleNotFoundError as error:
         raise ValueError(
             f"training needs {error.name}, which is not installed; install dotsim_ros[learning]"
         ) from error
-    from dotsim_ros.files import write_json
+    from dotsim_ros.io.files import write_json
 
     report = train_policy(
         arguments.data,

@@ -18,13 +18,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import value_text
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.recording import Recording
-from dotsim_ros.printable import one_line
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.printable import one_line
 
 Values = Mapping[str, float]
 Returned = TypeVar("Returned")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.measured.recording import STILL_M, TOUCH_M, Phase, Recording
+from dotsim_ros.data.recording import STILL_M, TOUCH_M, Phase, Recording
 
 STRAINING_M = 1.0e-3
 """A shallower press strains the gel too little to distinguish one elastic law from another."""

@@ -24,7 +24,7 @@ from types import ModuleType
 
 from dotsim_ros.effects import builtin
 from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, Effect, EffectParameter
-from dotsim_ros.printable import one_line
+from dotsim_ros.io.printable import one_line
 
 _log = logging.getLogger(__name__)
 

@@ -11,7 +11,6 @@ from typing import Protocol
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.effects.effect import (
     Active,
     GelTerm,
@@ -27,6 +26,7 @@ from dotsim_ros.gel.values import specification_with, values_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
+from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.specification import SensorSpecification
 
 NO_FORCE_N = 1e-9

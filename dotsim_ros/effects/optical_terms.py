@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Phase, Recording
 from dotsim_ros.effects.effect import SeenImage
 from dotsim_ros.geometry.camera import CAMERAS, Camera
-from dotsim_ros.measured.recording import Phase, Recording
+from dotsim_ros.io.arrays import FloatArray
 
 FULL_SCALE = 255.0
 

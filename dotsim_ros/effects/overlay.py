@@ -17,9 +17,9 @@ from typing import Any
 import yaml
 
 from dotsim_ros import __version__
-from dotsim_ros.documents import read_yaml, shortened, value_text
 from dotsim_ros.effects.effect import Active, Effect
-from dotsim_ros.files import write_text
+from dotsim_ros.io.documents import read_yaml, shortened, value_text
+from dotsim_ros.io.files import write_text
 
 VERSION = 1
 FILE_NAME = "effects_overlay.yaml"

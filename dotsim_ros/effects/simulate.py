@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import (
     Active,
     Effect,
@@ -27,11 +28,10 @@ from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.recording import Recording
+from dotsim_ros.io.worker_pool.pool import Crew
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.solver import PressSolver, Progress, SolveRequest, open_press_solver
-from dotsim_ros.worker_pool.pool import Crew
 
 
 @dataclass(frozen=True)

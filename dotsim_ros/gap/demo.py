@@ -14,12 +14,12 @@ import hashlib
 import json
 from pathlib import Path
 
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import parameter_path
 from dotsim_ros.gap.find import find_gap
-from dotsim_ros.printable import one_line
-from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.worker_pool.pool import Crew
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import parameter_path
+from dotsim_ros.io.printable import one_line
+from dotsim_ros.io.progress import PrintedProgress
+from dotsim_ros.io.worker_pool.pool import Crew
 
 SETS = "gap/demo"
 TWIN = "sensor_a.yaml"

@@ -13,11 +13,11 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from dotsim_ros.cores import single_threaded
+from dotsim_ros.data.data_set import DataSet, indenter_files, read_data_set
+from dotsim_ros.data.measurement import holds_skin_or_force
 from dotsim_ros.effects.effect import FORCE, IMAGE, SKIN, EffectError
 from dotsim_ros.effects.library import effect_names, load_effects
 from dotsim_ros.effects.overlay import Overlay
-from dotsim_ros.files import check_output_folder
 from dotsim_ros.gap.findings import Findings, OpticalFindings, Verdict
 from dotsim_ros.gap.images.find import find_optical, fit_noise_of_images, unusable_images
 from dotsim_ros.gap.images.null import OpticalNull, load_optical_null, save_optical_null
@@ -27,12 +27,12 @@ from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest, Progress
 from dotsim_ros.gap.report.write import write_report
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.data_set import DataSet, indenter_files, read_data_set
-from dotsim_ros.measured.measurement import holds_skin_or_force
-from dotsim_ros.replacement import finish_replacement
+from dotsim_ros.io.cores import single_threaded
+from dotsim_ros.io.files import check_output_folder
+from dotsim_ros.io.replacement import finish_replacement
+from dotsim_ros.io.worker_pool.pool import Crew, check_workers
 from dotsim_ros.specification import SensorSpecification, given_sensor
 from dotsim_ros.twin.simulator import check_is_quasi_static
-from dotsim_ros.worker_pool.pool import Crew, check_workers
 
 MECHANICAL = (SKIN, FORCE)
 CHANNELS = (*MECHANICAL, IMAGE)

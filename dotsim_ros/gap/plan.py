@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.cores import single_threaded
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.measurement import protocol_of, read_poses
 from dotsim_ros.effects.effect import FORCE
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.decision import ALIKE, APART
@@ -26,8 +27,7 @@ from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gap.presses.weighed import EFFECT as FORCE_SCALE
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.measurement import protocol_of, read_poses
+from dotsim_ros.io.cores import single_threaded
 
 WEIGHT = (
     "rest a known mass on the force gauge for some seconds, hung on it or, where the gauge carries "

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 
 BOOTSTRAPS = 100
 """Draws behind an interval or a stability: a share of them is known to 5 %."""

@@ -16,14 +16,14 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
-from dotsim_ros.cores import available_core_count, keep_single_threaded
-from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.gel.implicit.gel import GelState
 from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.cores import available_core_count, keep_single_threaded
+from dotsim_ros.io.exclusive_use import ExclusiveUse, exclusive
+from dotsim_ros.io.worker_pool.processes import WorkerContext
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.worker_pool.processes import WorkerContext
 
 END_S = 10.0
 """A process that has not ended so long after it was told to is killed."""

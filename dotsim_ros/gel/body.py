@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import face_drop_m
 
 

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization, bonded_points, interpolation_at
 from dotsim_ros.gel.elasticity import BOND_STIFFNESS
 from dotsim_ros.gel.material import ElasticLaw, shear_modulus_pa, small_strain_moduli_pa
+from dotsim_ros.io.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

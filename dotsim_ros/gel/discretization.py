@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.reshape import ReshapedDome, ReshapedPad
+from dotsim_ros.io.arrays import FloatArray, IndexArray
 
 STENCIL = np.array([(i, j, k) for i in (-1, 0, 1) for j in (-1, 0, 1) for k in (-1, 0, 1)])
 """(27, 3) offsets from a cell to the nodes whose splines are not zero in it."""

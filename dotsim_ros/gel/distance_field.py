@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 SPHERE = wp.constant(int(IndenterKind.SPHERE))
 BOX = wp.constant(int(IndenterKind.BOX))

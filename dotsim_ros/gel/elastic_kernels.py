@@ -14,7 +14,7 @@ from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 
 @cache

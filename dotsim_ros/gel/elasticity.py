@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dotsim_ros.arrays import IndexArray
 from dotsim_ros.gel.discretization import Discretization
 from dotsim_ros.gel.elastic_kernels import elastic_kernels
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import IndexArray
+from dotsim_ros.io.warp_runtime import wp
 
 Array = NDArray[np.floating]
 

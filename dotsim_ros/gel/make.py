@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.bond import LooseBond
 from dotsim_ros.gel.explicit.gel import ExplicitGel, ExplicitSettings
@@ -26,6 +25,7 @@ from dotsim_ros.gel.material import (
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, pad_skin
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import GelSpecification, MaterialSpecification, SensorSpecification
 
 

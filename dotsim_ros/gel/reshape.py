@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
+from dotsim_ros.io.arrays import FloatArray
 
 
 @dataclass(frozen=True)

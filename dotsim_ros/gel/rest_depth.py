@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pad_face import face_normal
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.surface import indenter_surface
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import face_drop_m
 
 POINT_SPACING_M = 0.4e-3

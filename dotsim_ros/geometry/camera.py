@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from dotsim_ros.specification import CameraSpecification

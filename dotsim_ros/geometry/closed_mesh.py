@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import value_text
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import value_text
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply")
 MAXIMUM_TRIANGLE_COUNT = 2_000_000

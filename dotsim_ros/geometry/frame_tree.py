@@ -15,8 +15,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 
-from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose, compose, interpolate, inverse
+from dotsim_ros.io.documents import value_text
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
 MOST_SAMPLES = 1000

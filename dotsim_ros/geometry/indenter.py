@@ -22,13 +22,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import is_number, parse_yaml, read_yaml, value_text
-from dotsim_ros.files import expanded, shipped_path
 from dotsim_ros.geometry.closed_mesh import MESH_SUFFIXES, IndenterMesh, read_closed_surface
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.signed_distance import SignedDistanceGrid, sample_on_grid
-from dotsim_ros.printable import did_you_mean
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import is_number, parse_yaml, read_yaml, value_text
+from dotsim_ros.io.files import expanded, shipped_path
+from dotsim_ros.io.printable import did_you_mean
 
 MAXIMUM_EXTENT_M = 0.2
 MINIMUM_EXTENT_M = 2.0e-4

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import FloatArray, IndexArray
 from dotsim_ros.specification import MarkerSpecification
 
 EDGE = 1e-9

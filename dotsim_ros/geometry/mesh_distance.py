@@ -15,8 +15,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.warp_runtime import wp
 
 # Triangles of metre coordinates have areas of 1e-9 m^2, whose squares underflow towards the
 # tolerances of float32 geometry; millimetres are well scaled.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.arrays import BoolArray, FloatArray
+from dotsim_ros.io.arrays import BoolArray, FloatArray
 from dotsim_ros.specification import face_drop_m
 
 ROUNDS = 30

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 
 
 def _vector(value: ArrayLike, length: int, name: str) -> FloatArray:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 
 MAXIMUM_NODE_COUNT = 20_000_000
 # Far from the surface a distance is needed only to know that it is far: there every fourth node is

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from dotsim_ros.arrays import BoolArray, FloatArray, IndexArray
 from dotsim_ros.geometry.pad_face import face_normal
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import BoolArray, FloatArray, IndexArray
 from dotsim_ros.specification import face_drop_m
 
 

@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.closed_mesh import IndenterMesh
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind
+from dotsim_ros.io.arrays import FloatArray, IntArray
 
 ARC_STEP_RAD = np.deg2rad(20.0)
 """No piece of a rounding turns by more than this."""

@@ -10,8 +10,8 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose, quaternion_product
+from dotsim_ros.io.arrays import FloatArray
 
 
 class TwistFrame(Enum):

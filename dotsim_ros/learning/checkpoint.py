@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import nn
 
-from dotsim_ros.replacement import keep
+from dotsim_ros.io.replacement import keep
 
 _log = logging.getLogger(__name__)
 

@@ -26,7 +26,7 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from dotsim_ros.files import whole_file
+from dotsim_ros.io.files import whole_file
 from dotsim_ros.optics.network.card import FINENESS, NetworkCard
 from dotsim_ros.optics.network.carded_weights import (
     CARD,

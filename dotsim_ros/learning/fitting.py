@@ -13,8 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import Float32Array, ImageArray
 from dotsim_ros.learning.examples import inputs_of, make_examples, network_input
 from dotsim_ros.learning.networks import make_network
 from dotsim_ros.learning.recipe import RECIPES, TrainingRecipe, check_epochs

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import cg
 
-from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.learning.untouched import with_refined_idle
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer

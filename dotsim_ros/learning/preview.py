@@ -11,8 +11,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.files import write_image
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import write_image
 from dotsim_ros.twin.footage import OpticalPress
 
 COLUMNS = ("measured", "warped", "predicted", "error of warped x4", "error of predicted x4")

@@ -15,19 +15,18 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.documents import read_yaml
-from dotsim_ros.files import parameter_path, whole_file, write_image, write_json
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.documents import read_yaml
+from dotsim_ros.io.files import parameter_path, whole_file, write_image, write_json
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import FittedNetwork, check_width, fit_network
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.learning.preview import write_preview
 from dotsim_ros.learning.recipe import check_epochs
 from dotsim_ros.learning.training import TrainingProgress
-from dotsim_ros.metrics.images import image_psnr_db
 from dotsim_ros.optics.idle import description_of, fine_path, lights_of
 from dotsim_ros.optics.network.card import NetworkCard
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, write_sensor
 from dotsim_ros.twin.footage import (
     FilmedData,
@@ -37,6 +36,7 @@ from dotsim_ros.twin.footage import (
     read_filmed_data,
     render_filmed,
 )
+from dotsim_ros.twin.image_metrics import image_psnr_db
 
 IDLE = "idle.png"
 SENSOR = "sensor.yaml"

@@ -18,7 +18,7 @@ from threading import Event
 import torch
 from torch import Tensor, nn
 
-from dotsim_ros.files import whole_file
+from dotsim_ros.io.files import whole_file
 from dotsim_ros.learning.checkpoint import state_to_resume, take_weights
 from dotsim_ros.learning.examples import ImageExamples
 from dotsim_ros.learning.recipe import TrainingRecipe

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
+from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.twin.footage import FilmedData, FilmedPress
 
 UNMOVED_M = 1e-6

@@ -20,10 +20,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import is_number, value_text
-from dotsim_ros.files import expanded
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import is_number, value_text
+from dotsim_ros.io.files import expanded
+from dotsim_ros.io.printable import one_line
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import (
     IndentationScale,
@@ -36,7 +37,6 @@ from dotsim_ros.live.payloads import (
 )
 from dotsim_ros.live.playback import Playback, read_playback
 from dotsim_ros.live.recorder import PressRecorder
-from dotsim_ros.printable import one_line
 
 HISTORY_COUNT = 2000
 """Forces that a page gets when it opens: some 80 s at 25 Hz."""

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray, ImageArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray, ImageArray
 
 AT_REST_M = 10e-6
 """A skin that has moved by less is at rest."""

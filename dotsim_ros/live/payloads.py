@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import ImageArray
 from dotsim_ros.geometry.surface import indenter_surface
+from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.view.panels import coloured
 

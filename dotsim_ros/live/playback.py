@@ -14,9 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.data.bag import BagReader, bag_name
+from dotsim_ros.data.mcap.reader import Tolerance
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment
 from dotsim_ros.live.payloads import (
     IndentationScale,
@@ -26,8 +28,6 @@ from dotsim_ros.live.payloads import (
     skin_payload,
 )
 from dotsim_ros.live.recorder import NAME_TOPIC, NAME_TYPE
-from dotsim_ros.measured.bag import BagReader, bag_name
-from dotsim_ros.measured.mcap.reader import Tolerance
 from dotsim_ros.view.skin_map import rest_position_m, skin_triangles
 from dotsim_ros.view.timeline import (
     BagMoment,

@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.bag import BAG_TYPES, BagFile
+from dotsim_ros.data.trajectory import BASE_FRAME, OPTICAL_FRAME
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.live.moments import Picture, SkinMoment
-from dotsim_ros.measured.bag import BAG_TYPES, BagFile
-from dotsim_ros.measured.trajectory import BASE_FRAME, OPTICAL_FRAME
 
 NAME_TOPIC, NAME_TYPE = "/indenter/name", "std_msgs/msg/String"
 """Tells the shape, by its name below params/indenters."""

@@ -17,8 +17,8 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
 
-from dotsim_ros.cores import available_core_count
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.cores import available_core_count
+from dotsim_ros.io.warp_runtime import wp
 
 MOST_THREADS = 2
 """The simulator is made for two cores; more threads have not been measured."""

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import Float32Array, ImageArray
 
 RADIUS_STEPS = 256.0
 """Of 8 bits, as readers of the DenseTact driver's imgDepth take them."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray, IndexArray
+from dotsim_ros.io.arrays import FloatArray, IndexArray
 from dotsim_ros.optics.renderer import View
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 AnyArray = NDArray[Any]
 

@@ -16,8 +16,8 @@ bands of rows (`bands`), so a kernel writes to the rows that it is given alone.
 # Kernels are Warp's language, whose types are none of a type checker's.
 # mypy: ignore-errors
 
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics.kernels import NO_TRIANGLE, Lens
-from dotsim_ros.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
 

@@ -12,12 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import BoolArray, ImageArray
-from dotsim_ros.documents import read_yaml
-from dotsim_ros.files import given_path, read_image
 from dotsim_ros.geometry.camera import Camera, camera_of_disc
+from dotsim_ros.io.arrays import BoolArray, ImageArray
+from dotsim_ros.io.documents import read_yaml
+from dotsim_ros.io.files import given_path, read_image
+from dotsim_ros.io.quantity import section_from
 from dotsim_ros.optics.lighting import Lighting, Vignetting
-from dotsim_ros.quantity import section_from
 from dotsim_ros.specification import (
     LightingSpecification,
     SensorSpecification,

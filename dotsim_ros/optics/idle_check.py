@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
+from dotsim_ros.io.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.optics.idle import lit_region
 
 BLUR_PX = 2.0

@@ -20,16 +20,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import BoolArray, Float32Array, ImageArray
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands, thread_count
 from dotsim_ros.optics.frame_memory import FrameMemory
 from dotsim_ros.optics.idle import check_fine, check_image, lit_region
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
-from dotsim_ros.warp_runtime import wp
 
 RIM_PX = 2
 """Width of the soft rim of the lit disc, whose colours are not spread outwards."""

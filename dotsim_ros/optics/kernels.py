@@ -9,7 +9,7 @@ A pixel that sees no skin has the triangle NO_TRIANGLE.
 # Kernels are Warp's language, whose types are none of a type checker's.
 # mypy: ignore-errors
 
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 wp.set_module_options({"enable_backward": False})
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import Float32Array
 from dotsim_ros.specification import LightingSpecification, VignettingSpecification
 
 _STATED = LightingSpecification()

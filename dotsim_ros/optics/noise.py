@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
+from dotsim_ros.io.arrays import ImageArray
 
 TILE_PX = (61, 67)
 """Rows and columns that are drawn and repeated: much faster, and no different to a network."""

@@ -21,10 +21,11 @@ import numpy as np
 import yaml
 from scipy import ndimage
 
-from dotsim_ros.arrays import BoolArray, FloatArray, ImageArray
-from dotsim_ros.files import given_path, write_image, write_text
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pad_face import face_normal, meet_face
+from dotsim_ros.io.arrays import BoolArray, FloatArray, ImageArray
+from dotsim_ros.io.files import given_path, write_image, write_text
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics.idle import IdleFrame, lights_of, read_description, read_idle_frame
 from dotsim_ros.optics.image import direct_light, leds_of
 from dotsim_ros.optics.lighting import Lighting, Vignetting
@@ -37,7 +38,6 @@ from dotsim_ros.specification import (
     check_drawable,
     load_sensor,
 )
-from dotsim_ros.warp_runtime import wp
 
 SUPERSAMPLING = 3
 """Rays a pixel along each axis."""

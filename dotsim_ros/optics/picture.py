@@ -8,7 +8,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, ImageArray
+from dotsim_ros.io.arrays import Float32Array, ImageArray
 
 BACKGROUND = (16, 20, 26)
 INK = (230, 233, 238)

@@ -16,9 +16,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dotsim_ros.arrays import BoolArray, Float32Array, IndexArray
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import BoolArray, Float32Array, IndexArray
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands, thread_count
 from dotsim_ros.optics.frame_memory import FrameMemory
@@ -30,7 +31,6 @@ from dotsim_ros.optics.visibility import (
     VisibilityFinder,
     lens_of,
 )
-from dotsim_ros.warp_runtime import wp
 
 
 @dataclass(frozen=True)

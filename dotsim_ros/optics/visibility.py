@@ -20,11 +20,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, IndexArray
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
+from dotsim_ros.io.arrays import Float32Array, IndexArray
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.optics import host_kernels, kernels
 from dotsim_ros.optics.bands import cut, launch_bands
-from dotsim_ros.warp_runtime import wp
 
 _MILLIMETRES = 1e3
 

@@ -20,14 +20,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.data.importers.ball_photographs import BallPress
 from dotsim_ros.gel.implicit.gel import CORE_CLEARANCE_M, PressTooDeepError
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.importers.ball_photographs import BallPress
+from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer

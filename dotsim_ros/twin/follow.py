@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
+from dotsim_ros.io.arrays import FloatArray
 
 FIRST_STEP_S = 0.1
 """Duration of the way to the first pose, which no stamp gives."""

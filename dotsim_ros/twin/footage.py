@@ -16,18 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from dotsim_ros.cache import PHYSICS, content_key, keep_arrays, load_arrays
-from dotsim_ros.documents import ArrayForm
-from dotsim_ros.files import cache_directory, short_name
+from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.reading import read_press_images
+from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics, read_trajectory
 from dotsim_ros.gel.make import Gel, make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.reading import read_press_images
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics, read_trajectory
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
+from dotsim_ros.io.cache import PHYSICS, content_key, keep_arrays, load_arrays
+from dotsim_ros.io.documents import ArrayForm
+from dotsim_ros.io.files import cache_directory, short_name
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.idle_check import check_untouched, mean_idle_image, read_idle_images
 from dotsim_ros.optics.image import ImageRenderer

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
 
 LARGEST_STEP_M = 0.25e-3
 """Of the indenter between two trials."""

@@ -16,7 +16,6 @@ from functools import cached_property
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, FloatArray
 from dotsim_ros.gel.body import Body, Dome, Pad
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
@@ -30,6 +29,7 @@ from dotsim_ros.gel.values import GelValues, specification_with
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, quaternion_product
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import Float32Array, FloatArray
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, follow
 

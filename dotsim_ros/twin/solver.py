@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays, tell_broken
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cache import PHYSICS, content_key, load_arrays, store_arrays, tell_broken
+from dotsim_ros.io.worker_pool.pool import Crew, open_pool
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator, gel_key, tables_of
-from dotsim_ros.worker_pool.pool import Crew, open_pool
 
 TOLERANCE_M = 5.0e-6
 """Tolerance of the solves: effects move the skin by tens of micrometres where tried, and a solve

@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.documents import ArrayForm, read_arrays
-from dotsim_ros.measured.bag import BagReader, bag_name
-from dotsim_ros.measured.mcap.reader import Tolerance
+from dotsim_ros.data.bag import BagReader, bag_name
+from dotsim_ros.data.mcap.reader import Tolerance
+from dotsim_ros.io.documents import ArrayForm, read_arrays
 from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.sheet import strongest_stamps, write_sheet
 from dotsim_ros.view.timeline import (

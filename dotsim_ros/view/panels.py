@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import matplotlib
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.optics.picture import BACKGROUND, change_image
 from dotsim_ros.view.skin_map import SkinMap, rest_position_m
 from dotsim_ros.view.timeline import BagMoment

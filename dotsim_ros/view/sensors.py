@@ -11,10 +11,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.files import write_image
 from dotsim_ros.geometry.markers import MarkerMotion
 from dotsim_ros.geometry.pose import ApexPose
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import write_image
 from dotsim_ros.sensor import TactileSensor
 
 INDENTER = "sphere_4mm"

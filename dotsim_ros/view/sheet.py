@@ -15,8 +15,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dotsim_ros.files import whole_file
-from dotsim_ros.printable import boxes_for_missing_glyphs, figure_label
+from dotsim_ros.io.files import whole_file
+from dotsim_ros.io.printable import boxes_for_missing_glyphs, figure_label
 from dotsim_ros.view.figure import FAINT, INK, STYLE, TITLES, colour_scale, draw_forces
 from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.timeline import BagMoment, Forces

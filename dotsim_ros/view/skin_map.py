@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import Delaunay
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 
 FLAT_RATIO = 0.3
 """A skin lower than this part of its half-width is drawn as it lies, not unrolled."""

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.measured.bag import BagMessage, BagReader
-from dotsim_ros.measured.mcap.reader import Tolerance
-from dotsim_ros.measured.trajectory import decode_colour
+from dotsim_ros.data.bag import BagMessage, BagReader
+from dotsim_ros.data.mcap.reader import Tolerance
+from dotsim_ros.data.trajectory import decode_colour
+from dotsim_ros.io.arrays import FloatArray
 
 LARGEST_FORCE_N = 1e6
 """What is larger is no force that was measured, and leaves no scale for the others."""

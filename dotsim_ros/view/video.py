@@ -24,9 +24,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.files import whole_file
-from dotsim_ros.printable import boxes_for_missing_glyphs, figure_label
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import whole_file
+from dotsim_ros.io.printable import boxes_for_missing_glyphs, figure_label
 from dotsim_ros.view.figure import INK, STYLE, TITLES, colour_scale, draw_forces
 from dotsim_ros.view.panels import PanelImages
 from dotsim_ros.view.timeline import BagMoment, Forces

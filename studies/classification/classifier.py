@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from dotsim_ros.arrays import Float32Array, ImageArray, IntArray
+from dotsim_ros.io.arrays import Float32Array, ImageArray, IntArray
 
 GREY_LEVELS = 24.0
 """Of a difference that counts as one: about what a press changes."""

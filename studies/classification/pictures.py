@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from dotsim_ros.files import whole_file
+from dotsim_ros.io.files import whole_file
 from studies.optics.names import BOUND
 
 SHOWN = ("ours", "paper", BOUND)

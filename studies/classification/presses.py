@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.arrays import Float32Array, FloatArray
-from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
-from dotsim_ros.documents import ArrayForm
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
+from dotsim_ros.io.arrays import Float32Array, FloatArray
+from dotsim_ros.io.cache import PHYSICS, content_key, load_arrays, store_arrays
+from dotsim_ros.io.documents import ArrayForm
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError, follow
 from dotsim_ros.twin.footage import FilmedPress, Progress

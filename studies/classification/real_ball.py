@@ -25,8 +25,7 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 from scipy.spatial import Delaunay
 
-from dotsim_ros.arrays import FloatArray, ImageArray, IntArray
-from dotsim_ros.cache import content_key
+from dotsim_ros.data.importers.ball_photographs import BallPress
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import (
     Indenter,
@@ -37,15 +36,11 @@ from dotsim_ros.geometry.indenter import (
     torus,
 )
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.importers.ball_photographs import BallPress
-from dotsim_ros.measured.importers.fots_balls import (
-    BALL_RADIUS_M,
-    PIXELS_PER_METRE,
-    read_fots_balls,
-)
+from dotsim_ros.io.arrays import FloatArray, ImageArray, IntArray
+from dotsim_ros.io.cache import content_key
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.ball_presses import (
     STEP_S,
@@ -63,6 +58,11 @@ from studies.classification.classifier import (
     touched,
     touched_as_taken,
     train_classifier,
+)
+from studies.optics.fots_balls import (
+    BALL_RADIUS_M,
+    PIXELS_PER_METRE,
+    read_fots_balls,
 )
 from studies.optics.gelsight import SENSOR
 from studies.optics.models import MADE_BY, FitSettings, factory_of

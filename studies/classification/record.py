@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.files import cache_directory
-from dotsim_ros.worker_pool.pool import crew
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.worker_pool.pool import crew
 from studies.classification.classifier import ClassifierSettings
 from studies.classification.domains import DOMAINS, DomainName
 from studies.classification.pictures import write_confusions

@@ -17,14 +17,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.arrays import Float32Array, IntArray
-from dotsim_ros.cache import PHYSICS, content_key
-from dotsim_ros.files import write_json
+from dotsim_ros.data.data_set import find_indenter, read_data_set
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.data_set import find_indenter, read_data_set
+from dotsim_ros.io.arrays import Float32Array, IntArray
+from dotsim_ros.io.cache import PHYSICS, content_key
+from dotsim_ros.io.files import write_json
+from dotsim_ros.io.provenance import provenance
+from dotsim_ros.io.worker_pool.pool import Crew, open_pool
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.renderer import SkinRenderer
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.footage import (
     FilmedData,
@@ -35,7 +36,6 @@ from dotsim_ros.twin.footage import (
     read_filmed_data,
     render_filmed,
 )
-from dotsim_ros.worker_pool.pool import Crew, open_pool
 from studies.classification.classifier import (
     ClassifierSettings,
     classified,

@@ -20,8 +20,8 @@ from typing import Any
 
 from dotsim_ros.calibration.calibrate import calibrate
 from dotsim_ros.calibration.report import figures
-from dotsim_ros.measured.data_set import INDEX, SKIN_MESH
-from dotsim_ros.progress import PrintedProgress
+from dotsim_ros.data.data_set import INDEX, SKIN_MESH
+from dotsim_ros.io.progress import PrintedProgress
 from studies.gap.rates import rate
 from studies.gap.solved_score import opened_truth
 from studies.hidden.solved_draw import COMMISSIONING, HALVES, NULL

@@ -17,13 +17,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.gap.decision import MARGIN
 from dotsim_ros.gap.presses.answer import null_gains, pattern_gain, screen
 from dotsim_ros.gap.presses.assumptions import BIASED, DIFFERENTIAL
 from dotsim_ros.gap.presses.covariance import Discrepancy, fit_discrepancy
 from dotsim_ros.gap.presses.inference import fit_nuisances
-from dotsim_ros.measured.recording import Recording
+from dotsim_ros.io.arrays import FloatArray
 from studies.gap.null import residuals_without_effect
 from studies.gap.presses import (
     Source,

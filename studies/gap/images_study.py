@@ -21,10 +21,8 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
-from dotsim_ros.files import given_path
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.images.case import IDLE, OpticalCase
 from dotsim_ros.gap.images.find import case_of
@@ -32,8 +30,10 @@ from dotsim_ros.gap.images.fit import ImageSearch
 from dotsim_ros.gap.images.null import OpticalNull, fit_optical_null, save_optical_null
 from dotsim_ros.gap.images.search import Signature, signatures_of
 from dotsim_ros.gap.presses.search_state import GapRequest
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.files import given_path
+from dotsim_ros.io.progress import PrintedProgress
 from dotsim_ros.optics.network.card import read_network
-from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.specification import load_sensor
 from studies.data import SENSOR_A
 from studies.hidden.images import LAWS, ImageLaw, Takes, taken

@@ -14,12 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.presses.answer import null_gains, screen, set_limits
 from dotsim_ros.gap.presses.evidence import Segment, Variant
 from dotsim_ros.gap.presses.inference import fit_nuisances, lengths
 from dotsim_ros.gap.presses.screening import best_trial
 from dotsim_ros.gap.presses.search_state import Ranked, Search
+from dotsim_ros.io.arrays import FloatArray
 from studies.gap.presses import NULL_DRAWS
 
 HALVINGS = 7

@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.measurement import Measurement
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gap.presses.observables import observe, places_of
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.measurement import Measurement
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.worker_pool.pool import Crew
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.worker_pool.pool import Crew
 
 
 def residuals_without_effect(

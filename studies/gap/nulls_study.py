@@ -19,12 +19,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from dotsim_ros.files import cache_directory
+from dotsim_ros.data.data_set import INDEX, read_data_set
 from dotsim_ros.gap.presses.covariance import save_discrepancy
 from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
-from dotsim_ros.measured.data_set import INDEX, read_data_set
-from dotsim_ros.progress import PrintedProgress
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.progress import PrintedProgress
 from dotsim_ros.specification import load_sensor
 from studies.data import SENSOR_A
 from studies.gap.discrepancy import calibrated_discrepancy

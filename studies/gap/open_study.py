@@ -14,9 +14,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.documents import read_json
 from dotsim_ros.gap.find import find_gap
-from dotsim_ros.progress import PrintedProgress
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.progress import PrintedProgress
 from studies.data import MEASURED
 from studies.gap.solved_score import outcome_of
 from studies.run import expect_known, expect_positive

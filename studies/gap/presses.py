@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from dotsim_ros.data.measurement import Measurement, read_measurement
+from dotsim_ros.data.split import repeats_of
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.simulate import open_solver
 from dotsim_ros.gap.presses.assumptions import ABSOLUTE, DIFFERENTIAL, PressNuisance, centred
@@ -24,10 +26,8 @@ from dotsim_ros.gap.presses.search_state import GapRequest, Search
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.measurement import Measurement, read_measurement
-from dotsim_ros.measured.split import repeats_of
+from dotsim_ros.io.worker_pool.pool import Crew
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.worker_pool.pool import Crew
 
 Progress = Callable[[str, int, int], None]
 

@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.files import cache_directory
 from dotsim_ros.gap.presses.covariance import save_discrepancy
-from dotsim_ros.progress import PrintedProgress
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.progress import PrintedProgress
+from dotsim_ros.io.worker_pool.pool import crew
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.worker_pool.pool import crew
 from studies.data import SENSOR_A
 from studies.gap.discrepancy import calibrated_discrepancy
 from studies.gap.presses import Source

@@ -24,14 +24,14 @@ import cv2
 import numpy as np
 import yaml
 
+from dotsim_ros.data.data_set import read_data_set
 from dotsim_ros.gap.find import find_gap_with_images
 from dotsim_ros.gap.findings import Findings
 from dotsim_ros.gap.images.find import fit_noise_of_images
 from dotsim_ros.gap.images.null import OpticalNull, save_optical_null
 from dotsim_ros.gap.presses.search_state import GapRequest
-from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.io.progress import PrintedProgress
 from dotsim_ros.optics.idle_check import read_idle_images
-from dotsim_ros.progress import PrintedProgress
 from dotsim_ros.specification import CameraSpecification, SensorSpecification, load_sensor
 from studies.data import SENSOR_A
 from studies.hidden.path_traced import (

@@ -23,8 +23,8 @@ from typing import Any
 import numpy as np
 
 from dotsim_ros.gap.findings import Verdict
-from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.progress import PrintedProgress
+from dotsim_ros.io.warp_runtime import wp
 from studies.run import expect_positive
 
 JUDGED_S = 5.0

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import cache_directory, parameter_path, write_json
 from dotsim_ros.gap.find import find_gap
 from dotsim_ros.gap.findings import Findings, as_record, findings_of
 from dotsim_ros.gap.presses.covariance import FILE as SHIPPED
-from dotsim_ros.progress import PrintedProgress
-from dotsim_ros.provenance import provenance
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import cache_directory, parameter_path, write_json
+from dotsim_ros.io.progress import PrintedProgress
+from dotsim_ros.io.provenance import provenance
+from dotsim_ros.io.worker_pool.pool import Crew, crew
 from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.worker_pool.pool import Crew, crew
 from studies.gap.rates import median, rate
 from studies.hidden.solved_draw import NULL, OUTSIDE, PAIR, SINGLE, truth_of
 from studies.hidden.solved_sets import TRUTH, SetRecord, read_series

@@ -20,10 +20,6 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
-from dotsim_ros.documents import ArrayForm
-from dotsim_ros.files import short_name
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.answer import answer_of, null_gains, screen, set_limits
@@ -36,6 +32,10 @@ from dotsim_ros.gel.values import GelValues, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cache import PHYSICS, content_key, load_arrays, store_arrays
+from dotsim_ros.io.documents import ArrayForm
+from dotsim_ros.io.files import short_name
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.simulator import GelSimulator

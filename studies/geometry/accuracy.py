@@ -25,13 +25,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
-from dotsim_ros.files import cache_directory, whole_file
 from dotsim_ros.gel.implicit.contact_points import ContactPoints
 from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel
 from dotsim_ros.gel.make import body_of, material_of, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.io.files import cache_directory, whole_file
 from dotsim_ros.nodes.tactile_sim.profiles import REALTIME
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from studies.run import expect_known

@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import KDTree
 
+from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S, ExplicitGel, ExplicitSettings
 from dotsim_ros.gel.make import SingleExplicitGel, body_of
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.presses import Prediction, Press
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError, follow
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.data.data_set import read_data_set
 from studies.data import MEASURED, SENSOR_A
 from studies.geometry.registry import NAMES, GeometryModel, factories_of
 from studies.geometry.report import evaluate_geometry, read_measured, read_with_later, splits_of

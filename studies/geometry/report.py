@@ -11,18 +11,18 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import DataSet, find_indenter
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.reading import few_of, read_observation
-from dotsim_ros.measured.split import (
+from dotsim_ros.data.data_set import DataSet, find_indenter
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.reading import few_of, read_observation
+from dotsim_ros.data.split import (
     HELD_OUT_COUNT,
     Split,
     hold_out_of_protocols,
     leave_one_indenter_out,
 )
-from dotsim_ros.metrics.presses import (
+from dotsim_ros.geometry.indenter import Indenter
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.twin.press_metrics import (
     CONTACT_REACH_M,
     JUDGED_DEPTH_M,
     Factory,
@@ -36,7 +36,7 @@ from dotsim_ros.metrics.presses import (
     measurement_noise,
     summarize,
 )
-from dotsim_ros.metrics.surfaces import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
+from dotsim_ros.twin.surface_metrics import F_SCORE_THRESHOLD_M, SAMPLE_COUNT, SIGNIFICANT_SHARE
 
 HELD_OUT = "held_out"
 

@@ -13,20 +13,20 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S
 from dotsim_ros.gel.make import law_of
 from dotsim_ros.gel.material import NeoHookean, small_strain_moduli_pa
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.presses import Prediction, Press
-from dotsim_ros.metrics.presses import contact_region, judged_frames, surface_errors
-from dotsim_ros.metrics.surfaces import relative_rms
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.follow import steps
-from dotsim_ros.twin.model import ImplicitModel
+from dotsim_ros.twin.press_metrics import contact_region, judged_frames, surface_errors
+from dotsim_ros.twin.surface_metrics import relative_rms
 from studies.data import SENSOR_A
 from studies.geometry.explicit import SETTINGS, ExplicitModel
+from studies.geometry.implicit_model import ImplicitModel
 from studies.geometry.report import read_measured
 
 WARM_UP_FRAMES = 2

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.random import Generator
 from scipy.special import erf
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.pose import Pose, interpolate
+from dotsim_ros.io.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.presses import Press
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.measured.presses import Press
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA, GelSimulator
 from studies.hidden.laws import LAWS, LawAnswer, LawMotion
 

@@ -19,18 +19,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from dotsim_ros.arrays import FloatArray, ImageArray
-from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import DataSet
-from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.measured.trajectory import (
+from dotsim_ros.data.data_set import DataSet
+from dotsim_ros.data.data_set_writer import DataSetWriter
+from dotsim_ros.data.trajectory import (
     ImageChannel,
     PoseChannel,
     SkinChannel,
     Trajectory,
     WrenchChannel,
 )
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import FloatArray, ImageArray
 from studies.hidden.path_traced import (
     MAP_REACH_RAD,
     MAP_SIZE,

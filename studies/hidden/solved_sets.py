@@ -24,12 +24,12 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import write_json, write_text
+from dotsim_ros.data.data_set_writer import DataSetWriter
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.provenance import provenance
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import write_json, write_text
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.specification import SensorSpecification
 from studies.hidden.solved_draw import (
     COMMISSIONED,

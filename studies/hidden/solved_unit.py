@@ -18,14 +18,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.random import Generator
 
-from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.data.motion import Motion
+from dotsim_ros.data.scripted import Site, press_hold_release, slide
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gel.material import Yeoh, bulk_modulus_pa, shear_modulus_pa
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.motion import Motion
-from dotsim_ros.measured.scripted import Site, press_hold_release, slide
-from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import SensorSpecification
 from studies.hidden.solved_draw import SolvedUnit
 from studies.reference.deck import StepControl

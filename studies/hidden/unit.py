@@ -12,15 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.data_set_writer import DataSetWriter
+from dotsim_ros.data.motion import Motion
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.scripted import Site, press_hold_release, slide
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.measured.motion import Motion
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.scripted import Site, press_hold_release, slide
-from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import SensorSpecification
 from dotsim_ros.twin.follow import SolveError
 from dotsim_ros.twin.simulator import GelSimulator

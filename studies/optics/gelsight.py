@@ -25,17 +25,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.cache import content_key
-from dotsim_ros.files import cache_directory
-from dotsim_ros.measured.importers.ball_photographs import (
+from dotsim_ros.data.importers.ball_photographs import (
     BallPress,
     BallRecording,
     with_circles_found,
 )
-from dotsim_ros.measured.importers.fots_balls import read_fots_balls
-from dotsim_ros.measured.importers.taxim_balls import SUBSETS, read_taxim_balls
-from dotsim_ros.metrics.images import score_image
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.cache import content_key
+from dotsim_ros.io.files import cache_directory
 from dotsim_ros.specification import (
     GelSpecification,
     SensorSpecification,
@@ -49,10 +46,13 @@ from dotsim_ros.twin.ball_presses import (
     press_profiles,
 )
 from dotsim_ros.twin.footage import OpticalPress
+from dotsim_ros.twin.image_metrics import score_image
 from studies.data import REAL
+from studies.optics.fots_balls import read_fots_balls
 from studies.optics.judge import Factory, mean_score
 from studies.optics.models import FitSettings, factory_of
 from studies.optics.sheet import write_optics_sheet
+from studies.optics.taxim_balls import SUBSETS, read_taxim_balls
 from studies.rivals.optics import per_pixel
 
 EVERY = 4

@@ -12,10 +12,16 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
 from dotsim_ros.geometry.camera import Camera
-from dotsim_ros.metrics.images import ImageScore, depth_ranges, image_psnr_db, psnr_db, score_image
+from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.twin.footage import FilmedPress, OpticalData, OpticalPress, Rest
+from dotsim_ros.twin.image_metrics import (
+    ImageScore,
+    depth_ranges,
+    image_psnr_db,
+    psnr_db,
+    score_image,
+)
 from studies.optics.split import FrameKey, OpticalSplit, Recorded, optical_splits
 
 AnyPress = TypeVar("AnyPress", FilmedPress, OpticalPress)

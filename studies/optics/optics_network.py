@@ -22,10 +22,10 @@ import cv2
 import numpy as np
 import onnxruntime
 
-from dotsim_ros.files import given_path
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.files import given_path
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.card import FINENESS

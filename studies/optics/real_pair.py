@@ -23,18 +23,18 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize
 
-from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
-from dotsim_ros.files import parameter_path, read_image
+from dotsim_ros.data.motion import pose_along
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.camera import Camera, camera_of_disc
 from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.measured.motion import pose_along
-from dotsim_ros.metrics.images import score_image
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
+from dotsim_ros.io.files import parameter_path, read_image
 from dotsim_ros.optics.idle import LitDisc, read_description
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting, Vignetting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.specification import SensorSpecification, load_sensor
+from dotsim_ros.twin.image_metrics import score_image
 from studies.data import REAL
 
 DESCRIPTION = "images/densetact_real_idle.yaml"

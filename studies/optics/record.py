@@ -10,8 +10,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.files import cache_directory
-from dotsim_ros.measured.data_set import read_data_set
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.io.files import cache_directory
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.specification import load_sensor

@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.trajectory import iterate_images
-from dotsim_ros.metrics.images import image_psnr_db
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.trajectory import iterate_images
 from dotsim_ros.optics.idle_check import read_idle_images
 from dotsim_ros.optics.network.input import resized
+from dotsim_ros.twin.image_metrics import image_psnr_db
 from studies.data import SENSOR_A
 from studies.run import expect_positive
 

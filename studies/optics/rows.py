@@ -21,11 +21,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.cache import tell_broken
-from dotsim_ros.documents import read_arrays, read_json
-from dotsim_ros.files import whole_file, write_json
-from dotsim_ros.provenance import provenance, source_hash
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.cache import tell_broken
+from dotsim_ros.io.documents import read_arrays, read_json
+from dotsim_ros.io.files import whole_file, write_json
+from dotsim_ros.io.provenance import provenance, source_hash
 from dotsim_ros.twin.footage import OpticalData, OpticalPress
 from studies.optics.judge import (
     ImageFrameScores,

@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dotsim_ros.arrays import BoolArray, ImageArray
-from dotsim_ros.files import whole_file
-from dotsim_ros.metrics.images import score_image
-from dotsim_ros.printable import boxes_for_missing_glyphs, figure_label
+from dotsim_ros.io.arrays import BoolArray, ImageArray
+from dotsim_ros.io.files import whole_file
+from dotsim_ros.io.printable import boxes_for_missing_glyphs, figure_label
+from dotsim_ros.twin.image_metrics import score_image
 from dotsim_ros.view.figure import STYLE
 from studies.optics.rows import Row, RowMaker
 from studies.optics.split import FrameKey

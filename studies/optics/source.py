@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 
+from dotsim_ros.data.data_set import DataSet, find_indenter
+from dotsim_ros.data.reading import read_motion
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.learning.pattern import with_learned_pattern
-from dotsim_ros.measured.data_set import DataSet, find_indenter
-from dotsim_ros.measured.reading import read_motion
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import SensorSpecification

@@ -18,11 +18,11 @@ from itertools import combinations
 import numpy as np
 from scipy.stats import chi2
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.importers.force_depth import ForceDepth
+from dotsim_ros.data.importers.gelsight_mini_force import BALL_RADIUS_M
 from dotsim_ros.geometry.indenter import Indenter, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.importers.force_depth import ForceDepth
-from dotsim_ros.measured.importers.gelsight_mini_force import BALL_RADIUS_M
+from dotsim_ros.io.arrays import FloatArray
 from studies.real.inference import MODEL_ERROR, residuals
 from studies.real.pad import (
     PAD_SIZE_M,

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.measured.importers.ecoflex_compression import (
+from dotsim_ros.data.importers.ecoflex_compression import (
     CompressionTest,
     read_compression_tests,
 )

@@ -16,13 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.gel.material import ElasticLaw, MooneyRivlin, NeoHookean, Yeoh
-from dotsim_ros.measured.importers.ecoflex_compression import (
+from dotsim_ros.data.importers.ecoflex_compression import (
     HEIGHT_M,
     RADIUS_M,
     CompressionTest,
 )
+from dotsim_ros.gel.material import ElasticLaw, MooneyRivlin, NeoHookean, Yeoh
+from dotsim_ros.io.arrays import FloatArray
 from studies.reference.compression import Compression, compressed
 
 SHARE = np.linspace(0.10, 0.50, 9)

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.measured.importers.force_depth import ForceDepth
+from dotsim_ros.data.importers.force_depth import ForceDepth
+from dotsim_ros.io.arrays import FloatArray
 from studies.real.pad import COMPRESSIBILITY, PadState, PadTable
 
 DRAW_COUNT = 40_000

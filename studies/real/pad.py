@@ -19,14 +19,14 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RegularGridInterpolator
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import PHYSICS, content_key, load_arrays, store_arrays
-from dotsim_ros.documents import ArrayForm
+from dotsim_ros.data.importers.gelsight_mini_force import PAD_SIZE_M
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, values_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.importers.gelsight_mini_force import PAD_SIZE_M
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cache import PHYSICS, content_key, load_arrays, store_arrays
+from dotsim_ros.io.documents import ArrayForm
 from dotsim_ros.specification import (
     ContactSpecification,
     GelSpecification,

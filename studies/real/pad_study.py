@@ -11,14 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.files import cache_directory
-from dotsim_ros.gel.material import NeoHookean
-from dotsim_ros.measured.importers.force_depth import ForceDepth
-from dotsim_ros.measured.importers.gelsight_mini_force import (
+from dotsim_ros.data.importers.force_depth import ForceDepth
+from dotsim_ros.data.importers.gelsight_mini_force import (
     PAD_SIZE_M,
     ball,
     read_gelsight_mini_force,
 )
+from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.io.files import cache_directory
 from dotsim_ros.specification import ContactSpecification
 from dotsim_ros.twin.simulator import REFERENCE_MODULUS_PA
 from studies.data import REAL

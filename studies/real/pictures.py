@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import whole_file
-from dotsim_ros.measured.importers.ecoflex_compression import (
+from dotsim_ros.data.importers.ecoflex_compression import (
     HEIGHT_M,
     CompressionTest,
     read_compression_tests,
 )
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import whole_file
 from studies.real.cylinders import FITTED_SPECIMEN, LAWS, slipping
 
 SHOWN_MIXES = ("EF10_0T", "EF30_0T", "EF50_0T")

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.gel.material import ElasticLaw
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind
 from dotsim_ros.geometry.surface import meridian
+from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import ContactSpecification, GelSpecification
 from studies.reference.deck import (
     EARLY_M,

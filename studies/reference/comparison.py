@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.trajectory import Trajectory
 from dotsim_ros.gel.make import make_gel
 from dotsim_ros.geometry.indenter import Indenter, way_m
 from dotsim_ros.geometry.pose import interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.trajectory import Trajectory
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import SensorSpecification
 
 STEP_S = 0.05

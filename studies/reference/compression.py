@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
+from dotsim_ros.io.arrays import FloatArray
 from studies.reference.axisymmetric import WEDGE_COUNT, section_of
 from studies.reference.deck import MEGAPASCAL, MM, NEVER, StepControl, hyperelastic_lines
 from studies.reference.mesh import halved_marks

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.documents import read_yaml
+from dotsim_ros.data.data_set import INDEX, find_indenter, read_data_set
+from dotsim_ros.data.trajectory import Trajectory, read_trajectory
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.data_set import INDEX, find_indenter, read_data_set
-from dotsim_ros.measured.trajectory import Trajectory, read_trajectory
+from dotsim_ros.io.documents import read_yaml
 from dotsim_ros.specification import SensorSpecification, sensor_from
 
 FINE_STEP_M = 50e-6

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.gel.implicit.contact import ONSET_M, REFERENCE_SPACING_M, SMOOTHING_M
 from dotsim_ros.gel.material import ElasticLaw, small_strain_moduli_pa
 from dotsim_ros.geometry.closed_mesh import IndenterMesh
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.specification import ContactSpecification
 from studies.reference.mesh import DomeMesh
 

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dotsim_ros.arrays import FloatArray, IntArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray, IntArray
 
 GROWTH = 1.35
 """Largest ratio of the sizes of two neighbouring elements."""

@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from dotsim_ros.data.scripted import Site
 from dotsim_ros.gel.make import law_of
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
 from dotsim_ros.geometry.surface import indenter_surface
-from dotsim_ros.measured.scripted import Site
 from dotsim_ros.specification import SensorSpecification
 from studies.reference.axisymmetric import AxisymmetricSettings
 from studies.reference.deck import Deck, StepControl, near_part

@@ -19,9 +19,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from dotsim_ros.data.data_set_writer import DataSetWriter
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.measured.data_set_writer import DataSetWriter
 from dotsim_ros.specification import load_sensor
 from studies.reference.axisymmetric import AxisymmetricSettings
 from studies.reference.comparison import compare

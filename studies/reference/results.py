@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gel.make import law_of
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.io.arrays import FloatArray
 from studies.reference.axisymmetric import AxisymmetricDeck, AxisymmetricSettings, dome_section
 from studies.reference.mesh import interpolate_skin
 from studies.reference.press import ReferencePress, reference_deck

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 from studies.reference.axisymmetric import WEDGE_COUNT, AxisymmetricDeck
 from studies.reference.deck import MM, Deck
 

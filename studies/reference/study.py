@@ -20,7 +20,7 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.data_set_writer import DataSetWriter
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import (
     Indenter,
@@ -31,7 +31,7 @@ from dotsim_ros.geometry.indenter import (
     sphere,
 )
 from dotsim_ros.geometry.surface import indenter_surface
-from dotsim_ros.measured.data_set_writer import DataSetWriter
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import (
     ContactSpecification,
     MaterialSpecification,

@@ -17,13 +17,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dotsim_ros.arrays import IntArray
 from dotsim_ros.gel.material import (
     ElasticLaw,
     NeoHookean,
     Yeoh,
     small_strain_moduli_pa,
 )
+from dotsim_ros.io.arrays import IntArray
 from studies.reference.deck import (
     MEGAPASCAL,
     MM,

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
+from dotsim_ros.io.arrays import FloatArray
 
 # Searching a mesh anew costs more than many points of one search, so rays are sampled many at once.
 SAMPLES = 64

@@ -32,13 +32,13 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.presses import Prediction, Press
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.warp_runtime import wp
 from studies.rivals import fem_kernels
 from studies.rivals.tetrahedra import (
     TetrahedralMesh,

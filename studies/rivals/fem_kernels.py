@@ -11,7 +11,7 @@ and times in those that a wave needs; see `difftactile`.
 # mypy: disable-error-code="no-untyped-def, valid-type, index, operator, misc, arg-type, assignment"
 
 from dotsim_ros.gel.distance_field import distance_functions
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 SCALAR = wp.float64
 VEC3 = wp.types.vector(3, SCALAR)

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
+from dotsim_ros.io.arrays import FloatArray
 
 
 def penetration_vectors(skin: SkinMesh, depth_m: FloatArray) -> FloatArray:

@@ -17,9 +17,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.presses import Prediction, Press
 from studies.rivals.clipping import clip_depths, clipped_skin
 from studies.rivals.penalty_force import fit_stiffness, penetration_vectors
 from studies.rivals.training import check_training, indenter_of

@@ -28,10 +28,10 @@ import numpy as np
 from scipy import sparse
 from scipy.optimize import differential_evolution
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.presses import Prediction, Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.presses import Prediction, Press
+from dotsim_ros.io.arrays import FloatArray
 from studies.rivals.clipping import clip_depths, clipped_skin
 from studies.rivals.penalty_force import fit_stiffness, penetration_vectors
 from studies.rivals.training import (

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.io.arrays import FloatArray, IndexArray
 
 
 @dataclass(frozen=True)

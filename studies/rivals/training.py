@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.presses import Press
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
-from dotsim_ros.measured.presses import Press
+from dotsim_ros.io.arrays import FloatArray
 
 
 def indenter_of(press: Press, indenters: Mapping[str, Indenter]) -> Indenter:

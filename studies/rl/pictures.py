@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 
-from dotsim_ros.files import whole_file
-from dotsim_ros.tasks.environments.box_yaw import FRAME_RATE_HZ, BoxYawEnvironment
-from dotsim_ros.tasks.environments.reinforcement import PpoSettings, learnt_moves, make_world
+from dotsim_ros.control.environments.box_yaw import FRAME_RATE_HZ, BoxYawEnvironment
+from dotsim_ros.control.environments.reinforcement import PpoSettings, learnt_moves, make_world
+from dotsim_ros.io.files import whole_file
 
 SIZE_PX = 240
 SPAN_M = 0.05

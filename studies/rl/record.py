@@ -8,9 +8,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from dotsim_ros.files import cache_directory
-from dotsim_ros.tasks.environments.reinforcement import PpoSettings
-from dotsim_ros.worker_pool.pool import crew
+from dotsim_ros.control.environments.reinforcement import PpoSettings
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.worker_pool.pool import crew
 from studies.rl.pictures import write_curve, write_rollout
 from studies.rl.study import Study, kept_folder, policy_folder, run_study
 from studies.rl.sweep import run_sweep

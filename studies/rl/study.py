@@ -15,10 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.cache import PHYSICS, content_key
-from dotsim_ros.files import write_json
-from dotsim_ros.tasks.environments.box_yaw import MOVES
-from dotsim_ros.tasks.environments.reinforcement import (
+from dotsim_ros.control.environments.box_yaw import MOVES
+from dotsim_ros.control.environments.reinforcement import (
     Episode,
     PpoSettings,
     Progress,
@@ -27,7 +25,9 @@ from dotsim_ros.tasks.environments.reinforcement import (
     run_episodes,
     train,
 )
-from dotsim_ros.worker_pool.pool import Crew, open_pool
+from dotsim_ros.io.cache import PHYSICS, content_key
+from dotsim_ros.io.files import write_json
+from dotsim_ros.io.worker_pool.pool import Crew, open_pool
 from studies.rl.worlds import AS_LEARNT, WORLDS, options_of
 
 FIRST_EPISODE = 1_000_000
@@ -179,7 +179,7 @@ def blind_row(study: Study, folder: Path, name: str) -> dict[str, Any]:
 def kept_folder(study: Study, cache: Path) -> Path:
     """Return where a study keeps what it has done: another place for other code or settings."""
     return cache / content_key(
-        (*PHYSICS, "tasks", "../studies/rl"),
+        (*PHYSICS, "control", "../studies/rl"),
         study.settings,
         study.steps,
         study.seconds,

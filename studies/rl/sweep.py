@@ -12,8 +12,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.tasks.environments.reinforcement import PpoSettings, train
-from dotsim_ros.worker_pool.pool import Crew, open_pool
+from dotsim_ros.control.environments.reinforcement import PpoSettings, train
+from dotsim_ros.io.worker_pool.pool import Crew, open_pool
 from studies.rl.study import (
     FIRST_EPISODE,
     Study,

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from dotsim_ros.control.environments.box_yaw import BoxYawTask
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.environments.box_yaw import BoxYawTask
 
 AS_LEARNT = "as learnt"
 SENSOR = "densetact2"

@@ -25,12 +25,12 @@ from unittest import mock
 import mujoco
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.control.environments import coupling as coupling_module
+from dotsim_ros.control.environments.coupling import CoupledFinger, MujocoCoupling
 from dotsim_ros.gel.make import GelFrame, SingleImplicitGel
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.sensor import GelFailureError, TactileSensor
 from dotsim_ros.specification import SolverSpecification, load_sensor
-from dotsim_ros.tasks.environments import coupling as coupling_module
-from dotsim_ros.tasks.environments.coupling import CoupledFinger, MujocoCoupling
 from studies.run import expect_known, expect_positive
 
 GRAVITY_M_S2 = 9.81

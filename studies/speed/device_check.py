@@ -38,9 +38,9 @@ from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.warp_runtime import wp
 from studies.run import FAILED, expect_known
 
 TOLERANCE = 2e-3

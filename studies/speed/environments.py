@@ -15,8 +15,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import dotsim_ros.tasks.environments  # noqa: F401
-from dotsim_ros.cores import available_core_count
+import dotsim_ros.control.environments  # noqa: F401
+from dotsim_ros.io.cores import available_core_count
 from studies.run import expect_positive
 
 NAME = "DenseTactBoxYaw-v0"

@@ -27,7 +27,7 @@ import numpy as np
 from playwright.sync_api import Page, ViewportSize, sync_playwright
 from websockets.sync.client import ClientConnection, connect
 
-from dotsim_ros.cores import available_core_count
+from dotsim_ros.io.cores import available_core_count
 from dotsim_ros.specification import load_sensor
 from studies.run import expect_positive
 from studies.timing import percentiles_ms

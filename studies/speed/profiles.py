@@ -33,11 +33,11 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.implicit.handover import SkinJumpError
 from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import AUTO, EXACT, PROFILES
 from dotsim_ros.sensor import TactileSensor

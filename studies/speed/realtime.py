@@ -51,12 +51,12 @@ from rclpy.node import Node
 from sensor_msgs.msg import Image
 
 import msg_adapters
+from dotsim_ros.data.motion import Motion
+from dotsim_ros.data.scripted import Site, in_sequence, press_hold_release, slide
 from dotsim_ros.gel.batch import GelBatch
 from dotsim_ros.gel.make import make_gel_batch
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.motion import Motion
-from dotsim_ros.measured.scripted import Site, in_sequence, press_hold_release, slide
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import load_sensor
 from studies.reference.study import two_bumps

@@ -19,18 +19,18 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from dotsim_ros.cache import content_key
-from dotsim_ros.cores import available_core_count
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind, IndenterMesh
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.cache import content_key
+from dotsim_ros.io.cores import available_core_count
+from dotsim_ros.io.worker_pool.pool import Crew, RayWorkers, open_pool, worker_count
+from dotsim_ros.io.worker_pool.ray_cluster import connected_ray
 from dotsim_ros.specification import load_sensor
 from dotsim_ros.twin import solver
 from dotsim_ros.twin.solver import SolveRequest
-from dotsim_ros.worker_pool.pool import Crew, RayWorkers, open_pool, worker_count
-from dotsim_ros.worker_pool.ray_cluster import connected_ray
 from studies.run import FAILED, expect_positive
 
 BALL_M = 4.0e-3

@@ -19,9 +19,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from dotsim_ros.control.policy.card import read_policy
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
 from dotsim_ros.nodes.tactile_sim.profiles import NAMES
-from dotsim_ros.tasks.policy.card import read_policy
 from studies.run import FAILED, expect_known, expect_positive
 from studies.speed.realtime import measure_node
 from studies.timing import competition, percentiles_ms

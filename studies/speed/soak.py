@@ -19,7 +19,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from sensor_msgs.msg import Image
 
 import msg_adapters
-from dotsim_ros.measured.scripted import Site, press_hold_release
+from dotsim_ros.data.scripted import Site, press_hold_release
 from studies.run import FAILED
 from studies.speed.running_node import PosePublisher, observing_node, running_sensors
 from studies.timing import percentiles_ms

@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from dotsim_ros.cli.main import main as run_command
+from dotsim_ros.control.policy.rollout import APPROACH_S
 from dotsim_ros.gel.make import make_gel_batch
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.policy.rollout import APPROACH_S
-from dotsim_ros.warp_runtime import wp
 from studies.run import expect_positive
 from studies.speed.device_check import explicit_ms
 from studies.speed.environments import steps_per_second

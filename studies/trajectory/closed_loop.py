@@ -23,7 +23,12 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.control.loop.judge import motion_figures, trial_start
+from dotsim_ros.control.loop.recording import LoopRecording
+from dotsim_ros.control.policy.card import read_policy
+from dotsim_ros.control.policy.paths import PATHS, reference_path
+from dotsim_ros.control.safety_layer.limits import SafetyLimits
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import (
     ARM,
@@ -35,11 +40,6 @@ from dotsim_ros.nodes.loop.closed_loop import (
 )
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopTraffic
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
-from dotsim_ros.tasks.control.loop_recording import LoopRecording
-from dotsim_ros.tasks.control.safety import SafetyLimits
-from dotsim_ros.tasks.loop.judge import motion_figures, trial_start
-from dotsim_ros.tasks.policy.card import read_policy
-from dotsim_ros.tasks.policy.paths import PATHS, reference_path
 from studies.run import FAILED, expect_known, expect_positive
 from studies.timing import percentiles_ms
 from studies.trajectory.trials import summarize

@@ -41,15 +41,15 @@ from sensor_msgs.msg import Image
 from std_srvs.srv import SetBool
 
 import msg_adapters
-from dotsim_ros.files import given_path
+from dotsim_ros.control.loop.judge import trial_start
+from dotsim_ros.control.policy.card import read_policy
+from dotsim_ros.control.policy.paths import PATHS, reference_path
+from dotsim_ros.io.files import given_path
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup, policy_name
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS
 from dotsim_ros.nodes.tactile_policy.files import policy_folder, read_image
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.loop.judge import trial_start
-from dotsim_ros.tasks.policy.card import read_policy
-from dotsim_ros.tasks.policy.paths import PATHS, reference_path
 from studies.run import FAILED, expect_known, expect_positive
 
 BOUND_MS, FRAME_MS = 80.0, 40.0
@@ -70,7 +70,7 @@ import os, sys, time
 import numpy as np
 from dotsim_ros.nodes.tactile_policy import node as tactile_policy
 from dotsim_ros.nodes.common.spin import run_node
-from dotsim_ros.tasks.policy.network import load_policy
+from dotsim_ros.control.policy.network import load_policy
 
 def load(folder, path):
     policy = load_policy(folder, path)

@@ -11,9 +11,9 @@ from pathlib import Path
 import matplotlib
 from matplotlib.figure import Figure
 
-from dotsim_ros.files import whole_file
-from dotsim_ros.tasks.control.loop_recording import LoopRecording
-from dotsim_ros.tasks.loop.report import draw_path
+from dotsim_ros.control.loop.recording import LoopRecording
+from dotsim_ros.control.loop.report import draw_path
+from dotsim_ros.io.files import whole_file
 from studies.trajectory.trials import SETTINGS
 
 GRID_PANEL_INCHES = (3.1, 2.3)

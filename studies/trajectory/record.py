@@ -8,11 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from dotsim_ros.files import cache_directory
+from dotsim_ros.control.loop.judge import limits_shown
+from dotsim_ros.control.policy.card import read_policy
+from dotsim_ros.io.files import cache_directory
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.tactile_policy.files import policy_folder
-from dotsim_ros.tasks.loop.judge import limits_shown
-from dotsim_ros.tasks.policy.card import read_policy
 from studies.trajectory.pictures import write_grid
 from studies.trajectory.trial_loop import TrialLoop
 from studies.trajectory.trials import (

@@ -21,13 +21,13 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.measured.bag_hash import bag_sha256
+from dotsim_ros.control.loop.judge import judge, trial_start
+from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
+from dotsim_ros.data.bag_hash import bag_sha256
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopFault, LoopSetup, TimedFault
 from dotsim_ros.nodes.loop.loop_time import SIMULATED
-from dotsim_ros.tasks.loop.judge import judge, trial_start
-from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
 from studies.run import FAILED, expect_known, expect_positive
 from studies.timing import competition
 

@@ -8,9 +8,9 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.control.loop.recording import LoopRecording
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.loop.closed_loop import ClosedLoop, LoopSetup, policy_name
-from dotsim_ros.tasks.control.loop_recording import LoopRecording
 from studies.trajectory.trials import Setting
 
 

@@ -20,20 +20,20 @@ import numpy as np
 import yaml
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import PHYSICS, content_key, tell_broken
-from dotsim_ros.documents import read_yaml
-from dotsim_ros.files import given_path, parameter_path, whole_file, write_image
+from dotsim_ros.control.loop.judge import judge, summary_of, trial_start
+from dotsim_ros.control.loop.recording import LoopRecording
+from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
+from dotsim_ros.control.policy.rollout import APPROACH_S
+from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cache import PHYSICS, content_key, tell_broken
+from dotsim_ros.io.documents import read_yaml
+from dotsim_ros.io.files import given_path, parameter_path, whole_file, write_image
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.optics.idle import description_of, resample
 from dotsim_ros.optics.pattern import idle_frame_of
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import load_sensor, sensor_path
-from dotsim_ros.tasks.control.loop_recording import LoopRecording
-from dotsim_ros.tasks.control.safety import SafetyLimits
-from dotsim_ros.tasks.loop.judge import judge, summary_of, trial_start
-from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
-from dotsim_ros.tasks.policy.rollout import APPROACH_S
 
 SettingName = Literal["simulated", "transferred", "shifted", "reality"]
 SETTINGS: tuple[SettingName, ...] = get_args(SettingName)
@@ -109,7 +109,7 @@ class TrialPlan:
         """Return the name of the file that keeps a trial."""
         what = (self.policy, setting.content, path, number, self.seed, self.seconds, self.clock)
         key = content_key(
-            (*PHYSICS, "optics", "tasks", "nodes"),
+            (*PHYSICS, "optics", "control", "nodes"),
             what,
             setting.noise_levels,
             parameter_path(PARAMETERS).read_bytes(),

@@ -17,10 +17,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, ImageArray, IntArray
-from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import Float32Array, ImageArray, IntArray
+from dotsim_ros.io.files import given_path
 from dotsim_ros.optics.idle import lights_of, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting

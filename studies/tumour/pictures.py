@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.files import whole_file
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import whole_file
 from dotsim_ros.specification import load_sensor
 from studies.tumour.images import Eye
 from studies.tumour.presses import Progress, Simulation, SolvedPress, coarse

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from dotsim_ros.arrays import Float32Array, FloatArray
-from dotsim_ros.cache import GEL, content_key, load_arrays, store_arrays
-from dotsim_ros.documents import ArrayForm, Arrays
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.make import body_of, law_of, skin_of
-from dotsim_ros.gel.pair.equilibrium import GelAndLayer, PairError, PairSettings
-from dotsim_ros.gel.pair.layer import LayerSpecification, SoftLayer
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import Float32Array, FloatArray
+from dotsim_ros.io.cache import GEL, content_key, load_arrays, store_arrays
+from dotsim_ros.io.documents import ArrayForm, Arrays
 from dotsim_ros.specification import SensorSpecification
+from studies.tumour.pair.equilibrium import GelAndLayer, PairError, PairSettings
+from studies.tumour.pair.layer import LayerSpecification, SoftLayer
 from studies.tumour.skins import Press
 
 Progress = Callable[[str], None]

@@ -11,15 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cache import content_key, load_arrays, store_arrays
-from dotsim_ros.documents import Arrays
 from dotsim_ros.gel.make import skin_of
-from dotsim_ros.gel.pair.layer import LayerSpecification
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cache import content_key, load_arrays, store_arrays
+from dotsim_ros.io.documents import Arrays
 from dotsim_ros.specification import SensorSpecification
-from studies.reference.layer_press import LayerPressSettings, solve_layer_press
 from studies.reference.run import CalculixError
+from studies.tumour.layer_press import LayerPressSettings, solve_layer_press
+from studies.tumour.pair.layer import LayerSpecification
 from studies.tumour.presses import Progress, SolvedPress, press_forms
 from studies.tumour.skins import START_GAP_M, Press
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.files import cache_directory
+from dotsim_ros.io.files import cache_directory
 from studies.reference.run import calculix_path, calculix_version
 from studies.tumour.pictures import write_presses
 from studies.tumour.skins import SKIN_NAMES, PressPlan, SkinName

@@ -9,10 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array
-from dotsim_ros.gel.pair.layer import LayerSpecification
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import Float32Array
+from studies.tumour.pair.layer import LayerSpecification
 from studies.tumour.presses import SolvedPress, turned_skins
 from studies.tumour.skins import Press
 

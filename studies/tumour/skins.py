@@ -13,8 +13,8 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.gel.pair.layer import Insert, LayerSpecification
 from dotsim_ros.geometry.pose import Pose
+from studies.tumour.pair.layer import Insert, LayerSpecification
 
 SkinName = Literal["skin_1", "skin_2", "skin_3"]
 SKIN_NAMES: tuple[SkinName, ...] = get_args(SkinName)

@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from dotsim_ros.arrays import Float32Array, FloatArray, IntArray
-from dotsim_ros.cache import PHYSICS, content_key
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import write_json
-from dotsim_ros.gel.pair.layer import LayerSpecification
-from dotsim_ros.provenance import provenance
+from dotsim_ros.io.arrays import Float32Array, FloatArray, IntArray
+from dotsim_ros.io.cache import PHYSICS, content_key
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import write_json
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.specification import load_sensor
 from studies.classification.classifier import (
     ClassifierSettings,
@@ -28,6 +27,7 @@ from studies.classification.classifier import (
     train_classifier,
 )
 from studies.tumour.images import AS_ASSUMED, OTHER, TO_LEARN_FROM, Eye, Light
+from studies.tumour.pair.layer import LayerSpecification
 from studies.tumour.presses import Progress, Simulation, SolvedPress, coarse
 from studies.tumour.reality import calculix_presses
 from studies.tumour.rigid import rigid_presses

@@ -11,7 +11,7 @@ import pytest
 from shared_work import share
 from warm_workers import WarmWorkers
 
-from dotsim_ros.worker_pool import pool
+from dotsim_ros.io.worker_pool import pool
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dotsim_ros.cache import content_key
+from dotsim_ros.data import data_set
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.implicit import gel, tangent
 from dotsim_ros.gel.implicit.tangent import inverse_of_positive
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
-from dotsim_ros.measured import data_set
+from dotsim_ros.io.cache import content_key
 
 KEPT_GRIDS = 8
 KEPT_INVERSES = 3

@@ -28,6 +28,15 @@ from dotsim_ros.calibration.parameters import chosen_parameters, coordinates
 from dotsim_ros.calibration.report import figures, summary_lines
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.reading import Observation
+from dotsim_ros.data.trajectory import (
+    PoseChannel,
+    SkinChannel,
+    Trajectory,
+    WrenchChannel,
+    write_trajectory,
+)
 from dotsim_ros.gel.adjoint.backward import trajectory_gradient
 from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import Recorder
@@ -37,15 +46,6 @@ from dotsim_ros.gel.values import GelValues, specification_with, values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.reading import Observation
-from dotsim_ros.measured.trajectory import (
-    PoseChannel,
-    SkinChannel,
-    Trajectory,
-    WrenchChannel,
-    write_trajectory,
-)
 from dotsim_ros.specification import (
     SensorSpecification,
     SolverSpecification,

@@ -14,14 +14,14 @@ import pytest
 from work_here import open_pool_here
 
 from dotsim_ros import TactileSensor, load_sensor
-from dotsim_ros.arrays import ImageArray
+from dotsim_ros.data.data_set_writer import trajectory_of_frames, write_data_set
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit import contact
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.data_set_writer import trajectory_of_frames, write_data_set
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.worker_pool import pool
 from dotsim_ros.specification import SensorSpecification, write_sensor
-from dotsim_ros.worker_pool import pool
 from studies.classification.domains import DOMAINS
 from studies.classification.record import classification
 

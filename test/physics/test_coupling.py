@@ -11,12 +11,12 @@ import mujoco
 import numpy as np
 import pytest
 
+from dotsim_ros.control.environments.coupling import Finger, MujocoCoupling, MujocoGripper
 from dotsim_ros.gel.implicit.gel import PressTooDeepError
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SolverSpecification, load_sensor
-from dotsim_ros.tasks.environments.coupling import Finger, MujocoCoupling, MujocoGripper
 
 APEX_M = 15.75e-3
 GRAVITY_M_S2 = 9.81

@@ -14,13 +14,7 @@ import pytest
 from work_here import open_pool_here
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.indenter import box, load_indenter, sphere
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.optics import pattern
-from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.policy.demonstration import (
+from dotsim_ros.control.policy.demonstration import (
     DEPTHS_M,
     Demonstrator,
     Plan,
@@ -30,12 +24,18 @@ from dotsim_ros.tasks.policy.demonstration import (
     motion_of,
     read_episode,
 )
-from dotsim_ros.tasks.policy.demonstration_card import CARD, content_of
-from dotsim_ros.tasks.policy.examples import moved_crop, moved_position
-from dotsim_ros.tasks.policy.network import load_policy
-from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
-from dotsim_ros.tasks.policy.rollout import follow
-from dotsim_ros.worker_pool import pool
+from dotsim_ros.control.policy.demonstration_card import CARD, content_of
+from dotsim_ros.control.policy.examples import moved_crop, moved_position
+from dotsim_ros.control.policy.network import load_policy
+from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
+from dotsim_ros.control.policy.rollout import follow
+from dotsim_ros.geometry.indenter import box, load_indenter, sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import parameter_path
+from dotsim_ros.io.worker_pool import pool
+from dotsim_ros.optics import pattern
+from dotsim_ros.specification import load_sensor
 
 SENSOR = load_sensor("densetact2")
 # An episode is made in the same way of any gel; this one takes a tenth of the time.
@@ -165,7 +165,7 @@ camera: {width: 160, height: 120, principal_point_px: [79.5, 59.5], idle_image: 
 
 def test_a_policy_is_trained_for_a_sensor_and_a_ball_of_ones_own(tmp_path, monkeypatch, capsys):
     pytest.importorskip("torch", reason="training needs the extra learning")
-    from dotsim_ros.tasks.policy import examples, training
+    from dotsim_ros.control.policy import examples, training
 
     monkeypatch.chdir(tmp_path)
     Path("dome.yaml").write_text(OWN_DOME, encoding="utf-8")
@@ -228,7 +228,7 @@ def test_the_shipped_policy_follows_its_path_by_touch(sensor, name, frame_count)
 
 def test_turning_a_crop_is_turning_the_sensor(sensor):
     """What training takes for granted: the turned crop is what the turned place gives."""
-    from dotsim_ros.tasks.policy.images import PolicyView
+    from dotsim_ros.control.policy.images import PolicyView
 
     view = PolicyView(side_px=48)
     contact = DomeContact()

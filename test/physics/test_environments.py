@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import dotsim_ros.tasks.environments  # noqa: F401
-from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.environments.ball import (
+import dotsim_ros.control.environments  # noqa: F401
+from dotsim_ros.control.environments.ball import (
     LARGEST_SPEED_M_S,
     FollowEnvironment,
     PressEnvironment,
 )
-from dotsim_ros.tasks.environments.box_yaw import MOVES, BoxYawEnvironment, BoxYawTask
-from dotsim_ros.tasks.policy.expert import Expert
+from dotsim_ros.control.environments.box_yaw import MOVES, BoxYawEnvironment, BoxYawTask
+from dotsim_ros.control.policy.expert import Expert
+from dotsim_ros.specification import load_sensor
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.data_set_writer import trajectory_of_frames, write_data_set
+from dotsim_ros.data.trajectory import Trajectory
 from dotsim_ros.geometry.indenter import Indenter, sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import vertex_normals
-from dotsim_ros.measured.data_set_writer import trajectory_of_frames, write_data_set
-from dotsim_ros.measured.trajectory import Trajectory
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import (
     CameraSpecification,

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 import yaml
 
+from dotsim_ros.data.trajectory import Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.gap.findings import Findings, Verdict
 from dotsim_ros.gap.presses.search import search_presses
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.trajectory import Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.specification import load_sensor
 from studies.hidden.laws import LAWS
 from studies.hidden.reality import Truth

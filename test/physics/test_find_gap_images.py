@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 import yaml
 
+from dotsim_ros.data.trajectory import ImageChannel, read_trajectory, write_trajectory
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
@@ -33,7 +34,6 @@ from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.trajectory import ImageChannel, read_trajectory, write_trajectory
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from studies.hidden.images import LAWS, Takes
 from studies.hidden.reality import Truth

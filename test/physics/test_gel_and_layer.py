@@ -11,21 +11,21 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from dotsim_ros import load_sensor
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Body, Dome
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.elasticity import ElasticBody
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.make import law_of
 from dotsim_ros.gel.material import Material, NeoHookean
-from dotsim_ros.gel.pair.equilibrium import GelAndLayer, PairError, PairSettings, PairState
-from dotsim_ros.gel.pair.layer import Insert, LayerSpecification, SoftLayer
-from dotsim_ros.gel.pair.touch import touch
 from dotsim_ros.geometry.indenter import box
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
-from studies.reference.layer_press import LayerPressSettings, solve_layer_press
+from studies.tumour.layer_press import LayerPressSettings, solve_layer_press
+from studies.tumour.pair.equilibrium import GelAndLayer, PairError, PairSettings, PairState
+from studies.tumour.pair.layer import Insert, LayerSpecification, SoftLayer
+from studies.tumour.pair.touch import touch
 
 RADIUS_M = 15.75e-3
 CORE_M = 6.0e-3

@@ -30,12 +30,12 @@ from websockets.sync.client import ClientConnection, connect
 
 from dotsim_ros import Pose, load_indenter, load_sensor
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.bag import BagReader
+from dotsim_ros.data.trajectory import Topics, read_trajectory
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.moments import rate_hz_of
 from dotsim_ros.live.server import PageServer
-from dotsim_ros.measured.bag import BagReader
-from dotsim_ros.measured.trajectory import Topics, read_trajectory
 from dotsim_ros.nodes.live_page.simulated import SimulatedSubject
 from dotsim_ros.specification import SensorSpecification
 from msg_adapters import decode_image

@@ -15,8 +15,8 @@ import trimesh
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.measured.motion import pose_along
-from dotsim_ros.measured.trajectory import (
+from dotsim_ros.data.motion import pose_along
+from dotsim_ros.data.trajectory import (
     ImageChannel,
     PoseChannel,
     Trajectory,

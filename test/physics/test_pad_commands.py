@@ -17,14 +17,14 @@ import pytest
 from dotsim_ros.calibration.calibrate import calibrate
 from dotsim_ros.calibration.loss import LossNoise
 from dotsim_ros.cli.main import main
-from dotsim_ros.files import write_image
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import Indenter, sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
+from dotsim_ros.io.files import write_image
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.sensor import TactileSensor

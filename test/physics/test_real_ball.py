@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import GelSpecification, SolverSpecification
 from studies.classification.classifier import ClassifierSettings
 from studies.classification.real_ball import (

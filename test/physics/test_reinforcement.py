@@ -15,9 +15,9 @@ import gymnasium
 import pytest
 import torch
 
-from dotsim_ros.tasks.environments import reinforcement
-from dotsim_ros.tasks.environments.box_yaw import BoxYawTask
-from dotsim_ros.tasks.environments.reinforcement import (
+from dotsim_ros.control.environments import reinforcement
+from dotsim_ros.control.environments.box_yaw import BoxYawTask
+from dotsim_ros.control.environments.reinforcement import (
     CHECKPOINT,
     FORMAT,
     PpoSettings,
@@ -68,8 +68,8 @@ def test_it_goes_on_where_it_was(folder: Path) -> None:
 def test_a_killed_training_goes_on(tmp_path: Path) -> None:
     program = (
         "import sys; from pathlib import Path; import torch; torch.set_num_threads(1); "
-        "from dotsim_ros.tasks.environments import reinforcement; "
-        "from dotsim_ros.tasks.environments.reinforcement import PpoSettings, train; "
+        "from dotsim_ros.control.environments import reinforcement; "
+        "from dotsim_ros.control.environments.reinforcement import PpoSettings, train; "
         f"reinforcement.RANDOM_MOVES = {reinforcement.RANDOM_MOVES}; "
         f"train({SMALL!r}, Path(sys.argv[1]), steps=10**6)"
     )

@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 from work_here import open_pool_here
 
-from dotsim_ros.tasks.environments import box_yaw, reinforcement
-from dotsim_ros.worker_pool import pool
+from dotsim_ros.control.environments import box_yaw, reinforcement
+from dotsim_ros.io.worker_pool import pool
 from studies import run
 from studies.rl import record, study, worlds
 from studies.rl.study import FIRST_EPISODE, Study

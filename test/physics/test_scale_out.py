@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 import trimesh
 
+from dotsim_ros.control.policy.demonstration import Plan, demonstrate, episode_file
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.material import PronySeries
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import Indenter, IndenterKind, IndenterMesh, load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.worker_pool.pool import Crew, RayWorkers
+from dotsim_ros.io.worker_pool.ray_cluster import ON_THIS_MACHINE, SETTINGS
 from dotsim_ros.specification import SensorSpecification, load_sensor
-from dotsim_ros.tasks.policy.demonstration import Plan, demonstrate, episode_file
 from dotsim_ros.twin.follow import SimulatedPress
 from dotsim_ros.twin.solver import SolveRequest, open_press_solver
-from dotsim_ros.worker_pool.pool import Crew, RayWorkers
-from dotsim_ros.worker_pool.ray_cluster import ON_THIS_MACHINE, SETTINGS
 
 ray = pytest.importorskip("ray", reason="needs the extra scale: pip install '.[scale]'")
 ROOT = Path(__file__).parents[2]

@@ -10,14 +10,14 @@ from pathlib import Path
 
 import numpy as np
 
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.recording import Recording, phases_of
 from dotsim_ros.effects.effect import FORCE, Active, Effect, EffectParameter, GelTerm
 from dotsim_ros.effects.simulate import open_solver, request_of
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.recording import Recording, phases_of
 from dotsim_ros.specification import load_sensor
 
 COARSE = load_sensor("densetact2")

@@ -13,13 +13,13 @@ import pytest
 from PIL import Image
 
 from dotsim_ros import load_sensor
-from dotsim_ros.arrays import Float32Array
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from studies.reference.layer_press import LayerPressSettings
+from dotsim_ros.io.arrays import Float32Array
 from studies.reference.run import CalculixMissingError
 from studies.tumour import pictures, presses, reality, study
 from studies.tumour.images import OTHER, Eye, Light
+from studies.tumour.layer_press import LayerPressSettings
 from studies.tumour.presses import SolvedPress, coarse, skin_turns, turned_skins
 from studies.tumour.record import tumour
 from studies.tumour.rigid import rigid_presses

@@ -18,7 +18,7 @@ from typing import Any
 import pytest
 from shared_work import share
 
-from dotsim_ros.worker_pool.processes import open_worker_pool
+from dotsim_ros.io.worker_pool.processes import open_worker_pool
 
 
 class WarmWorkers:

@@ -17,13 +17,13 @@ from sensor_msgs.msg import CompressedImage
 from sensor_msgs.srv import SetCameraInfo
 
 import msg_adapters
+from dotsim_ros.control.safety_layer.limits import Reason
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog, RefusedInputError
 from dotsim_ros.nodes.tactile_policy.inputs import PolicyInputs
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
-from dotsim_ros.tasks.control.safety import Reason
 
 TICK_NS = 10_000_000
 

@@ -19,11 +19,11 @@ import psutil
 import pytest
 
 import msg_adapters
+from dotsim_ros.control.loop.bag import read_loop_bag
+from dotsim_ros.control.loop.judge import judge, trial_start
+from dotsim_ros.control.loop.recording import LoopRecording
+from dotsim_ros.control.policy.paths import reference_path
 from dotsim_ros.nodes.loop.closed_loop import SENSOR, ClosedLoop, LoopSetup
-from dotsim_ros.tasks.control.loop_recording import LoopRecording
-from dotsim_ros.tasks.loop.bag import read_loop_bag
-from dotsim_ros.tasks.loop.judge import judge, trial_start
-from dotsim_ros.tasks.policy.paths import reference_path
 
 PATH = "figure_eight"
 SECONDS = 6.0

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.measured.trajectory import RECORDED_TOPICS, Topics, read_trajectory
-from dotsim_ros.replacement import remove_made
+from dotsim_ros.data.trajectory import RECORDED_TOPICS, Topics, read_trajectory
+from dotsim_ros.io.replacement import remove_made
 
 
 def test_demonstration_leaves_a_bag_a_video_and_a_sheet(tmp_path):

@@ -19,7 +19,7 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from std_srvs.srv import Trigger
 
 import msg_adapters
-from dotsim_ros.measured.trajectory import PoseChannel, Trajectory, WrenchChannel, write_trajectory
+from dotsim_ros.data.trajectory import PoseChannel, Trajectory, WrenchChannel, write_trajectory
 
 FORCE = {"control": "force", "diagnostics_period_s": 0.1, "grid_spacing_m": 0.0048}
 LOCKSTEP = {**FORCE, "clock": "lockstep"}

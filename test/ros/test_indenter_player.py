@@ -16,9 +16,9 @@ from rclpy.qos import HistoryPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
 import msg_adapters
-from dotsim_ros.files import parameter_path
-from dotsim_ros.measured.shipped_presses import read_presses
-from dotsim_ros.measured.trajectory import PoseChannel, Topics, Trajectory, write_trajectory
+from dotsim_ros.data.shipped_presses import read_presses
+from dotsim_ros.data.trajectory import PoseChannel, Topics, Trajectory, write_trajectory
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.indenter_player.node import IndenterPlayer
 
 MODULE = "dotsim_ros.nodes.indenter_player.node"

@@ -21,7 +21,7 @@ from harness import Client, running
 from launched import Started, launched, started
 
 import msg_adapters
-from dotsim_ros.files import parameter_path
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.parameter_file import named_parameters, parameters_of
 from dotsim_ros.nodes.common.reasons import nearest
 from dotsim_ros.nodes.indenter_player.launched import BASE_FRAME

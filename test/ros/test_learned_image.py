@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from harness import LockstepPress, TactileFrame, running, sensor
 
-from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.network.card import FORMAT, NetworkCard, camera_hash
 from dotsim_ros.specification import load_sensor, write_sensor

@@ -17,7 +17,9 @@ from typing import Any
 import pytest
 from harness import Executable
 
-from dotsim_ros.measured.bag_hash import bag_sha256
+from dotsim_ros.control.loop.judge import judge, trial_start
+from dotsim_ros.control.policy.paths import DomeContact, reference_path
+from dotsim_ros.data.bag_hash import bag_sha256
 from dotsim_ros.nodes.loop.closed_loop import (
     ARM,
     POLICY,
@@ -30,8 +32,6 @@ from dotsim_ros.nodes.loop.closed_loop import (
 from dotsim_ros.nodes.loop.loop_time import REALTIME, SIMULATED, SteppedTime
 from dotsim_ros.nodes.loop.observer import LOOP_TOPICS, LoopObserver
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
-from dotsim_ros.tasks.loop.judge import judge, trial_start
-from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
 
 PATH = "line"
 FAULT_S, WATCHED_S = 2.6, 0.4

@@ -393,7 +393,7 @@ BAD_POLICY = """
 import time
 from dotsim_ros.nodes.tactile_policy import node as tactile_policy
 from dotsim_ros.nodes.common.spin import run_node
-from dotsim_ros.tasks.policy.network import load_policy
+from dotsim_ros.control.policy.network import load_policy
 
 def load_bad(folder, path):
     policy = load_policy(folder, path)

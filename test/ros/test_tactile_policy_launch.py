@@ -11,7 +11,7 @@ import pytest
 import yaml
 from launched import started
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.tactile_record.node import RecordParameters

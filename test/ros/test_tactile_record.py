@@ -27,8 +27,8 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 import msg_adapters
 from dotsim_ros.cli.main import main
-from dotsim_ros.measured.bag import BagReader
-from dotsim_ros.measured.trajectory import RECORDED_TOPICS, read_trajectory
+from dotsim_ros.data.bag import BagReader
+from dotsim_ros.data.trajectory import RECORDED_TOPICS, read_trajectory
 from dotsim_ros.nodes.tactile_record.node import TactileRecord
 
 MODULE = "dotsim_ros.nodes.tactile_record.node"

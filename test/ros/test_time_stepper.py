@@ -31,7 +31,7 @@ from stepper_rig import (
     session,
 )
 
-from dotsim_ros.arrays import IntArray
+from dotsim_ros.io.arrays import IntArray
 
 STEPPED = {"use_sim_time": "true", "stepped": "true"}
 SIMULATED = {"use_sim_time": "true"}

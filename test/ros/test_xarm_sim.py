@@ -17,8 +17,8 @@ from arm_rig import ArmClient, arm_client
 from harness import Executable, measured_until, running
 
 import msg_adapters
+from dotsim_ros.control.arm.kinematics import JOINT_NAMES, ArmKinematics
 from dotsim_ros.geometry.pose import Pose, compose, inverse
-from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
 
 MODULE = "dotsim_ros.nodes.xarm_sim.node"
 START_M = np.array([0.35, 0.0, 0.3])

@@ -14,8 +14,8 @@ from dotsim_ros.calibration.loss import FORCE, POINTS, SKIN, LossNoise
 from dotsim_ros.calibration.parameters import chosen_parameters, with_coordinates
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.calibration.statistics import identifiability, joint_estimate, median_estimate
+from dotsim_ros.data.reading import Omission
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.reading import Omission
 from dotsim_ros.specification import SensorSpecification
 
 NAMES = ("E", "nu", "friction")

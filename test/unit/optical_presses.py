@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting

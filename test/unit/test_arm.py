@@ -6,15 +6,15 @@
 import numpy as np
 import pytest
 
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.tasks.arm.kinematics import ArmKinematics
-from dotsim_ros.tasks.arm.simulated import (
+from dotsim_ros.control.arm.kinematics import ArmKinematics
+from dotsim_ros.control.arm.simulated import (
     STEP_S,
     ArmFaults,
     ArmLimits,
     ArmResponse,
     SimulatedArm,
 )
+from dotsim_ros.geometry.pose import Pose
 
 START_S = 1000.0
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])

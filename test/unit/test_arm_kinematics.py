@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.tasks.arm.kinematics import (
+from dotsim_ros.control.arm.kinematics import (
     COMFORTABLE_JOINTS_RAD,
     JOINT_NAMES,
     XARM7,
     ArmKinematics,
 )
+from dotsim_ros.geometry.pose import Pose
 
 DOWN = np.array([1.0, 0.0, 0.0, 0.0])
 

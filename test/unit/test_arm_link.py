@@ -11,7 +11,7 @@ import pytest
 import yaml
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.xarm_adapter.link import Hindrance, LinkLimits, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters

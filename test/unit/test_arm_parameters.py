@@ -11,10 +11,10 @@ import pytest
 import yaml
 from rosbags.typesys import Stores, get_typestore
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.control.arm.simulated import ArmFaults, ArmLimits, ArmResponse
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters
-from dotsim_ros.tasks.arm.simulated import ArmFaults, ArmLimits, ArmResponse
 from msg_adapters import BagTypes, decode_joint_state, encode_joint_state
 
 NAMES = ("joint1", "joint2", "joint3")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import warp as wp
 
+from dotsim_ros.data.presses import Press
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.measured.presses import Press
 from studies.rivals import difftactile, fem_kernels
 from studies.rivals.difftactile import (
     DiffTactile,

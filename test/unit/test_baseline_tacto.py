@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dotsim_ros.data.presses import Press
 from dotsim_ros.geometry.indenter import Indenter, box, cone, flat_punch, sphere, torus
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.measured.presses import Press
 from studies.rivals import tacto
 from studies.rivals.clipping import clip_depths, clipped_skin
 from studies.rivals.penalty_force import penetration_vectors

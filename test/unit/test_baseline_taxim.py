@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dotsim_ros.data.presses import Press
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
-from dotsim_ros.measured.presses import Press
 from studies.rivals import taxim
 from studies.rivals.clipping import clip_depths
 

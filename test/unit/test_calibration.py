@@ -37,13 +37,13 @@ from dotsim_ros.calibration.statistics import (
     median_estimate,
     offset_step,
 )
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.reading import Observation
+from dotsim_ros.data.trajectory import Topics
 from dotsim_ros.gel.values import specification_with, values_of
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin, pad_skin
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.reading import Observation
-from dotsim_ros.measured.trajectory import Topics
 from dotsim_ros.specification import SensorSpecification, load_sensor, write_sensor
 from dotsim_ros.twin.follow import SimulatedPress
 from dotsim_ros.twin.simulator import offset_pose

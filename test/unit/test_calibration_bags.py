@@ -13,10 +13,10 @@ import trimesh
 import yaml
 
 import msg_adapters
+from dotsim_ros.data.bag import BAG_TYPES, BagFile
+from dotsim_ros.data.data_set import DataSet, read_data_set
+from dotsim_ros.data.reading import BadBagError, read_observation, read_observations
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.bag import BAG_TYPES, BagFile
-from dotsim_ros.measured.data_set import DataSet, read_data_set
-from dotsim_ros.measured.reading import BadBagError, read_observation, read_observations
 
 SKIN = dome_skin(0.01575, 4e-3)
 FRAMES = 3

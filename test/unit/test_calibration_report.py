@@ -16,7 +16,7 @@ from calibration_result import calibration
 
 from dotsim_ros.calibration.parameters import PARAMETERS
 from dotsim_ros.calibration.report import figures, page_of, summary_lines, write_report
-from dotsim_ros.page import as_markdown, images_of
+from dotsim_ros.io.page import as_markdown, images_of
 
 
 def test_the_page_needs_nothing_beside_it(tmp_path: Path) -> None:

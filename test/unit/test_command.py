@@ -10,9 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.twist import TwistFrame, advance
-from dotsim_ros.tasks.arm.command import (
+from dotsim_ros.control.arm.command import (
     ANGULAR,
     LINEAR,
     CommandInterpolator,
@@ -25,6 +23,8 @@ from dotsim_ros.tasks.arm.command import (
     within_speed,
     zero_twist,
 )
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.twist import TwistFrame, advance
 
 TILTED = Pose((0.3, -0.1, 0.2), (0.5, -0.5, 0.1, np.sqrt(0.49)))
 numbers = st.floats(-1.0, 1.0)

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from optical_presses import RADIUS_M, dented
 
-from dotsim_ros.files import PACKAGE_ROOT, given_path, parameter_path
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.io.files import PACKAGE_ROOT, given_path, parameter_path
 from dotsim_ros.optics.idle import lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.network.card import (

@@ -16,11 +16,11 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from dotsim_ros import Pose, TactileSensor
-from dotsim_ros.cores import available_core_count, keep_single_threaded, single_threaded
 from dotsim_ros.gel.implicit.gel import World
 from dotsim_ros.gel.implicit.newton import Point
 from dotsim_ros.gel.make import SingleImplicitGel
-from dotsim_ros.worker_pool.processes import open_worker_pool
+from dotsim_ros.io.cores import available_core_count, keep_single_threaded, single_threaded
+from dotsim_ros.io.worker_pool.processes import open_worker_pool
 
 pytestmark = pytest.mark.skipif(
     os.cpu_count() == 1, reason="a single core has one thread, whatever is asked for"

@@ -20,15 +20,15 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.control.policy.card import USUAL_MEAN, USUAL_ROOT
+from dotsim_ros.control.policy.network import load_policy
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.tactile_policy.files import read_image
 from dotsim_ros.optics.network import carded_weights
 from dotsim_ros.optics.network.carded_weights import CARD_KEY, GRAPH, WEIGHTS, weights_hash
 from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.policy.card import USUAL_MEAN, USUAL_ROOT
-from dotsim_ros.tasks.policy.network import load_policy
 
 Card = dict[str, Any]
 Weights = dict[str, np.ndarray[Any, Any]]

@@ -14,16 +14,16 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.indenter import Indenter, box_edge, load_indenter, sphere
-from dotsim_ros.geometry.pose import Pose, Wrench
-from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.data_set_writer import (
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.data_set_writer import (
     DataSetWriter,
     trajectory_of_frames,
     write_data_set,
 )
-from dotsim_ros.measured.trajectory import Trajectory
+from dotsim_ros.data.trajectory import Trajectory
+from dotsim_ros.geometry.indenter import Indenter, box_edge, load_indenter, sphere
+from dotsim_ros.geometry.pose import Pose, Wrench
+from dotsim_ros.geometry.skin_mesh import dome_skin
 
 SKIN = dome_skin(0.01575, 4.0e-3)
 BALL = sphere(0.004)

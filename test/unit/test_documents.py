@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dotsim_ros.documents import (
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.io.documents import (
     ArrayForm,
     parse_json,
     parse_yaml,
@@ -25,8 +27,6 @@ from dotsim_ros.documents import (
     read_table,
     read_yaml,
 )
-from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.measured.data_set import read_data_set
 from dotsim_ros.specification import load_sensor
 
 Answered = Callable[..., None]

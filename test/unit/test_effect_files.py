@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from dotsim_ros import find_gap
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.trajectory import PoseChannel, Trajectory, WrenchChannel
 from dotsim_ros.effects.effect import (
     Active,
     EffectError,
@@ -28,8 +30,6 @@ from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.trajectory import PoseChannel, Trajectory, WrenchChannel
 
 GOOD = """
 from __future__ import annotations

@@ -16,28 +16,30 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S
-from dotsim_ros.gel.material import NeoHookean
-from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, tip_depth_m
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry, read_data_set
-from dotsim_ros.measured.presses import Prediction, Press, press_of
-from dotsim_ros.measured.reading import read_observation
-from dotsim_ros.measured.split import (
+from dotsim_ros.data.data_set import DataSet, DataSetEntry, read_data_set
+from dotsim_ros.data.presses import Prediction, Press, press_of
+from dotsim_ros.data.reading import read_observation
+from dotsim_ros.data.split import (
     Split,
     hold_out_of_protocols,
     leave_one_indenter_out,
 )
-from dotsim_ros.measured.trajectory import (
+from dotsim_ros.data.trajectory import (
     PoseChannel,
     SkinChannel,
     Trajectory,
     WrenchChannel,
     write_trajectory,
 )
-from dotsim_ros.metrics import presses as press_metrics
-from dotsim_ros.metrics.presses import (
+from dotsim_ros.gel.explicit.gel import PAPER_FRAME_S
+from dotsim_ros.gel.material import NeoHookean
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, tip_depth_m
+from dotsim_ros.specification import MaterialSpecification, SensorSpecification
+from dotsim_ros.twin import press_metrics
+from dotsim_ros.twin.follow import SolveError, steps
+from dotsim_ros.twin.press_metrics import (
     PressFrameScore,
     Summary,
     by_indenter,
@@ -48,9 +50,7 @@ from dotsim_ros.metrics.presses import (
     score_press,
     summarize,
 )
-from dotsim_ros.metrics.surfaces import SAMPLE_COUNT
-from dotsim_ros.specification import MaterialSpecification, SensorSpecification
-from dotsim_ros.twin.follow import SolveError, steps
+from dotsim_ros.twin.surface_metrics import SAMPLE_COUNT
 from studies import run
 from studies.geometry.explicit import (
     COARSE_SETTINGS,

@@ -15,8 +15,8 @@ import pytest
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera
-from dotsim_ros.metrics.images import LARGEST_PSNR_DB
 from dotsim_ros.twin.footage import OpticalData, OpticalPress, Rest
+from dotsim_ros.twin.image_metrics import LARGEST_PSNR_DB
 from studies.optics import rows as optics_rows
 from studies.optics.judge import (
     Idle,

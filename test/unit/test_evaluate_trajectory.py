@@ -15,18 +15,18 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import msg_adapters
-from dotsim_ros.files import parameter_path
+from dotsim_ros.control.loop.bag import read_loop_bag
+from dotsim_ros.control.loop.judge import judge, trial_start
+from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording
+from dotsim_ros.control.loop.report import drawn_places, path_image, trial_report
+from dotsim_ros.control.policy.paths import PATHS, DomeContact, reference_path
+from dotsim_ros.control.safety_layer.limits import SafetyLimits
+from dotsim_ros.data.bag import BAG_TYPES, BagFile
 from dotsim_ros.geometry.pose import Pose, compose, inverse
-from dotsim_ros.measured.bag import BAG_TYPES, BagFile
-from dotsim_ros.page import as_markdown
-from dotsim_ros.provenance import provenance
+from dotsim_ros.io.files import parameter_path
+from dotsim_ros.io.page import as_markdown
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
-from dotsim_ros.tasks.control.safety import SafetyLimits
-from dotsim_ros.tasks.loop.bag import read_loop_bag
-from dotsim_ros.tasks.loop.judge import judge, trial_start
-from dotsim_ros.tasks.loop.report import drawn_places, path_image, trial_report
-from dotsim_ros.tasks.policy.paths import PATHS, DomeContact, reference_path
 from studies.trajectory import trials
 from studies.trajectory.pictures import write_grid
 from studies.trajectory.trials import (

@@ -16,12 +16,12 @@ import numpy as np
 import pytest
 import yaml
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.files import parameter_path
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import lights_of, lit_region, read_description, stated_lights
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting

@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.recording import Phase, Recording, phases_of
 from dotsim_ros.gap.presses.observables import (
     PATCH_COUNT,
     SIZE,
@@ -19,8 +21,6 @@ from dotsim_ros.gap.presses.patterns import LEANING, patterns
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.recording import Phase, Recording, phases_of
 
 APEX_M = 0.01575
 

@@ -29,7 +29,7 @@ from dotsim_ros.gap.report.figures import heatmap
 from dotsim_ros.gap.report.places import by_phase, by_trajectory
 from dotsim_ros.gap.report.sections import page_of
 from dotsim_ros.gap.report.write import write_report
-from dotsim_ros.page import (
+from dotsim_ros.io.page import (
     Bullets,
     Page,
     Section,
@@ -39,7 +39,7 @@ from dotsim_ros.page import (
     images_of,
     page_figure,
 )
-from dotsim_ros.replacement import MANIFEST, replace_files
+from dotsim_ros.io.replacement import MANIFEST, replace_files
 
 VOID = {"meta", "link", "img", "br"}
 

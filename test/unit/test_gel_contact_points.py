@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.implicit.contact_points import SPACING_M, ContactPoints, borne
 from dotsim_ros.geometry.indenter import Indenter, box_edge, flat_punch, sphere
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
+from dotsim_ros.io.arrays import FloatArray, IndexArray
 
 PUNCH_RADIUS_M = 4.0e-3
 GRID_SPACING_M = 2.4e-3

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import Float32Array
 from dotsim_ros.gel.body import QUARTER_TURNS_AND_MIRRORS, Body, Dome, Pad, fibonacci_hemisphere
 from dotsim_ros.gel.discretization import Discretization, discretize, spline_weights
 from dotsim_ros.gel.elasticity import ElasticBody
@@ -20,6 +19,7 @@ from dotsim_ros.gel.implicit.rest_compliance import kept_compliance
 from dotsim_ros.gel.implicit.tangent import inverse_at_rest
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
+from dotsim_ros.io.arrays import Float32Array
 
 FloatArray = NDArray[np.float64]
 DOME, PAD = Dome(15.75e-3, 6.0e-3), Pad((12.0e-3, 12.0e-3, 7.2e-3))

@@ -13,13 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.measured.importers.ball_photographs import BallPress, BallRecording
-from dotsim_ros.measured.importers.fots_balls import (
-    BALL_RADIUS_M,
-    PIXELS_PER_METRE,
-    read_fots_balls,
-)
-from dotsim_ros.measured.importers.taxim_balls import read_taxim_balls
+from dotsim_ros.data.importers.ball_photographs import BallPress, BallRecording
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.specification import (
     GelSpecification,
@@ -35,12 +29,18 @@ from dotsim_ros.twin.ball_presses import (
     gel_presses,
     press_profiles,
 )
+from studies.optics.fots_balls import (
+    BALL_RADIUS_M,
+    PIXELS_PER_METRE,
+    read_fots_balls,
+)
 from studies.optics.gelsight import (
     SENSOR,
     BallStudy,
     cap_presses,
     with_gains_of,
 )
+from studies.optics.taxim_balls import read_taxim_balls
 
 SIZE = (80, 60)
 COARSE = replace(

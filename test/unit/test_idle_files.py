@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from dotsim_ros.calibration.idle_files import described_image, idle_image_of, write_lowered_copy
-from dotsim_ros.files import given_path, parameter_path, write_image
+from dotsim_ros.io.files import given_path, parameter_path, write_image
 from dotsim_ros.optics.idle import fine_path, lights_of, stated_lights
 from dotsim_ros.specification import SensorSpecification, load_sensor
 

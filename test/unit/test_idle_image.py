@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.files import given_path, parameter_path
 from dotsim_ros.gel.make import GelFrame, skin_of
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Wrench
 from dotsim_ros.geometry.skin_mesh import vertex_normals
+from dotsim_ros.io.files import given_path, parameter_path
 from dotsim_ros.optics.idle import LitDisc
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.optics.renderer import SkinRenderer

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import Camera, FisheyeCamera
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics import kernels
 from dotsim_ros.optics.idle import LitDisc, fit_idle_image, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer
@@ -235,7 +235,7 @@ def test_rendered_idle_image_repeats_and_looks_lit(camera):
     not SENSOR_A.is_dir(), reason="needs the measured data set sensor_a beside the checkout"
 )
 def test_measured_skin_carries_the_measured_idle_frame():
-    from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.data.data_set import read_data_set
 
     data = read_data_set(SENSOR_A)
     skin = data.skin_mesh()

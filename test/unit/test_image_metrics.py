@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from dotsim_ros.metrics.images import (
+from dotsim_ros.twin.image_metrics import (
     LARGEST_PSNR_DB,
     psnr_db,
     score_image,

@@ -13,15 +13,15 @@ import pytest
 from numpy.typing import NDArray
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.importers.densetact import import_densetact
-from dotsim_ros.measured.importers.ecoflex_compression import (
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.importers.densetact import import_densetact
+from dotsim_ros.data.importers.ecoflex_compression import (
     HEIGHT_M,
     import_ecoflex_compression,
     read_compression_tests,
 )
-from dotsim_ros.measured.importers.force_depth import ForceDepth, check_in_step, read_force_table
-from dotsim_ros.measured.importers.gelsight_mini_force import (
+from dotsim_ros.data.importers.force_depth import ForceDepth, check_in_step, read_force_table
+from dotsim_ros.data.importers.gelsight_mini_force import (
     PAD_SIZE_M,
     import_gelsight_mini_force,
     read_gelsight_mini_force,

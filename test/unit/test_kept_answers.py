@@ -16,12 +16,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dotsim_ros import cache
 from dotsim_ros.calibration.fitting import FitProblem, PressFit, PressLinearisation
 from dotsim_ros.calibration.loss import FORCE, POINTS, LossNoise
 from dotsim_ros.calibration.loss import SKIN as SKIN_CHANNEL
 from dotsim_ros.calibration.parameters import chosen_parameters
 from dotsim_ros.calibration.stages import Outcome, Task, Workers, task_key
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.reading import Observation
+from dotsim_ros.data.recording import Phase, Recording
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.simulate import EffectRequest, EffectSolver
 from dotsim_ros.gel.values import values_of
@@ -29,9 +31,7 @@ from dotsim_ros.geometry.indenter import Indenter, IndenterMesh, load_mesh, sphe
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
 from dotsim_ros.geometry.surface import indenter_surface
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.reading import Observation
-from dotsim_ros.measured.recording import Phase, Recording
+from dotsim_ros.io import cache
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from dotsim_ros.twin.follow import SimulatedPress
 from dotsim_ros.twin.solver import MAKING, TOGETHER, PressSolver

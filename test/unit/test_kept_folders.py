@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dotsim_ros.cache import keep_arrays, load_arrays
-from dotsim_ros.files import cache_directory, usable_folder
+from dotsim_ros.io.cache import keep_arrays, load_arrays
+from dotsim_ros.io.files import cache_directory, usable_folder
 
 KEPT = """
-from dotsim_ros.files import cache_directory
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.warp_runtime import wp
 wp.config.log_level = 30
 wp.init()
 print(cache_directory(), wp.config.kernel_cache_dir, sep="\\n")

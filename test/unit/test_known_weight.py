@@ -14,16 +14,16 @@ import pytest
 import yaml
 from gap_findings import named, no_gap, unknown
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.known_weight import ForceScale, combined_scale, read_weight
+from dotsim_ros.data.trajectory import Trajectory, WrenchChannel, write_trajectory
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import active_effects
 from dotsim_ros.gap.findings import Findings, Verdict, as_record, findings_of
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gap.presses.weighed import is_wrong, weighed_scale, with_scale
 from dotsim_ros.gap.report.sections import page_of
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.known_weight import ForceScale, combined_scale, read_weight
-from dotsim_ros.measured.trajectory import Trajectory, WrenchChannel, write_trajectory
-from dotsim_ros.page import as_markdown
+from dotsim_ros.io.page import as_markdown
 from dotsim_ros.specification import load_sensor
 
 GRAVITY = 9.80665

@@ -7,8 +7,8 @@ import json
 
 import yaml
 
-from dotsim_ros.files import parameter_path
-from dotsim_ros.measured.trajectory import BASE_FRAME
+from dotsim_ros.data.trajectory import BASE_FRAME
+from dotsim_ros.io.files import parameter_path
 
 TOPICS = {"/image_raw", "/depth/image", "/points", "/wrench", "/indenter/pose"}
 

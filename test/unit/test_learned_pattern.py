@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.files import write_image
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.io.files import write_image
 from dotsim_ros.learning.pattern import with_learned_pattern
 from dotsim_ros.optics.idle import check_fine, fine_path, lit_region, read_idle_frame
 from dotsim_ros.optics.image import ImageRenderer, double_resolution

@@ -22,11 +22,11 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 
 import msg_adapters
-from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE, BagFile, BagReader
-from dotsim_ros.measured.mcap import reader as reader_module
-from dotsim_ros.measured.mcap.reader import Tolerance
-from dotsim_ros.measured.mcap.records import HEAD, MAGIC, Opcode, record
-from dotsim_ros.measured.trajectory import decode_colour, read_trajectory
+from dotsim_ros.data.bag import BAG_TYPES, TYPESTORE, BagFile, BagReader
+from dotsim_ros.data.mcap import reader as reader_module
+from dotsim_ros.data.mcap.reader import Tolerance
+from dotsim_ros.data.mcap.records import HEAD, MAGIC, Opcode, record
+from dotsim_ros.data.trajectory import decode_colour, read_trajectory
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 IMAGE = "sensor_msgs/msg/Image"
@@ -388,8 +388,8 @@ CLAIMS = """
 import resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (3 * 2**30, 3 * 2**30))
 import numpy as np, msg_adapters
-from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE, BagMessage
-from dotsim_ros.measured.trajectory import decode_colour
+from dotsim_ros.data.bag import BAG_TYPES, TYPESTORE, BagMessage
+from dotsim_ros.data.trajectory import decode_colour
 def told(decode, kind, message):
     data = bytes(TYPESTORE.serialize_cdr(message, kind))
     try:

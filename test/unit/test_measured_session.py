@@ -10,7 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.measurement import read_measurement, read_poses
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.recording import Recording, phases_of
+from dotsim_ros.data.session import session_starts
+from dotsim_ros.data.trajectory import ImageChannel, PoseChannel, Trajectory, WrenchChannel
 from dotsim_ros.effects.excitation import presses_late
 from dotsim_ros.gap.find import channels_of
 from dotsim_ros.gap.images.reading import read_images
@@ -19,12 +24,7 @@ from dotsim_ros.gap.presses.observables import SIZE
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.measurement import read_measurement, read_poses
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.recording import Recording, phases_of
-from dotsim_ros.measured.session import session_starts
-from dotsim_ros.measured.trajectory import ImageChannel, PoseChannel, Trajectory, WrenchChannel
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.specification import load_sensor
 
 SENSOR = load_sensor("densetact2")

@@ -11,6 +11,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.recording import Recording, phases_of
 from dotsim_ros.effects.builtin.friction_and_contact import ClingingContact
 from dotsim_ros.effects.builtin.time import contact_radius_m
 from dotsim_ros.effects.effect import Active, Effect, GelTerm, Response, gel_with
@@ -18,8 +20,6 @@ from dotsim_ros.effects.library import load_effects
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.indenter import cone, flat_punch, sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.recording import Recording, phases_of
 
 APEX_M = 15.75e-3
 LIBRARY = load_effects()

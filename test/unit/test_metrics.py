@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin, flat_pad_skin
-from dotsim_ros.metrics.surfaces import (
+from dotsim_ros.twin.surface_metrics import (
     SAMPLE_COUNT,
     along_surface,
     cloud_distances,

@@ -10,9 +10,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from dotsim_ros.files import parameter_path
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.motion import (
+from dotsim_ros.data.motion import (
     Motion,
     at_speed,
     held,
@@ -21,7 +19,7 @@ from dotsim_ros.measured.motion import (
     reversed_motion,
     rotation_angle,
 )
-from dotsim_ros.measured.scripted import (
+from dotsim_ros.data.scripted import (
     Site,
     in_sequence,
     press_hold_release,
@@ -30,7 +28,9 @@ from dotsim_ros.measured.scripted import (
     turned,
     twist,
 )
-from dotsim_ros.measured.shipped_presses import DOME_CENTRE_MM, FIRST_CONTACT_RADIUS_M, read_presses
+from dotsim_ros.data.shipped_presses import DOME_CENTRE_MM, FIRST_CONTACT_RADIUS_M, read_presses
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.files import parameter_path
 
 RADIUS_M = 0.01575
 ALL_PRESSES = Path(__file__).parents[3] / "shared" / "real" / "densetact" / "presses.npz"

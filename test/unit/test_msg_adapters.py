@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import msg_adapters as adapters
-from dotsim_ros.measured.bag import BAG_TYPES, TYPESTORE
+from dotsim_ros.data.bag import BAG_TYPES, TYPESTORE
 from msg_adapters.image import CAMERA_LAYOUTS
 
 HAS_ROS = importlib.util.find_spec("rclpy") is not None

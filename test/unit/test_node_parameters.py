@@ -8,8 +8,8 @@ import dataclasses
 import pytest
 import yaml
 
-from dotsim_ros.files import parameter_path
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_sim.framing import Framing
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.arrays import ImageArray
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.optics.noise import with_noise
 from dotsim_ros.sensor import Frame, TactileSensor
 from dotsim_ros.specification import NoiseSpecification, SensorSpecification, load_sensor

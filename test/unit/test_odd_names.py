@@ -21,13 +21,9 @@ from dotsim_ros.calibration import calibrate as calibrate_module
 from dotsim_ros.calibration.calibrate import report_folder
 from dotsim_ros.calibration.run import Calibration
 from dotsim_ros.cli.main import main
-from dotsim_ros.effects.library import load_effects
-from dotsim_ros.gap.report.write import write_report
-from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.reading import Omission
-from dotsim_ros.measured.trajectory import (
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.reading import Omission
+from dotsim_ros.data.trajectory import (
     RECORDED_TOPICS,
     ImageChannel,
     PoseChannel,
@@ -35,8 +31,12 @@ from dotsim_ros.measured.trajectory import (
     WrenchChannel,
     write_trajectory,
 )
-from dotsim_ros.page import Bullets, Page, Section, Table, as_markdown
-from dotsim_ros.printable import figure_label, one_line, printable
+from dotsim_ros.effects.library import load_effects
+from dotsim_ros.gap.report.write import write_report
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.skin_mesh import dome_skin
+from dotsim_ros.io.page import Bullets, Page, Section, Table, as_markdown
+from dotsim_ros.io.printable import figure_label, one_line, printable
 
 NAMES = (
     r"costs $5 and $x_{2$",

@@ -21,13 +21,13 @@ from dotsim_ros.calibration import calibrate as calibrate_module
 from dotsim_ros.calibration.calibrate import report_folder
 from dotsim_ros.calibration.run import CalibrationRequest
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.data_set import find_indenter
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gap import find as find_module
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.geometry.indenter import flat_punch, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set import find_indenter
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 
 SKIN = dome_skin(0.01575, 4.0e-3)
 BALL, PUNCH = sphere(0.004), flat_punch(0.004, 0.01)

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from dotsim_ros.data.motion import pose_along
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.motion import pose_along
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import OpticalPress, Rest
 from studies.rivals.clipping import clip_depths, clipped_skin

@@ -7,14 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
+from dotsim_ros.data.presses import Press
+from dotsim_ros.data.recording import Phase, Recording
 from dotsim_ros.effects.builtin.camera import disc_px
 from dotsim_ros.effects.effect import IMAGE, Active, SeenImage, image_filters
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.optical_terms import sampled
 from dotsim_ros.geometry.camera import FisheyeCamera
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.presses import Press
-from dotsim_ros.measured.recording import Phase, Recording
 
 HEIGHT, WIDTH = 48, 64
 CENTRE = np.array([33.0, 22.0])

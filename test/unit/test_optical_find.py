@@ -53,7 +53,7 @@ from dotsim_ros.gap.images.reading import check_same_unit, pattern_likeness
 from dotsim_ros.gap.images.search import signatures_of
 from dotsim_ros.gap.report.sections import page_of
 from dotsim_ros.gap.report.wording import optical_sentence
-from dotsim_ros.page import as_markdown
+from dotsim_ros.io.page import as_markdown
 
 LIBRARY = load_effects()
 EFFECTS = [LIBRARY[name] for name in CHOSEN]

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 import yaml
 
-from dotsim_ros.measured.trajectory import ImageChannel, PoseChannel, Trajectory, write_trajectory
+from dotsim_ros.data.trajectory import ImageChannel, PoseChannel, Trajectory, write_trajectory
 from dotsim_ros.optics.idle import lights_of
 from dotsim_ros.optics.idle_check import (
     check_untouched,
@@ -294,7 +294,7 @@ def test_press_without_measured_skin_is_refused(data_set, sensor, cache):
 
 @pytest.mark.skipif(not SENSOR_A.is_dir(), reason="needs the measured data of the stand-in sensor")
 def test_idle_images_of_the_stand_in_sensor_are_untouched_and_its_presses_are_not():
-    from dotsim_ros.measured.data_set import read_data_set
+    from dotsim_ros.data.data_set import read_data_set
 
     data = read_data_set(SENSOR_A)
     paths = data.idle_images()

@@ -14,7 +14,7 @@ import pytest
 
 from dotsim_ros import calibrate, find_gap
 from dotsim_ros.cli.main import main
-from dotsim_ros.files import check_output_file, check_output_folder
+from dotsim_ros.io.files import check_output_file, check_output_folder
 
 COMMANDS = (
     "calibrate --data DATA --out OUT.yaml",

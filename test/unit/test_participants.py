@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.simulated_time.participants import (
     Participant,
     Publication,

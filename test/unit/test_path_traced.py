@@ -14,11 +14,11 @@ import pytest
 
 pytest.importorskip("mitsuba")
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.data_set_writer import DataSetWriter
+from dotsim_ros.data.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.geometry.indenter import load_indenter
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.measured.trajectory import PoseChannel, SkinChannel, Trajectory, WrenchChannel
 from dotsim_ros.specification import load_sensor
 from studies.hidden.path_traced import (
     MAP_SIZE,

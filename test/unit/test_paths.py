@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dotsim_ros.control.policy.expert import Expert
+from dotsim_ros.control.policy.paths import PATHS, SPEED_M_S, DomeContact, reference_path
+from dotsim_ros.control.policy.rollout import Arm, ArmModel, RollOut, follow
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.tasks.policy.expert import Expert
-from dotsim_ros.tasks.policy.paths import PATHS, SPEED_M_S, DomeContact, reference_path
-from dotsim_ros.tasks.policy.rollout import Arm, ArmModel, RollOut, follow
 
 CONTACT = DomeContact()
 NO_IMAGE = np.zeros((2, 2, 3), dtype=np.uint8)

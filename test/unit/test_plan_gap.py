@@ -19,12 +19,12 @@ import numpy as np
 import pytest
 
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.scripted import Site, press_hold_release
+from dotsim_ros.data.trajectory import PoseChannel, Trajectory
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.scripted import Site, press_hold_release
-from dotsim_ros.measured.trajectory import PoseChannel, Trajectory
-from dotsim_ros.worker_pool import pool
+from dotsim_ros.io.worker_pool import pool
 
 MOTION = press_hold_release(Site(clearance_m=1e-4), depth_m=2e-3, hold_s=0.0)
 SENSOR = "name: coarse\nsolver: {refined: false, grid_spacing_m: 4.2e-3}\n"

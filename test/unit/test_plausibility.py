@@ -15,21 +15,21 @@ import pytest
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.geometry.indenter import sphere
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.geometry.skin_mesh import dome_skin, flat_pad_skin
-from dotsim_ros.measured.data_set import DataSet, read_data_set
-from dotsim_ros.measured.data_set_writer import write_data_set
-from dotsim_ros.measured.measurement import read_measurement
-from dotsim_ros.measured.plausibility import check_same_shape
-from dotsim_ros.measured.reading import BadBagError, read_observation, read_press_images
-from dotsim_ros.measured.trajectory import (
+from dotsim_ros.data.data_set import DataSet, read_data_set
+from dotsim_ros.data.data_set_writer import write_data_set
+from dotsim_ros.data.measurement import read_measurement
+from dotsim_ros.data.plausibility import check_same_shape
+from dotsim_ros.data.reading import BadBagError, read_observation, read_press_images
+from dotsim_ros.data.trajectory import (
     ImageChannel,
     PoseChannel,
     SkinChannel,
     Trajectory,
     WrenchChannel,
 )
+from dotsim_ros.geometry.indenter import sphere
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.geometry.skin_mesh import dome_skin, flat_pad_skin
 from studies.hidden.laws import LAWS, LawAnswer, LawMotion
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.indenter_player.parameters import PlayerParameters, program_of
 from dotsim_ros.specification import load_sensor
 

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.tasks.policy.examples import moved_crop, moved_position
-from dotsim_ros.tasks.policy.images import (
+from dotsim_ros.control.policy.examples import moved_crop, moved_position
+from dotsim_ros.control.policy.images import (
     CHANNEL_COUNT,
     PolicyInput,
     PolicyView,

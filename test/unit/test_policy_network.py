@@ -16,16 +16,16 @@ import cv2
 import numpy as np
 import pytest
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.control.policy.card import FORMAT, POLICY, PolicyCard
+from dotsim_ros.control.policy.images import CHANNEL_COUNT, PolicyInput
+from dotsim_ros.control.policy.network import load_policy, save_policy
+from dotsim_ros.control.policy.paths import PATHS as PATH_NAMES
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.optics.idle import read_idle_frame
 from dotsim_ros.optics.network.carded_weights import CARD, GRAPH, WEIGHTS, card_from
 from dotsim_ros.optics.network.session import open_session
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.policy.card import FORMAT, POLICY, PolicyCard
-from dotsim_ros.tasks.policy.images import CHANNEL_COUNT, PolicyInput
-from dotsim_ros.tasks.policy.network import load_policy, save_policy
-from dotsim_ros.tasks.policy.paths import PATHS as PATH_NAMES
 
 torch = pytest.importorskip("torch", reason="writing a policy needs the extra learning")
 
@@ -50,7 +50,7 @@ IMAGE = RANDOM.integers(30, 220, (480, 640, 3), dtype=np.uint8)
 
 def drawn_network():
     """Return a network of random weights, its running statistics too."""
-    from dotsim_ros.tasks.policy.resnet import PolicyResNet
+    from dotsim_ros.control.policy.resnet import PolicyResNet
 
     with torch.random.fork_rng():
         torch.manual_seed(0)
@@ -65,7 +65,7 @@ def drawn_network():
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """A network of random weights, and the folder of its policy."""
-    from dotsim_ros.tasks.policy.resnet import without_normalisation
+    from dotsim_ros.control.policy.resnet import without_normalisation
 
     network = drawn_network()
     folder = tmp_path_factory.mktemp("policy") / "drawn"
@@ -181,7 +181,7 @@ def test_another_version_is_refused(written, tmp_path):
 
 
 def test_weights_too_large_for_half_precision_are_refused(tmp_path):
-    from dotsim_ros.tasks.policy.resnet import without_normalisation
+    from dotsim_ros.control.policy.resnet import without_normalisation
 
     network = drawn_network()
     with torch.no_grad():
@@ -199,7 +199,7 @@ def test_weights_too_large_for_half_precision_are_refused(tmp_path):
 def test_running_a_policy_loads_no_torch(written):
     program = (
         "import sys; from pathlib import Path; import numpy as np; "
-        "from dotsim_ros.tasks.policy.network import load_policy; "
+        "from dotsim_ros.control.policy.network import load_policy; "
         f"policy = load_policy(Path({str(written[1])!r}), 'press'); "
         "image = np.full((480, 640, 3), 90, dtype=np.uint8); "
         "assert np.all(np.isfinite(policy(image, image))); "

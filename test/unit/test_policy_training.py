@@ -13,17 +13,15 @@ import numpy as np
 import pytest
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import write_json
-from dotsim_ros.tasks.policy.demonstration import (
+from dotsim_ros.control.policy.demonstration import (
     Episode,
     episode_file,
     labels,
     read_episode,
     write_episode,
 )
-from dotsim_ros.tasks.policy.demonstration_card import CARD
-from dotsim_ros.tasks.policy.examples import (
+from dotsim_ros.control.policy.demonstration_card import CARD
+from dotsim_ros.control.policy.examples import (
     LEAST_WEIGHT,
     PolicyExamples,
     data_hash,
@@ -31,9 +29,11 @@ from dotsim_ros.tasks.policy.examples import (
     frames_of,
     read_split,
 )
-from dotsim_ros.tasks.policy.expert import Expert
-from dotsim_ros.tasks.policy.network import load_policy
-from dotsim_ros.tasks.policy.paths import DomeContact, reference_path
+from dotsim_ros.control.policy.expert import Expert
+from dotsim_ros.control.policy.network import load_policy
+from dotsim_ros.control.policy.paths import DomeContact, reference_path
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import write_json
 
 torch = pytest.importorskip("torch", reason="training needs the extra learning")
 
@@ -94,7 +94,7 @@ def with_card(demonstrations, folder, **changed):
 
 def trained(folders, out, example_count=16, progress=print):
     """Return the report of a short training."""
-    from dotsim_ros.tasks.policy.training import train_policy
+    from dotsim_ros.control.policy.training import train_policy
 
     return train_policy(
         folders,
@@ -166,7 +166,7 @@ def test_the_answers_are_those_of_the_dome_that_was_demonstrated_on(
     demonstrations, tmp_path, monkeypatch
 ):
     """A shipped sensor has the same name, and another radius."""
-    from dotsim_ros.tasks.policy import training as policy_training
+    from dotsim_ros.control.policy import training as policy_training
 
     class SeenError(Exception):
         pass
@@ -239,7 +239,7 @@ def test_a_new_exposure_changes_both_crops_alike():
 
 
 def recipe(count: int):
-    from dotsim_ros.tasks.policy.training import PolicyRecipe
+    from dotsim_ros.control.policy.training import PolicyRecipe
 
     return PolicyRecipe(example_count=count, batch=8, side_px=SIDE)
 
@@ -252,7 +252,7 @@ def weights_of(training):
 def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
     demonstrations, tmp_path, monkeypatch, caplog, answered
 ):
-    from dotsim_ros.tasks.policy import training as policy_training
+    from dotsim_ros.control.policy import training as policy_training
 
     monkeypatch.setattr(policy_training, "ROUND", 16)
     frames = read_split([demonstrations])[0]

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import pytest
 
-from dotsim_ros import progress
 from dotsim_ros.gap.presses.search_state import SolveProgress
-from dotsim_ros.progress import PrintedProgress
+from dotsim_ros.io import progress
+from dotsim_ros.io.progress import PrintedProgress
 
 
 def test_the_time_left_follows_the_rate_since_the_first_is_told(

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dotsim_ros.provenance import provenance
+from dotsim_ros.io.provenance import provenance
 
 
 @pytest.mark.parametrize("called_by", ["real", "link"])

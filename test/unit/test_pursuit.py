@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dotsim_ros.data.motion import pose_along
 from dotsim_ros.gel.body import Dome, Pad
 from dotsim_ros.gel.rest_depth import RestDepth
 from dotsim_ros.geometry.indenter import box, cone, sphere, way_m
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.motion import pose_along
 from dotsim_ros.nodes.tactile_sim.pursuit import SPACING_M, TOUCH_M, CommandedPath
 
 RADIUS_M, BALL_M, LIMIT_M = 0.01575, 0.004, 0.6e-3

@@ -22,8 +22,8 @@ import pool_work
 import pytest
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.worker_pool.pool import Crew, RayWorkers, open_pool
-from dotsim_ros.worker_pool.ray_cluster import ON_THIS_MACHINE, SETTINGS
+from dotsim_ros.io.worker_pool.pool import Crew, RayWorkers, open_pool
+from dotsim_ros.io.worker_pool.ray_cluster import ON_THIS_MACHINE, SETTINGS
 
 pytest.importorskip("ray", reason="needs the extra scale: pip install '.[scale]'")
 
@@ -266,8 +266,8 @@ def test_a_folder_that_is_not_there_is_told(
 def test_other_code_on_a_machine_is_told(
     monkeypatch: pytest.MonkeyPatch, answered: Callable[..., None]
 ) -> None:
-    from dotsim_ros.worker_pool.ray_pool import _expected
-    from dotsim_ros.worker_pool.ray_worker import RayWorker
+    from dotsim_ros.io.worker_pool.ray_pool import _expected
+    from dotsim_ros.io.worker_pool.ray_worker import RayWorker
 
     expected = _expected(())
     assert RayWorker().check(expected) == ""
@@ -277,7 +277,7 @@ def test_other_code_on_a_machine_is_told(
         (expected, "cannot load dotsim_ros"),
     ):
         if other is expected:
-            monkeypatch.setitem(sys.modules, "dotsim_ros.provenance", None)
+            monkeypatch.setitem(sys.modules, "dotsim_ros.io.provenance", None)
         told = RayWorker().check(other)
         assert what in told
         assert "install the same" in told
@@ -287,7 +287,7 @@ def test_other_code_on_a_machine_is_told(
 def test_the_cluster_must_have_the_same_ray(nodes: TwoNodes) -> None:
     program = (
         "import ray; ray.__version__ = '2.1.0'\n"
-        "from dotsim_ros.worker_pool.ray_cluster import connected_ray\n"
+        "from dotsim_ros.io.worker_pool.ray_cluster import connected_ray\n"
         f"connected_ray({nodes.address!r}, 1)"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
@@ -302,7 +302,7 @@ import sys
 from pathlib import Path
 import pool_work
 from dotsim_ros.cli import calibrate, main
-from dotsim_ros.worker_pool.pool import RayWorkers, open_pool
+from dotsim_ros.io.worker_pool.pool import RayWorkers, open_pool
 
 def run(_arguments):
     with open_pool(RayWorkers(1, "local"), pool_work.begin, None) as pool:

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from dotsim_ros.data.importers.ecoflex_compression import HEIGHT_M, RADIUS_M, CompressionTest
+from dotsim_ros.data.importers.force_depth import ForceDepth
 from dotsim_ros.gel.material import NeoHookean
 from dotsim_ros.geometry.indenter import sphere
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.importers.ecoflex_compression import HEIGHT_M, RADIUS_M, CompressionTest
-from dotsim_ros.measured.importers.force_depth import ForceDepth
 from dotsim_ros.twin.force_control import ForceNotReachedError, pose_at_force
 from studies.real import pad
 from studies.real.causes import all_explained

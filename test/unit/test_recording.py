@@ -18,18 +18,18 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 import msg_adapters
-from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.live.moments import SkinMoment
-from dotsim_ros.live.recorder import PressRecorder
-from dotsim_ros.measured.bag import (
+from dotsim_ros.data.bag import (
     BAG_TYPES,
     TYPESTORE,
     BagFile,
     BagReader,
     unfinished_path,
 )
-from dotsim_ros.measured.mcap.reader import Tolerance
-from dotsim_ros.measured.trajectory import Topics, read_trajectory
+from dotsim_ros.data.mcap.reader import Tolerance
+from dotsim_ros.data.trajectory import Topics, read_trajectory
+from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.live.moments import SkinMoment
+from dotsim_ros.live.recorder import PressRecorder
 from dotsim_ros.nodes.tactile_record.recording import BagRecording
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"

@@ -16,7 +16,7 @@ import pytest
 from programs import ROOT
 
 from dotsim_ros.cli.main import MOVED, main, verbs
-from dotsim_ros.provenance import commit_of
+from dotsim_ros.io.provenance import commit_of
 from studies import run
 from studies.results_page import RESULTS
 

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import trimesh
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.data_set_writer import DataSetWriter
+from dotsim_ros.data.scripted import Site
 from dotsim_ros.gel.material import MooneyRivlin, NeoHookean, Yeoh
 from dotsim_ros.geometry.indenter import load_indenter, sphere
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.geometry.surface import indenter_surface
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.data_set_writer import DataSetWriter
-from dotsim_ros.measured.scripted import Site
 from dotsim_ros.specification import (
     ContactSpecification,
     GelSpecification,

@@ -12,8 +12,8 @@ from rosbags.highlevel import AnyReader
 from test_mcap import COUNT, content, write_bag
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.measured.bag import BagFile
-from dotsim_ros.measured.repair import repaired_path
+from dotsim_ros.data.bag import BagFile
+from dotsim_ros.data.repair import repaired_path
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_bag_in_sqlite3_is_told_to_be_none_of_ours(tmp_path, capsys):
 
 
 def test_own_types_keep_their_definition(tmp_path, capsys):
-    from dotsim_ros.measured.mcap.records import Channel, Schema
+    from dotsim_ros.data.mcap.records import Channel, Schema
 
     with BagFile(tmp_path / "bag") as bag:
         schema = Schema("my_msgs/msg/Own", "ros2msg", b"float64 value")

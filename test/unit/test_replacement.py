@@ -18,7 +18,7 @@ from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import FILE_NAME, FoundEffect, Overlay
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.report.write import REPORT_BEFORE, write_report
-from dotsim_ros.replacement import (
+from dotsim_ros.io.replacement import (
     MANIFEST,
     SET_ASIDE,
     STAGED,
@@ -45,7 +45,7 @@ def shown(folder: Path) -> dict[str, bytes]:
 KILLED = """
 import json, os, sys
 from pathlib import Path
-from dotsim_ros import replacement
+from dotsim_ros.io import replacement
 OLD = {"report.html": b"slip is missing", "findings.json": b"{slip}",
        "effects_overlay.yaml": b"slip"}
 NEW = {"report.html": b"no gap", "findings.json": b"{no gap}", "tiles.png": b"new",
@@ -113,7 +113,7 @@ def test_a_killed_writer_leaves_no_mix_of_two_reports(
 
 FULL = """
 import resource, sys
-from dotsim_ros.replacement import replace_files
+from dotsim_ros.io.replacement import replace_files
 resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 try:
     replace_files(sys.argv[1], {"report.html": b"new", "tiles.png": bytes(300_000)})

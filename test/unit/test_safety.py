@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dotsim_ros.control.arm.command import ANGULAR, LINEAR
+from dotsim_ros.control.safety_layer.arm_control import ArmControl, ControlSettings, Order
+from dotsim_ros.control.safety_layer.freshness import HeardMessage, StreamWatch
+from dotsim_ros.control.safety_layer.limits import Readings, Reason, SafetyLimits, State
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.tactile_policy.loops import InferenceLoop
-from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
-from dotsim_ros.tasks.control.arm_control import ArmControl, ControlSettings, Order
-from dotsim_ros.tasks.control.freshness import HeardMessage, StreamWatch
-from dotsim_ros.tasks.control.safety import Readings, Reason, SafetyLimits, State
 
 TICK_S = 0.01
 LIMITS = SafetyLimits(force_n=np.inf, release_n=np.inf)

@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 import yaml
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.control.policy.network import load_policy
+from dotsim_ros.control.safety_layer.limits import SafetyLimits
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import MissCounter, RateMeter, Spread
 from dotsim_ros.nodes.common.options import option_of
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
-from dotsim_ros.tasks.control.safety import SafetyLimits
-from dotsim_ros.tasks.policy.network import load_policy
 
 
 @pytest.mark.parametrize(

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from dotsim_ros.cli.main import main
-from dotsim_ros.documents import read_json
-from dotsim_ros.files import shipped_names
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.files import shipped_names
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.pattern import idle_frame_of
 from dotsim_ros.specification import load_sensor, read_source, sensor_path

@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.scripted import Site
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
-from dotsim_ros.files import parameter_path, write_json
 from dotsim_ros.gap.findings import Candidate, Findings, Verdict, as_record
 from dotsim_ros.gap.presses.covariance import load_discrepancy, save_discrepancy
 from dotsim_ros.gel.material import Yeoh
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.scripted import Site
+from dotsim_ros.io.files import parameter_path, write_json
 from dotsim_ros.specification import SensorSpecification, load_sensor
 from studies import run
 from studies.gap import solved_score

@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 import yaml
 
-from dotsim_ros.files import given_path, parameter_path
 from dotsim_ros.gel.discretization import discretize
 from dotsim_ros.gel.make import body_of, skin_of
+from dotsim_ros.io.files import given_path, parameter_path
+from dotsim_ros.io.quantity import quantities_of, quantity
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
-from dotsim_ros.quantity import quantities_of, quantity
 from dotsim_ros.specification import (
     LARGEST_MEMORY_BYTES,
     SECTIONS,

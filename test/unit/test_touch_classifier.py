@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from dotsim_ros.arrays import ImageArray
+from dotsim_ros.io.arrays import ImageArray
 from studies.classification.classifier import (
     ClassifierSettings,
     classified,

@@ -14,11 +14,11 @@ import pytest
 
 from dotsim_ros.cli import calibrate_camera, train_optics
 from dotsim_ros.cli.main import main
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.split import hold_out_of_protocols
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.skin_mesh import dome_skin
 from dotsim_ros.learning.untouched import refined_idle, untouched_frames, with_refined_idle
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.split import hold_out_of_protocols
 from dotsim_ros.optics.network.card import read_network
 from dotsim_ros.optics.network.completion import CompletionNetwork
 from dotsim_ros.specification import load_sensor

@@ -12,9 +12,9 @@ import trimesh
 import yaml
 
 import msg_adapters
-from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagReader
-from dotsim_ros.measured.data_set import find_indenter, read_data_set
-from dotsim_ros.measured.trajectory import (
+from dotsim_ros.data.bag import BAG_TYPES, BagFile, BagReader
+from dotsim_ros.data.data_set import find_indenter, read_data_set
+from dotsim_ros.data.trajectory import (
     RECORDED_TOPICS,
     ImageChannel,
     PoseChannel,

@@ -18,8 +18,8 @@ import pytest
 
 import msg_adapters
 from dotsim_ros.cli.main import main, verbs
+from dotsim_ros.data.bag import BAG_TYPES, BagFile, BagReader
 from dotsim_ros.geometry.skin_mesh import dome_skin
-from dotsim_ros.measured.bag import BAG_TYPES, BagFile, BagReader
 from dotsim_ros.view.sheet import strongest_stamps
 from dotsim_ros.view.skin_map import SkinMap
 from dotsim_ros.view.timeline import BagMoment, Forces, ViewTopics, find_topics, iterate_moments
@@ -197,7 +197,7 @@ def view_on_full_disk(arguments, length):
         resource.setrlimit(resource.RLIMIT_FSIZE, (length, length))
 
     code = (
-        "import sys, dotsim_ros.files; dotsim_ros.files.PROBE_BYTES = 1; "
+        "import sys, dotsim_ros.io.files; dotsim_ros.io.files.PROBE_BYTES = 1; "
         "from dotsim_ros.cli.main import main; sys.exit(main())"
     )
     command = [sys.executable, "-c", code, *arguments]
@@ -226,7 +226,7 @@ def test_full_disk_leaves_the_files_before(noisy_bag, tmp_path, name, answered):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs the right to mount a small disk")
 def test_ffmpeg_says_why_it_failed(noisy_bag, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("dotsim_ros.files.PROBE_BYTES", 1)
+    monkeypatch.setattr("dotsim_ros.io.files.PROBE_BYTES", 1)
     disk = tmp_path / "disk"
     disk.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", "size=240k", "tmpfs", str(disk)]

@@ -16,13 +16,13 @@ from pathlib import Path
 import pool_work
 import pytest
 
-from dotsim_ros.worker_pool.processes import open_worker_pool
+from dotsim_ros.io.worker_pool.processes import open_worker_pool
 
 PROGRAM = """
 import os, sys, time
 from concurrent.futures import wait
 from dotsim_ros.cli import calibrate, main
-from dotsim_ros.worker_pool.pool import open_pool
+from dotsim_ros.io.worker_pool.pool import open_pool
 
 def begin(_given):
     pass
@@ -138,7 +138,7 @@ def test_what_the_initializer_raises_is_raised_here() -> None:
 
 UNGUARDED = """
 import os
-from dotsim_ros.worker_pool.pool import open_pool
+from dotsim_ros.io.worker_pool.pool import open_pool
 
 with open_pool(2, os.getpid) as pool:
     print(pool.submit(len, [1]).result())

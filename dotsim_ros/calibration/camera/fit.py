@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.calibration.camera.model import (
     CENTRE_NAMES,
     LENS,
@@ -35,6 +34,7 @@ from dotsim_ros.calibration.camera.model import (
     moved,
     with_gloss,
 )
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer, View

@@ -15,12 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.camera import Camera
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.quantity import quantities_of
 from dotsim_ros.optics.idle import stated_lights
 from dotsim_ros.optics.lighting import Lighting, Vignetting, led_ring
-from dotsim_ros.quantity import quantities_of
 from dotsim_ros.specification import (
     CameraSpecification,
     LightingSpecification,

@@ -11,14 +11,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
 from dotsim_ros.calibration.camera.fit import CameraFit
 from dotsim_ros.calibration.camera.model import CameraModel
 from dotsim_ros.calibration.camera.score import CameraFrameScore, by_depth
-from dotsim_ros.metrics.images import image_psnr_db
+from dotsim_ros.io.arrays import ImageArray
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.renderer import SkinRenderer
 from dotsim_ros.twin.footage import FilmedData
+from dotsim_ros.twin.image_metrics import image_psnr_db
 
 CONTRAST = 4
 """Differences in the sheet are shown so many times larger, around grey."""

@@ -21,14 +21,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.calibration.camera.model import REFERENCE_HEIGHT_PX, CameraModel
-from dotsim_ros.metrics.images import depth_ranges, image_psnr_db
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.optics.idle import lit_region
 from dotsim_ros.optics.image import ImageRenderer
 from dotsim_ros.optics.lighting import Lighting
 from dotsim_ros.optics.renderer import SkinRenderer, View
 from dotsim_ros.twin.footage import FilmedData
+from dotsim_ros.twin.image_metrics import depth_ranges, image_psnr_db
 
 PATCH_PX = 12
 MOTION_PX = 0.5

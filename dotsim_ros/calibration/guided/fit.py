@@ -17,16 +17,15 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
 from dotsim_ros.calibration.calibrate import report_folder
 from dotsim_ros.calibration.guided.photographs import GuidedPhotographs, read_guided_photographs
-from dotsim_ros.files import check_output_file, check_output_folder, write_image
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import check_output_file, check_output_folder, write_image
+from dotsim_ros.io.provenance import provenance
 from dotsim_ros.learning.export import write_network
 from dotsim_ros.learning.fitting import CPU_WIDTH, FittedNetwork
 from dotsim_ros.learning.neighbourhood import KIND, NeighbourhoodRecipe, fit_neighbourhood
-from dotsim_ros.metrics.images import image_psnr_db
-from dotsim_ros.provenance import provenance
 from dotsim_ros.specification import (
     CameraSpecification,
     GelSpecification,
@@ -42,6 +41,7 @@ from dotsim_ros.twin.ball_presses import (
     gel_presses,
     press_profiles,
 )
+from dotsim_ros.twin.image_metrics import image_psnr_db
 
 PAD_THICKNESS_M = 4.0e-3
 """Of a pad whose size is not given, as a GelSight Mini's."""

@@ -12,13 +12,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
-from dotsim_ros.files import read_image
-from dotsim_ros.measured.contact_circle import find_contact_circles
-from dotsim_ros.measured.importers.ball_photographs import (
+from dotsim_ros.data.contact_circle import find_contact_circles
+from dotsim_ros.data.importers.ball_photographs import (
     BallPress,
     one_contact,
 )
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import read_image
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
 IDLE_STEM = "idle"

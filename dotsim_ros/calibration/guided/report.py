@@ -12,9 +12,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
 from dotsim_ros.calibration.guided.fit import GuidedCalibration
-from dotsim_ros.files import write_image, write_json, write_text
+from dotsim_ros.io.arrays import ImageArray
+from dotsim_ros.io.files import write_image, write_json, write_text
 
 PAGE, FIGURES = "guided.md", "guided.json"
 CIRCLES, IMAGES = "circles.jpg", "images.jpg"

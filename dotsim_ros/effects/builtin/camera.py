@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Phase
 from dotsim_ros.effects.effect import IMAGE, Effect, EffectParameter, ImageFilter, SeenImage, Values
 from dotsim_ros.effects.optical_terms import (
     FULL_SCALE,
@@ -25,7 +25,7 @@ from dotsim_ros.effects.optical_terms import (
     undistorted_camera,
     within_scale,
 )
-from dotsim_ros.measured.recording import Phase
+from dotsim_ros.io.arrays import FloatArray
 
 
 def _ambient_light_image(values: Values) -> ImageFilter:

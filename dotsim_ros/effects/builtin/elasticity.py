@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import (
     FORCE,
     SKIN,
@@ -21,7 +22,6 @@ from dotsim_ros.effects.effect import (
     Values,
 )
 from dotsim_ros.effects.excitation import rests_after_contact, strains, touches, unloads
-from dotsim_ros.measured.recording import Recording
 
 
 def _hyperelastic_stiffening_gel(

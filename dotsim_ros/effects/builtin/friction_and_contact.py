@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from dotsim_ros.data.recording import Phase, Recording
 from dotsim_ros.effects.effect import (
     FORCE,
     SKIN,
@@ -22,7 +23,6 @@ from dotsim_ros.effects.effect import (
     Values,
 )
 from dotsim_ros.effects.excitation import touches, unloads
-from dotsim_ros.measured.recording import Phase, Recording
 
 
 def _coulomb_slip_gel(term: GelTerm, values: Values, recording: Recording | None) -> GelTerm:

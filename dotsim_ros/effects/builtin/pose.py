@@ -9,11 +9,11 @@ from collections import deque
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Phase, Recording
 from dotsim_ros.effects.effect import FORCE, SKIN, Effect, EffectParameter, MotionFilter, Values
 from dotsim_ros.effects.excitation import reverses, touches
 from dotsim_ros.geometry.pose import Pose, interpolate
-from dotsim_ros.measured.recording import Phase, Recording
+from dotsim_ros.io.arrays import FloatArray
 
 OFFSET_M = 0.5e-3
 """Largest pose offset that is taken for an error of calibration; more is a wrong sensor file."""

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from dotsim_ros.data.recording import TOUCH_M, Phase, Recording
 from dotsim_ros.effects.effect import (
     FORCE,
     SKIN,
@@ -22,7 +23,6 @@ from dotsim_ros.effects.effect import (
 )
 from dotsim_ros.effects.excitation import presses_late, unloads
 from dotsim_ros.geometry.indenter import Indenter
-from dotsim_ros.measured.recording import TOUCH_M, Phase, Recording
 
 
 def with_relaxation(term: GelTerm, share: float, time_s: float) -> GelTerm:

@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Phase, Recording
 from dotsim_ros.effects.effect import Active, Effect
 from dotsim_ros.gap.images.model import Film, TwinCamera, resized, resized_image
 from dotsim_ros.gap.images.reading import MeasuredImages
 from dotsim_ros.gap.images.tile_noise import contact_change
 from dotsim_ros.gap.images.tiles import TileMeter, tile_grid
-from dotsim_ros.measured.recording import Phase, Recording
+from dotsim_ros.io.arrays import FloatArray
 
 IDLE = "idle"
 """Name of the trajectory that the idle images make: one frame, their mean, at the session's

@@ -15,8 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cores import single_threaded
+from dotsim_ros.data.measurement import one_of_each, protocol_of
 from dotsim_ros.effects.effect import IMAGE, Effect
 from dotsim_ros.effects.overlay import FoundEffect, Overlay, active_effects
 from dotsim_ros.effects.simulate import open_solver, request_of
@@ -57,7 +56,8 @@ from dotsim_ros.gap.presses.search_state import GapRequest, Progress
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.measurement import one_of_each, protocol_of
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cores import single_threaded
 
 LEAST_TRAJECTORIES = 4
 RESAMPLED = 200

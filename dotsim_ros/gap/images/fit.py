@@ -21,7 +21,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Active, Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap import decision
@@ -42,6 +41,7 @@ from dotsim_ros.gap.images.search import (
 )
 from dotsim_ros.gap.images.tile_noise import TileNoise
 from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
+from dotsim_ros.io.arrays import FloatArray
 
 ROUNDS = 2
 """How often a signature is made anew."""

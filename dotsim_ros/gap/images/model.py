@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray
 from dotsim_ros.effects.effect import Active, SeenImage, image_filters
+from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray
 
 if TYPE_CHECKING:
     from dotsim_ros.geometry.camera import Camera

@@ -19,10 +19,7 @@ import numpy as np
 from scipy.spatial import KDTree
 from scipy.stats import t as student
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import Arrays, read_arrays
 from dotsim_ros.effects.effect import Effect
-from dotsim_ros.files import parameter_path, whole_file
 from dotsim_ros.gap.images.case import IDLE, OpticalCase, Shot
 from dotsim_ros.gap.images.search import (
     Direction,
@@ -34,6 +31,9 @@ from dotsim_ros.gap.images.search import (
 )
 from dotsim_ros.gap.images.tile_noise import Correlation, TileNoise, estimate_noise
 from dotsim_ros.gap.images.tiles import TileMeter
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import Arrays, read_arrays
+from dotsim_ros.io.files import parameter_path, whole_file
 
 FILE = "gap/optical_noise.npz"
 VERSION = 1

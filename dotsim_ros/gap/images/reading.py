@@ -14,13 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import ImageArray
+from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
+from dotsim_ros.data.reading import read_press_images
+from dotsim_ros.data.recording import Recording, phases_of
+from dotsim_ros.data.session import session_starts, span_of
+from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.geometry.skin_mesh import SkinMesh, tip_depth_m
-from dotsim_ros.measured.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.measured.reading import read_press_images
-from dotsim_ros.measured.recording import Recording, phases_of
-from dotsim_ros.measured.session import session_starts, span_of
-from dotsim_ros.measured.trajectory import MEASURED_TOPICS, Topics
+from dotsim_ros.io.arrays import ImageArray
 
 MOST_IMAGES = 300
 """Most images of a data set that are used; trajectories are thinned evenly to this number."""

@@ -31,12 +31,12 @@ from itertools import combinations, product
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Active, Effect, EffectParameter
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.images.model import Film
 from dotsim_ros.gap.images.tile_noise import TileNoise
 from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHARPNESS, TileMeter
+from dotsim_ros.io.arrays import FloatArray
 
 OFFSET_LEVELS = 0.5
 """Deviation of the camera's black level, grey levels: its prior. Ambient light is more."""

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.images.tiles import COLOURS, NAMES, SHIFTS
+from dotsim_ros.io.arrays import FloatArray
 
 TILE_PRIOR_FRAMES = 20.0
 """Weight, in frames, of all tiles' deviation in that of one."""

@@ -21,7 +21,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import BoolArray, FloatArray, IntArray
+from dotsim_ros.io.arrays import BoolArray, FloatArray, IntArray
 
 NAMES = ("red", "green", "blue", "sharpness", "shift_x", "shift_y")
 """Observables of a tile."""

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Verdict
 from dotsim_ros.gap.presses.certainty import stability_of
@@ -25,6 +24,7 @@ from dotsim_ros.gap.presses.inference import (
 )
 from dotsim_ros.gap.presses.screening import Screen, best_trial, try_segment
 from dotsim_ros.gap.presses.search_state import Ranked, Search
+from dotsim_ros.io.arrays import FloatArray
 
 ROUNDS = 2
 """How often the sizes of the best effects are refined by a solve at the size found."""

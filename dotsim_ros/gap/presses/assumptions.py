@@ -11,13 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.parameters import PARAMETERS, with_coordinates
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import Active, Effect
 from dotsim_ros.effects.simulate import EffectRequest, request_of
 from dotsim_ros.gap.presses.observables import PATCH_COUNT
 from dotsim_ros.gel.values import GelValues
-from dotsim_ros.measured.recording import Recording
+from dotsim_ros.io.arrays import FloatArray
 
 SHIFT_STEP_M = 0.1e-3
 STEPS = {"nu": 0.2, "friction": 0.2, "c20": 0.08}

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.calibration.parameters import PARAMETERS
+from dotsim_ros.data.measurement import Measurement
 from dotsim_ros.effects.effect import Active
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
 from dotsim_ros.effects.simulate import request_of
@@ -40,7 +40,7 @@ from dotsim_ros.gap.presses.search_state import PATTERN_DEVIATION, Ranked, Searc
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gap.resampling import BOOTSTRAPS
 from dotsim_ros.gel.values import GelValues
-from dotsim_ros.measured.measurement import Measurement
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.twin.follow import SolveError
 
 

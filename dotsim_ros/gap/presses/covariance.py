@@ -21,11 +21,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import ArrayForm, Arrays, read_arrays
-from dotsim_ros.files import parameter_path, whole_file
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SECTORS, SIZE, Places, ring_of_patch
-from dotsim_ros.measured.recording import Recording
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import ArrayForm, Arrays, read_arrays
+from dotsim_ros.io.files import parameter_path, whole_file
 
 SMALLEST_DEPTH_M = 0.3e-3
 """The discrepancy of a shallower press is that of this depth: the skin's own roughness."""

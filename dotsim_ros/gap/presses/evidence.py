@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
 from dotsim_ros.effects.simulate import EffectSolver, request_of
 from dotsim_ros.gap.presses.assumptions import (
@@ -32,7 +32,7 @@ from dotsim_ros.gap.presses.observables import CHANNELS, Places, observe, places
 from dotsim_ros.gap.presses.patterns import patterns
 from dotsim_ros.gel.values import GelValues
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.recording import Recording
+from dotsim_ros.io.arrays import FloatArray, IntArray
 from dotsim_ros.twin.follow import SimulatedPress, SolveError
 from dotsim_ros.twin.solver import Progress
 

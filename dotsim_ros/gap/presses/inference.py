@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.io.arrays import FloatArray, IntArray
 
 DOUBT = 0.3
 """Degrees of freedom of a trajectory's scale, as a share of its observables: small trusts no

@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.gap.findings import Pair
 from dotsim_ros.gap.presses.inference import Evidence, cosines, lengths
-from dotsim_ros.measured.recording import Recording
+from dotsim_ros.io.arrays import FloatArray
 
 
 def pairs_of(

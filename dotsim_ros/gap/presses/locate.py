@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, WorstFrame
 from dotsim_ros.gap.presses.covariance import ChannelNoise, Discrepancy, amplitude, white_variance
 from dotsim_ros.gap.presses.evidence import Case, EvidenceTrajectory
 from dotsim_ros.gap.presses.observables import CHANNELS, regions_of_observables
+from dotsim_ros.io.arrays import FloatArray
 
 UNITS = {"skin": "m", "force": "N"}
 RESAMPLED = 200

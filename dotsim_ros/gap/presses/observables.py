@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IntArray
+from dotsim_ros.data.recording import STILL_M, Phase, Recording
 from dotsim_ros.geometry.skin_mesh import SkinMesh
-from dotsim_ros.measured.recording import STILL_M, Phase, Recording
+from dotsim_ros.io.arrays import FloatArray, IntArray
 
 RING_M = (0.0, 1.0e-3, 2.0e-3, 3.0e-3, 4.5e-3, 6.5e-3, 10.0e-3, np.inf)
 """Edges of the rings, by the distance at rest from the contact's middle."""

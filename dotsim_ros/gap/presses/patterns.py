@@ -11,10 +11,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Phase, Recording
 from dotsim_ros.gap.presses.covariance import amplitude
 from dotsim_ros.gap.presses.observables import PATCH_COUNT, SIZE, regions_of_observables
-from dotsim_ros.measured.recording import Phase, Recording
+from dotsim_ros.io.arrays import FloatArray
 
 PLACES = (("load",), ("apex", "contact"), ("rim",), ("far",))
 """Regions that one pattern covers."""

@@ -11,13 +11,13 @@ from itertools import product
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Recording
 from dotsim_ros.effects.effect import FORCE, SKIN, Active, Effect
 from dotsim_ros.effects.simulate import EffectRequest, request_of
 from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, Products, fit, parts_of, settle
 from dotsim_ros.gel.values import GelValues
-from dotsim_ros.measured.recording import Recording
+from dotsim_ros.io.arrays import FloatArray
 
 
 @dataclass(frozen=True)

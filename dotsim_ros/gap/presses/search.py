@@ -11,6 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from dotsim_ros.data.measurement import Measurement, one_of_each, protocol_of, read_measurement
+from dotsim_ros.data.plausibility import check_same_shape
 from dotsim_ros.effects.overlay import Overlay
 from dotsim_ros.effects.simulate import EffectSolver, open_solver
 from dotsim_ros.gap import decision
@@ -39,9 +41,7 @@ from dotsim_ros.gap.presses.weighed import (
 from dotsim_ros.gap.report import wording
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
-from dotsim_ros.measured.measurement import Measurement, one_of_each, protocol_of, read_measurement
-from dotsim_ros.measured.plausibility import check_same_shape
-from dotsim_ros.worker_pool.pool import worker_count
+from dotsim_ros.io.worker_pool.pool import worker_count
 
 
 def search_presses(request: GapRequest, progress: Progress) -> tuple[Findings, Overlay | None]:

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.library import load_effects
 from dotsim_ros.effects.overlay import Estimate
@@ -22,8 +21,9 @@ from dotsim_ros.gap.presses.evidence import Case, Segment, Variant
 from dotsim_ros.gap.presses.inference import Evidence, Fit, fit_nuisances
 from dotsim_ros.gap.presses.screening import Trial
 from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.worker_pool.pool import Crew
 from dotsim_ros.specification import SensorSpecification
-from dotsim_ros.worker_pool.pool import Crew
 
 Progress = Callable[[str, int, int], None]
 """Called with a step's name, how much of it is done, and of how much."""

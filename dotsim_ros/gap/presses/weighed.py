@@ -11,15 +11,15 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from dotsim_ros.data.data_set import read_data_set
+from dotsim_ros.data.known_weight import ForceScale, combined_scale, read_weight
+from dotsim_ros.data.measurement import Measurement
 from dotsim_ros.effects.effect import FORCE, Effect
 from dotsim_ros.effects.overlay import Estimate, FoundEffect, Overlay
 from dotsim_ros.gap import decision
 from dotsim_ros.gap.findings import Candidate, Findings, Verdict
 from dotsim_ros.gap.presses.search_state import GapRequest
 from dotsim_ros.gap.report import wording
-from dotsim_ros.measured.data_set import read_data_set
-from dotsim_ros.measured.known_weight import ForceScale, combined_scale, read_weight
-from dotsim_ros.measured.measurement import Measurement
 
 EFFECT = "force_scale"
 

@@ -10,12 +10,12 @@ import numpy as np
 from matplotlib.colors import LogNorm
 from numpy.typing import ArrayLike
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gap.findings import ChannelGap, Findings, WorstFrame
 from dotsim_ros.gap.report.places import PlaceTable, strongest
 from dotsim_ros.gap.report.text import shown, shown_unit
-from dotsim_ros.page import LARGEST_WIDTH_INCHES, ReportImage, image_of, page_figure
-from dotsim_ros.printable import figure_label
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.page import LARGEST_WIDTH_INCHES, ReportImage, image_of, page_figure
+from dotsim_ros.io.printable import figure_label
 from dotsim_ros.view.panels import SKIN_COLOURS
 from dotsim_ros.view.skin_map import SkinMap
 

@@ -19,7 +19,7 @@ from dotsim_ros.gap.report.text import (
     role_text,
     shown_name,
 )
-from dotsim_ros.page import (
+from dotsim_ros.io.page import (
     LARGEST_WIDTH_INCHES,
     Block,
     Bullets,

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.recording import Phase
 from dotsim_ros.gap.findings import ResidualPlace
-from dotsim_ros.measured.recording import Phase
+from dotsim_ros.io.arrays import FloatArray
 
 ALL = "all"
 MOST_COLUMNS = 8

@@ -24,7 +24,7 @@ from dotsim_ros.gap.report.text import (
     shown_name,
     with_prior_text,
 )
-from dotsim_ros.page import Block, Bullets, Gallery, Page, Paragraph, Section, Table
+from dotsim_ros.io.page import Block, Bullets, Gallery, Page, Paragraph, Section, Table
 
 TITLE = "Gap between simulation and measurement"
 LABELS = {

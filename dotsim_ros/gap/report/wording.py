@@ -8,11 +8,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from dotsim_ros.data.measurement import Measurement, protocol_of
+from dotsim_ros.data.recording import Phase
 from dotsim_ros.effects.effect import Effect, EffectParameter
 from dotsim_ros.effects.overlay import Estimate
 from dotsim_ros.gap.findings import ChannelGap, ResidualPlace, Verdict
-from dotsim_ros.measured.measurement import Measurement, protocol_of
-from dotsim_ros.measured.recording import Phase
 
 FEW = 4
 

@@ -10,14 +10,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.documents import read_json
 from dotsim_ros.effects.effect import Effect
 from dotsim_ros.effects.overlay import FILE_NAME, Overlay, overlay_text
 from dotsim_ros.gap.findings import Findings, Verdict, as_record
 from dotsim_ros.gap.report.sections import page_of
-from dotsim_ros.page import HTML, page_files
-from dotsim_ros.provenance import provenance
-from dotsim_ros.replacement import finish_replacement, replace_files
+from dotsim_ros.io.documents import read_json
+from dotsim_ros.io.page import HTML, page_files
+from dotsim_ros.io.provenance import provenance
+from dotsim_ros.io.replacement import finish_replacement, replace_files
 
 FINDINGS = "findings.json"
 PROVENANCE = "provenance.json"

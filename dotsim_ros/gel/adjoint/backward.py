@@ -25,8 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.cores import single_threaded
 from dotsim_ros.gel.adjoint.differentiable_contact import ContactAdjoint
 from dotsim_ros.gel.adjoint.gradient import Gradient, LossGradient
 from dotsim_ros.gel.adjoint.kernels import adjoint_kernels
@@ -40,7 +38,9 @@ from dotsim_ros.gel.implicit.refinement import Refinement
 from dotsim_ros.gel.implicit.relaxation import StressMemory
 from dotsim_ros.gel.reshape import shape_rates
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.cores import single_threaded
+from dotsim_ros.io.warp_runtime import wp
 
 
 @single_threaded()

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.adjoint.kernels import adjoint_kernels
 from dotsim_ros.gel.implicit.contact import Contact
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.warp_runtime import wp
 
 
 @dataclass(frozen=True)

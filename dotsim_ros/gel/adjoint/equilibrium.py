@@ -23,10 +23,10 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 from scipy.sparse.linalg import splu
 
-from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement import Refinement
+from dotsim_ros.io.arrays import FloatArray, IndexArray
 
 SETTLED_M = 1.0e-12
 """Newton's method ends when an iteration moves neither a marker nor a node farther."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import ElasticLaw
+from dotsim_ros.io.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 from dotsim_ros.gel.distance_field import distance_functions
 from dotsim_ros.gel.elastic_kernels import elastic_kernels
 from dotsim_ros.gel.implicit.contact_kernels import contact_kernels
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 STIFFNESS = wp.constant(0)
 TANGENTIAL_STIFFNESS = wp.constant(1)

@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.adjoint.equilibrium import (
     ElasticFactor,
@@ -21,6 +20,7 @@ from dotsim_ros.gel.adjoint.gradient import LossGradient
 from dotsim_ros.gel.adjoint.recorder import ContactRecord, Substep
 from dotsim_ros.gel.implicit.gel import ImplicitGel
 from dotsim_ros.gel.implicit.refinement import Refinement
+from dotsim_ros.io.arrays import FloatArray
 
 
 class LoadedContact:

@@ -12,8 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dotsim_ros.arrays import FloatArray, IndexArray
-from dotsim_ros.cores import single_threaded
 from dotsim_ros.gel.adjoint.differentiable_contact import MarkerContact
 from dotsim_ros.gel.adjoint.equilibrium import Candidates, fine_part, settle
 from dotsim_ros.gel.implicit.contact import Lag
@@ -21,6 +19,8 @@ from dotsim_ros.gel.implicit.gel import GelState, ImplicitGel, Inertia, World
 from dotsim_ros.gel.implicit.newton import Point
 from dotsim_ros.gel.implicit.relaxation import StressMemory
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray, IndexArray
+from dotsim_ros.io.cores import single_threaded
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.discretization import bonded_points, interpolation_at
 from dotsim_ros.gel.implicit.gel import ImplicitGel
+from dotsim_ros.io.arrays import FloatArray, IndexArray
 
 
 @dataclass(frozen=True)

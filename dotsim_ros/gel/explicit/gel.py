@@ -29,7 +29,6 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.body import Dome
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.explicit.kernels import (
@@ -46,7 +45,8 @@ from dotsim_ros.gel.material import NeoHookean, bulk_modulus_pa, shear_modulus_p
 from dotsim_ros.geometry.indenter import Indenter, sphere, warn_of_misfit
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, dome_skin
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.warp_runtime import wp
 
 GRID_MARGIN_CELLS = 5
 # Share of a penetration that skin in contact wants back in one substep.

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose, interpolate
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.warp_runtime import wp
 
 
 def rotation_vector(start: Pose, end: Pose) -> FloatArray:

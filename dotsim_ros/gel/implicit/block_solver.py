@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from dotsim_ros.arrays import AnyFloatArray
+from dotsim_ros.io.arrays import AnyFloatArray
 
 PLANES_PER_SLAB = 3
 

@@ -17,13 +17,13 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray, IndexArray
 from dotsim_ros.gel.distance_field import indenter_field
 from dotsim_ros.gel.implicit.contact_kernels import contact_kernels
 from dotsim_ros.geometry.indenter import Indenter
 from dotsim_ros.geometry.pose import Pose, Wrench
+from dotsim_ros.io.arrays import FloatArray, IndexArray
+from dotsim_ros.io.warp_runtime import wp
 from dotsim_ros.specification import ContactSpecification
-from dotsim_ros.warp_runtime import wp
 
 REFERENCE_SPACING_M = 1.2e-3
 ONSET_M = 5.0e-6

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from dotsim_ros.gel.distance_field import distance_functions
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 
 @cache

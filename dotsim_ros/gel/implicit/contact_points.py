@@ -17,8 +17,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dotsim_ros.arrays import BoolArray, FloatArray, IndexArray
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import BoolArray, FloatArray, IndexArray
 
 SPACING_M = 0.75e-3
 """Least distance of the markers that bear for others."""

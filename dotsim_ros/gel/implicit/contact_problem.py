@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from dotsim_ros.arrays import AnyFloatArray, FloatArray
 from dotsim_ros.gel.implicit.contact import ContactResponse, Lag
+from dotsim_ros.io.arrays import AnyFloatArray, FloatArray
 
 ITERATIONS = 60
 NEAR = 700.0

@@ -19,9 +19,6 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
-from dotsim_ros.cores import single_threaded
-from dotsim_ros.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.bond import LooseBond, lost_stiffness
 from dotsim_ros.gel.discretization import discretize
@@ -61,6 +58,9 @@ from dotsim_ros.gel.material import Material, PronySeries, small_strain_moduli_p
 from dotsim_ros.geometry.indenter import Indenter, warn_of_misfit, way_m
 from dotsim_ros.geometry.pose import Pose, Wrench, interpolate
 from dotsim_ros.geometry.skin_mesh import SkinMesh
+from dotsim_ros.io.arrays import Float32Array, FloatArray, IndexArray
+from dotsim_ros.io.cores import single_threaded
+from dotsim_ros.io.exclusive_use import ExclusiveUse, exclusive
 from dotsim_ros.specification import ContactSpecification, SolverSpecification
 
 FORGOTTEN_N = 1.0e-9

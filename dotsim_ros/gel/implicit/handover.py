@@ -17,9 +17,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.discretization import interpolation_at
 from dotsim_ros.gel.implicit.gel import ImplicitGel, World
+from dotsim_ros.io.arrays import FloatArray
 
 SETTLE_ITERATIONS = 15
 SETTLE_TOLERANCE_M = 10.0e-6

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dotsim_ros.arrays import BoolArray, FloatArray
 from dotsim_ros.gel.implicit.contact import NO_RESPONSE, ONSET_M, ContactResponse, Lag
 from dotsim_ros.gel.implicit.contact_problem import (
     Answers,
@@ -30,6 +29,7 @@ from dotsim_ros.gel.implicit.contact_problem import (
 )
 from dotsim_ros.gel.implicit.patch import NearMarkers, Patch
 from dotsim_ros.gel.implicit.tangent import ExactFactor, LocalFactor
+from dotsim_ros.io.arrays import BoolArray, FloatArray
 from dotsim_ros.specification import SolverSpecification
 
 NEAR_M = 0.2e-3

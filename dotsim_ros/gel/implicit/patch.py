@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-from dotsim_ros.arrays import AnyFloatArray, Float32Array, FloatArray, IndexArray
 from dotsim_ros.gel.implicit.contact_problem import by_component, by_marker
 from dotsim_ros.gel.implicit.refinement import Refinement
+from dotsim_ros.io.arrays import AnyFloatArray, Float32Array, FloatArray, IndexArray
 
 
 @dataclass(frozen=True)

@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from dotsim_ros.arrays import Float32Array, FloatArray, IndexArray
-from dotsim_ros.cache import GEL, content_key, keep_arrays, load_arrays, tell_broken
-from dotsim_ros.documents import ArrayForm
-from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization, discretize, images_of_cells
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
 from dotsim_ros.gel.implicit.refinement_kernels import add_columns, gather_between
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.arrays import Float32Array, FloatArray, IndexArray
+from dotsim_ros.io.cache import GEL, content_key, keep_arrays, load_arrays, tell_broken
+from dotsim_ros.io.documents import ArrayForm
+from dotsim_ros.io.files import cache_directory
+from dotsim_ros.io.warp_runtime import wp
 
 REACH_M = 7.0e-3
 """Pairs of nodes farther apart than this are left out of dG."""

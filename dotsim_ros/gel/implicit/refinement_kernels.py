@@ -8,7 +8,7 @@
 
 from typing import Any
 
-from dotsim_ros.warp_runtime import wp
+from dotsim_ros.io.warp_runtime import wp
 
 
 @wp.kernel

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.material import PronySeries
+from dotsim_ros.io.arrays import FloatArray
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, FloatArray
-from dotsim_ros.cache import GEL, content_key, keep_arrays, load_arrays
-from dotsim_ros.documents import ArrayForm
-from dotsim_ros.files import cache_directory
 from dotsim_ros.gel.body import Body
 from dotsim_ros.gel.discretization import Discretization
 from dotsim_ros.gel.elasticity import GHOST_PENALTY, ElasticBody
 from dotsim_ros.gel.implicit.tangent import inverse_at_rest
 from dotsim_ros.gel.material import ElasticLaw, NeoHookean, small_strain_moduli_pa
+from dotsim_ros.io.arrays import Float32Array, FloatArray
+from dotsim_ros.io.cache import GEL, content_key, keep_arrays, load_arrays
+from dotsim_ros.io.documents import ArrayForm
+from dotsim_ros.io.files import cache_directory
 
 
 def kept_compliance(

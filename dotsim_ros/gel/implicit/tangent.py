@@ -23,9 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, sparse
 
-from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, IndexArray
 from dotsim_ros.gel.elasticity import ElasticBody, region_base
 from dotsim_ros.gel.implicit.block_solver import BlockCholesky
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, IndexArray
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@
 import numpy as np
 from scipy import linalg
 
-from dotsim_ros.arrays import AnyFloatArray, FloatArray
+from dotsim_ros.io.arrays import AnyFloatArray, FloatArray
 
 
 def wrench_stiffness(

@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.documents import value_text
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.parameter_file import (
     check_parameter_file,
     found_parameter_file,

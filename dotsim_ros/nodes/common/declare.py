@@ -18,7 +18,7 @@ from rcl_interfaces.msg import (
 from rclpy.exceptions import ParameterUninitializedException
 from rclpy.parameter import Parameter
 
-from dotsim_ros.files import expanded
+from dotsim_ros.io.files import expanded
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.options import Option, option_of
 from dotsim_ros.nodes.common.reasons import reason_of

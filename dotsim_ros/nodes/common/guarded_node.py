@@ -31,7 +31,7 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from dotsim_ros.documents import value_text
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.health import FAULT_MEMORY_S
 from dotsim_ros.nodes.common.local_topics import (
     LocalPublisher,

@@ -17,7 +17,7 @@ from typing import Any
 from launch import LaunchContext
 from launch.actions import DeclareLaunchArgument, LogInfo
 
-from dotsim_ros.documents import is_number, parse_yaml, value_text
+from dotsim_ros.io.documents import is_number, parse_yaml, value_text
 from dotsim_ros.nodes.common.parameter_file import PARAMETERS_KEY, check_params_file
 from dotsim_ros.nodes.common.reasons import nearest
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from dotsim_ros.files import expanded, usable_folder
+from dotsim_ros.io.files import expanded, usable_folder
 
 
 def prepare_log_folder() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
-from dotsim_ros.documents import value_text
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.reasons import reason_of
 from dotsim_ros.nodes.common.spin import FORESEEN, WorkingNode
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-from dotsim_ros.documents import value_text
+from dotsim_ros.io.documents import value_text
 
 METADATA_KEY = "option"
 

@@ -13,8 +13,8 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 
-from dotsim_ros.documents import read_yaml, value_text
-from dotsim_ros.files import expanded, parameter_path
+from dotsim_ros.io.documents import read_yaml, value_text
+from dotsim_ros.io.files import expanded, parameter_path
 from dotsim_ros.nodes.common.reasons import EXPECTED, reason_of
 
 PARAMETERS_KEY = "ros__parameters"

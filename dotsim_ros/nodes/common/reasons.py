@@ -9,8 +9,8 @@ import difflib
 import re
 from collections.abc import Iterable
 
-from dotsim_ros.documents import value_text
-from dotsim_ros.printable import cut
+from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.printable import cut
 
 LONGEST_REASON = 400
 """Characters; a value that a user gave may be of any length."""

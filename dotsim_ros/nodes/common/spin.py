@@ -29,7 +29,7 @@ from rclpy.node import Node
 from rclpy.time import Time
 
 import msg_adapters
-from dotsim_ros.cores import keep_single_threaded
+from dotsim_ros.io.cores import keep_single_threaded
 from dotsim_ros.nodes.common.arguments import (
     check_start,
     names_for,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.io.files import parameter_path
 
 PROFILE_FILES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 """Variables that name a profile of Fast DDS: version 2, of ROS 2 Jazzy, reads the first alone."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.measured.trajectory import WrenchChannel
+from dotsim_ros.data.trajectory import WrenchChannel
+from dotsim_ros.io.arrays import FloatArray
 
 
 @dataclass(frozen=True)

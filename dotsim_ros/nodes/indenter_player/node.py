@@ -23,8 +23,8 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.clock_watch import ClockJump
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.ingest import TimeRestart

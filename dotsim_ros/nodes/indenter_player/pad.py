@@ -12,9 +12,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from dotsim_ros.data.motion import Motion, at_speed, joined
+from dotsim_ros.data.scripted import Site
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.measured.motion import Motion, at_speed, joined
-from dotsim_ros.measured.scripted import Site
 from dotsim_ros.specification import GelSpecification
 
 

@@ -10,10 +10,8 @@ from functools import partial
 
 import numpy as np
 
-from dotsim_ros.documents import value_text
-from dotsim_ros.files import parameter_path
-from dotsim_ros.measured.motion import Motion, joined
-from dotsim_ros.measured.scripted import (
+from dotsim_ros.data.motion import Motion, joined
+from dotsim_ros.data.scripted import (
     Site,
     in_sequence,
     press_hold_release,
@@ -21,8 +19,10 @@ from dotsim_ros.measured.scripted import (
     travel,
     twist,
 )
-from dotsim_ros.measured.shipped_presses import ShippedPress, read_presses
-from dotsim_ros.measured.trajectory import BASE_FRAME, Topics, read_trajectory
+from dotsim_ros.data.shipped_presses import ShippedPress, read_presses
+from dotsim_ros.data.trajectory import BASE_FRAME, Topics, read_trajectory
+from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.indenter_player.forces import PlayedForces
 from dotsim_ros.nodes.indenter_player.pad import pad_site, pad_slide

@@ -24,12 +24,12 @@ from sensor_msgs.msg import Image, PointCloud2
 from std_srvs.srv import Trigger
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
+from dotsim_ros.data.trajectory import BASE_FRAME
 from dotsim_ros.geometry.indenter import Indenter, load_indenter
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment, rate_hz_of
-from dotsim_ros.measured.trajectory import BASE_FRAME
 from dotsim_ros.nodes.common.ingest import Fault
 from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES

@@ -22,10 +22,13 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import read_yaml
-from dotsim_ros.files import parameter_path
+from dotsim_ros.control.loop.recording import LoopPlaces, LoopRecording
+from dotsim_ros.control.policy.paths import DomeContact
+from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import read_yaml
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.loop.loop_time import (
     REALTIME,
@@ -39,9 +42,6 @@ from dotsim_ros.nodes.simulated_time.participants import Participant
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.nodes.tactile_policy.parameters import TactilePolicyParameters
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
-from dotsim_ros.tasks.control.loop_recording import LoopPlaces, LoopRecording
-from dotsim_ros.tasks.control.safety import SafetyLimits
-from dotsim_ros.tasks.policy.paths import DomeContact
 
 SENSOR, ARM, POLICY, RECORDER = "tactile_sim", "xarm_sim", "tactile_policy", "tactile_record"
 COMPOSED = "closed_loop"

@@ -13,8 +13,12 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 
 import msg_adapters
-from dotsim_ros.arrays import BoolArray, FloatArray
+from dotsim_ros.control.loop.judge import trial_start
+from dotsim_ros.control.loop.recording import LoopRecording
+from dotsim_ros.control.policy.demonstration import contact_of
+from dotsim_ros.control.policy.paths import ReferencePath, reference_path
 from dotsim_ros.geometry.indenter import load_indenter
+from dotsim_ros.io.arrays import BoolArray, FloatArray
 from dotsim_ros.nodes.common.processes import NodeProcess
 from dotsim_ros.nodes.common.transport import stay_local
 from dotsim_ros.nodes.loop.closed_loop import (
@@ -30,10 +34,6 @@ from dotsim_ros.nodes.simulated_time.participants import Participant, Publicatio
 from dotsim_ros.nodes.simulated_time.protocol import NANOSECONDS_PER_SECOND
 from dotsim_ros.nodes.simulated_time.stepper import StepperSettings
 from dotsim_ros.specification import load_sensor
-from dotsim_ros.tasks.control.loop_recording import LoopRecording
-from dotsim_ros.tasks.loop.judge import trial_start
-from dotsim_ros.tasks.policy.demonstration import contact_of
-from dotsim_ros.tasks.policy.paths import ReferencePath, reference_path
 
 PLACES = "indenter/pose"
 STANDING_M_S = 1e-4

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from dotsim_ros.documents import is_number, read_yaml, value_text
+from dotsim_ros.io.documents import is_number, read_yaml, value_text
 
 SHORTEST_PERIOD_S = 1e-3
 KEYS = ("reads", "publishes")

@@ -19,7 +19,7 @@ from typing import Any
 from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import String
 
-from dotsim_ros.documents import value_text
+from dotsim_ros.io.documents import value_text
 
 STEP_TOPIC = "/simulated_time/step"
 ANSWER_TOPIC = "/simulated_time/answer"

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from dotsim_ros.documents import shortened
-from dotsim_ros.files import expanded, shipped_path
+from dotsim_ros.io.documents import shortened
+from dotsim_ros.io.files import expanded, shipped_path
 from msg_adapters.image import LARGEST_PIXEL_COUNT
 
 

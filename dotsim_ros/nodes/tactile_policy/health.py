@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from dotsim_ros.control.safety_layer.limits import State
 from dotsim_ros.nodes.common.health import Report, statuses_of
-from dotsim_ros.tasks.control.safety import State
 from msg_adapters import Level, Status
 
 if TYPE_CHECKING:

@@ -19,8 +19,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CompressedImage, Image
 
 import msg_adapters
-from dotsim_ros.documents import value_text
+from dotsim_ros.control.arm.command import check_reach
+from dotsim_ros.control.safety_layer.freshness import HeardMessage, StreamWatch
+from dotsim_ros.control.safety_layer.limits import Readings, Reason
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.reasons import reason_of
 from dotsim_ros.nodes.tactile_policy.parameters import (
@@ -28,9 +31,6 @@ from dotsim_ros.nodes.tactile_policy.parameters import (
     RAW,
     TactilePolicyParameters,
 )
-from dotsim_ros.tasks.arm.command import check_reach
-from dotsim_ros.tasks.control.freshness import HeardMessage, StreamWatch
-from dotsim_ros.tasks.control.safety import Readings, Reason
 
 # Best effort loses images between processes; of several that wait, only the newest counts.
 IMAGE_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)

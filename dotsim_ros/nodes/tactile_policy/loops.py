@@ -17,15 +17,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from dotsim_ros.control.arm.command import Twist
+from dotsim_ros.control.safety_layer.arm_control import ArmControl, Order
+from dotsim_ros.control.safety_layer.limits import Reason, State
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import Miss, MissCounter, RateMeter, Spread
-from dotsim_ros.tasks.arm.command import Twist
-from dotsim_ros.tasks.control.arm_control import ArmControl, Order
-from dotsim_ros.tasks.control.safety import Reason, State
 
 if TYPE_CHECKING:
+    from dotsim_ros.control.policy.network import Policy
     from dotsim_ros.nodes.tactile_policy.inputs import HeardImage, PolicyInputs
-    from dotsim_ros.tasks.policy.network import Policy
 
 WAIT_SHARE = 0.6
 """Share of a period that a cycle waits for an image that is not there at its deadline."""

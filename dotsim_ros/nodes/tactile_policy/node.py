@@ -24,7 +24,11 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from std_srvs.srv import SetBool, Trigger
 
 import msg_adapters
-from dotsim_ros.documents import value_text
+from dotsim_ros.control.arm.command import ANGULAR, LINEAR, Twist, zero_twist
+from dotsim_ros.control.policy.network import load_policy
+from dotsim_ros.control.safety_layer.arm_control import ArmControl, Order
+from dotsim_ros.control.safety_layer.limits import Reason, State
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.beat import Beat
 from dotsim_ros.nodes.common.counters import Miss
 from dotsim_ros.nodes.common.declare import declare
@@ -41,13 +45,9 @@ from dotsim_ros.nodes.tactile_policy.parameters import (
     TICKS,
     TactilePolicyParameters,
 )
-from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR, Twist, zero_twist
-from dotsim_ros.tasks.control.arm_control import ArmControl, Order
-from dotsim_ros.tasks.control.safety import Reason, State
-from dotsim_ros.tasks.policy.network import load_policy
 
 if TYPE_CHECKING:
-    from dotsim_ros.tasks.policy.network import Policy
+    from dotsim_ros.control.policy.network import Policy
 from msg_adapters import Status
 
 COMMAND_QOS = QoSProfile(depth=5, reliability=ReliabilityPolicy.RELIABLE)

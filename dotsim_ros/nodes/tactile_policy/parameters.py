@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.control.safety_layer.arm_control import ControlSettings
+from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
-from dotsim_ros.tasks.control.arm_control import ControlSettings
-from dotsim_ros.tasks.control.safety import SafetyLimits
 
 RAW, COMPRESSED = "raw", "compressed"
 TOOL_FRAME, BASE_FRAME = "link_tcp", "link_base"

@@ -28,9 +28,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.utilities import try_shutdown
 
-from dotsim_ros.documents import value_text
-from dotsim_ros.measured.bag import PARTIAL, unfinished_path
-from dotsim_ros.measured.bag_metadata import METADATA
+from dotsim_ros.data.bag import PARTIAL, unfinished_path
+from dotsim_ros.data.bag_metadata import METADATA
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.declare import declare
 from dotsim_ros.nodes.common.health import Report, statuses_of
 from dotsim_ros.nodes.common.options import check_options, option

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from dotsim_ros.measured.bag import BagFile
+from dotsim_ros.data.bag import BagFile
 from msg_adapters import serialized_stamp_ns
 
 FLUSH_PERIOD_S = 0.5

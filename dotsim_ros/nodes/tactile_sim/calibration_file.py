@@ -19,8 +19,8 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from dotsim_ros.documents import is_number, read_yaml, value_text
-from dotsim_ros.files import write_text
+from dotsim_ros.io.documents import is_number, read_yaml, value_text
+from dotsim_ros.io.files import write_text
 from msg_adapters import CameraCalibration
 
 EXPECTED = "expected file:///PATH.yaml or package://PACKAGE/PATH.yaml"

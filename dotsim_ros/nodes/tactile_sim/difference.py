@@ -8,7 +8,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import ImageArray
+from dotsim_ros.io.arrays import ImageArray
 
 
 def difference_image(image: ImageArray, reference: ImageArray, gain: float) -> ImageArray:

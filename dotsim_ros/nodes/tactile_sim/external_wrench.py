@@ -17,8 +17,8 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.pose import Pose, Wrench, compose
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
 
 WRENCH_QOS = QoSProfile(depth=5)

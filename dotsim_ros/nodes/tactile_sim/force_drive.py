@@ -13,9 +13,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.gel.implicit.gel import LARGEST_SUBSTEP_M
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.health import Report
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.sensor import TactileSensor

@@ -12,9 +12,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.motion import (
     NANOSECONDS_PER_SECOND,

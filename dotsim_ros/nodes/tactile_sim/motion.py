@@ -10,10 +10,10 @@ from threading import Lock
 
 import numpy as np
 
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame, advance
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 
 NANOSECONDS_PER_SECOND = 1_000_000_000

@@ -18,10 +18,11 @@ from rclpy.qos import HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
-from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.twist import TwistFrame
+from dotsim_ros.io.arrays import FloatArray
+from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.printable import cut
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import (
     Fault,
@@ -50,7 +51,6 @@ from dotsim_ros.nodes.tactile_sim.parameters import (
     TactileSimParameters,
 )
 from dotsim_ros.nodes.tactile_sim.transform_input import TransformInput
-from dotsim_ros.printable import cut
 
 # A fifth of a second at 100 Hz, in which a busy machine may not get to read: the indenter follows
 # the path of all poses. More would delay a faster stream.

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.quantity import check_value, quantities_of
 from dotsim_ros.nodes.common.options import option
 from dotsim_ros.nodes.simulated_time.latency import LONGEST_S, check_quantiles
 from dotsim_ros.nodes.tactile_sim.output_parameters import OutputParameters
 from dotsim_ros.nodes.tactile_sim.profiles import BY_CLOCK, NAMES, resolve_profile
-from dotsim_ros.quantity import check_value, quantities_of
 from dotsim_ros.specification import NoiseSpecification, SolverSpecification
 
 REALTIME, LOCKSTEP = "realtime", "lockstep"

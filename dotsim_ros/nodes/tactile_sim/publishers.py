@@ -18,7 +18,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray, ImageArray
+from dotsim_ros.io.arrays import FloatArray, ImageArray
 from dotsim_ros.nodes.tactile_sim.difference import difference_image
 from dotsim_ros.nodes.tactile_sim.framing import Framing, encoded_pixels
 from dotsim_ros.nodes.tactile_sim.output_parameters import AXIAL

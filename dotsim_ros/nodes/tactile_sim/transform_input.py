@@ -17,9 +17,9 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
-from dotsim_ros.arrays import FloatArray
 from dotsim_ros.geometry.frame_tree import FrameTree, OutOfOrderError
 from dotsim_ros.geometry.pose import Pose
+from dotsim_ros.io.arrays import FloatArray
 from dotsim_ros.nodes.common.guarded_node import GuardedNode
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
 from dotsim_ros.nodes.tactile_sim.parameters import LOCKSTEP, TactileSimParameters

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from dotsim_ros.files import parameter_path
+from dotsim_ros.io.files import parameter_path
 from dotsim_ros.nodes.common.options import check_options, option
 from dotsim_ros.nodes.simulated_time.participants import (
     SHORTEST_PERIOD_S,

@@ -14,7 +14,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from dotsim_ros.tasks.arm.command import (
+from dotsim_ros.control.arm.command import (
     Twist,
     check_plausible,
     check_reach,

@@ -17,7 +17,9 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 import msg_adapters
-from dotsim_ros.documents import value_text
+from dotsim_ros.control.arm.command import ANGULAR, LINEAR
+from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.printable import cut
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
@@ -26,8 +28,6 @@ from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.xarm_adapter.health import link_statuses
 from dotsim_ros.nodes.xarm_adapter.link import Call, Hindrance, VelocityLink
 from dotsim_ros.nodes.xarm_adapter.parameters import XarmAdapterParameters
-from dotsim_ros.printable import cut
-from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
 from msg_adapters import Status
 from msg_adapters.xarm import move_velocity_service, robot_state_message
 

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.control.arm.command import ANGULAR, LINEAR
+from dotsim_ros.control.arm.kinematics import JOINT_NAMES, SINGULAR_M
+from dotsim_ros.control.arm.simulated import ArmFaults, ArmState
 from dotsim_ros.nodes.common.health import Report, fault_values, is_recent, statuses_of
 from dotsim_ros.nodes.common.ingest import FaultLog
-from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR
-from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, SINGULAR_M
-from dotsim_ros.tasks.arm.simulated import ArmFaults, ArmState
 from msg_adapters import Level, Status
 
 SIMULATED = "simulated xArm 7"

@@ -20,8 +20,12 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 import msg_adapters
-from dotsim_ros.documents import value_text
+from dotsim_ros.control.arm.command import ANGULAR, LINEAR, check_plausible
+from dotsim_ros.control.arm.kinematics import JOINT_NAMES, ArmKinematics
+from dotsim_ros.control.arm.simulated import ArmState, SimulatedArm
 from dotsim_ros.geometry.pose import Pose, compose, inverse
+from dotsim_ros.io.documents import value_text
+from dotsim_ros.io.printable import cut
 from dotsim_ros.nodes.common.declare import declare, follow
 from dotsim_ros.nodes.common.ingest import Fault, FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
@@ -29,10 +33,6 @@ from dotsim_ros.nodes.common.reasons import LONGEST_REASON
 from dotsim_ros.nodes.common.spin import WorkingNode, run_node
 from dotsim_ros.nodes.xarm_sim.health import ArmCondition, arm_statuses
 from dotsim_ros.nodes.xarm_sim.parameters import XarmSimParameters, pose_of
-from dotsim_ros.printable import cut
-from dotsim_ros.tasks.arm.command import ANGULAR, LINEAR, check_plausible
-from dotsim_ros.tasks.arm.kinematics import JOINT_NAMES, ArmKinematics
-from dotsim_ros.tasks.arm.simulated import ArmState, SimulatedArm
 from msg_adapters import Status
 
 COMMAND_QOS = QoSProfile(depth=1, reliability=ReliabilityPolicy.RELIABLE)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dotsim_ros.control.arm.simulated import LONGEST_DELAY_S, ArmFaults, ArmLimits, ArmResponse
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.nodes.common.options import check_options, option
-from dotsim_ros.tasks.arm.simulated import LONGEST_DELAY_S, ArmFaults, ArmLimits, ArmResponse
 
 
 @dataclass(frozen=True)

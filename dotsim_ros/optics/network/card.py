@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from dotsim_ros.documents import value_text
 from dotsim_ros.geometry.camera import Camera, PinholeCamera
+from dotsim_ros.io.documents import value_text
 from dotsim_ros.optics.network.carded_weights import CardKind, read_weights
 
 FORMAT = 1

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
-from dotsim_ros.documents import parse_json, shortened, value_text
-from dotsim_ros.files import whole_file
+from dotsim_ros.io.documents import parse_json, shortened, value_text
+from dotsim_ros.io.files import whole_file
 
 WEIGHTS = "weights.safetensors"
 GRAPH = "network.onnx"

@@ -10,8 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import Float32Array, ImageArray
 from dotsim_ros.optics import bands
 from dotsim_ros.optics.network.card import BASES, FINENESS, NETWORK, check_card, read_network
 from dotsim_ros.optics.network.carded_weights import GRAPH

@@ -25,8 +25,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import Float32Array, ImageArray
 from dotsim_ros.optics.idle import lit_region
 
 FRAME = slice(0, 7)

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from dotsim_ros.files import given_path
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.files import given_path
 from dotsim_ros.specification import SensorSpecification
 
 if TYPE_CHECKING:

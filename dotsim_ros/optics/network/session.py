@@ -14,7 +14,7 @@ import numpy as np
 import onnxruntime
 from numpy.typing import NDArray
 
-from dotsim_ros.documents import shortened
+from dotsim_ros.io.documents import shortened
 
 Shape = tuple[int, ...]
 

@@ -23,8 +23,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from dotsim_ros.arrays import Float32Array, ImageArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import Float32Array, ImageArray
 from dotsim_ros.twin.footage import OpticalPress, Rest
 from studies.rivals.optics.pixels import (
     TOWARDS_CAMERA,

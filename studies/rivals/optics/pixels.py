@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dotsim_ros.arrays import BoolArray, Float32Array, ImageArray
+from dotsim_ros.io.arrays import BoolArray, Float32Array, ImageArray
 from dotsim_ros.twin.footage import OpticalPress, Rest
 
 FULL_SCALE = 255.0

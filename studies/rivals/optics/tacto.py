@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import differential_evolution, nnls
 
-from dotsim_ros.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import BoolArray, Float32Array, FloatArray, ImageArray
 from dotsim_ros.twin.footage import OpticalPress, Rest
 from studies.rivals.optics.pixels import (
     FULL_SCALE,

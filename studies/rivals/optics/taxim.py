@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from dotsim_ros.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.geometry.camera import Camera
+from dotsim_ros.io.arrays import Float32Array, FloatArray, ImageArray, IntArray
 from dotsim_ros.twin.footage import OpticalPress, Rest
 from studies.rivals.optics.pixels import (
     Ground,

@@ -1,4 +1,0 @@
-# Copyright 2026 The dotsim_ros authors
-# SPDX-License-Identifier: Apache-2.0
-
-"""What two surfaces, images and forces differ by."""

@@ -1,4 +1,0 @@
-# Copyright 2026 The dotsim_ros authors
-# SPDX-License-Identifier: Apache-2.0
-
-"""The arm: simulated, its kinematics, and the commands that it takes."""

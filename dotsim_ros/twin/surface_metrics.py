@@ -1,0 +1,192 @@
+# Copyright 2026 The dotsim_ros authors
+# SPDX-License-Identifier: Apache-2.0
+
+"""How far a predicted surface and force are from measured ones.
+
+Four metrics compare samples, as is usual for point clouds: two samples of one surface differ as
+well, by the floor that `cloud_distances` of the surface against itself shows. The others need none.
+"""
+
+# Warp reads kernels' annotations by its own rules, which are none of a type checker's.
+# mypy: disable-error-code="no-untyped-def, valid-type, attr-defined, var-annotated"
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+from scipy.spatial.distance import cdist
+
+from dotsim_ros.geometry.skin_mesh import face_vectors
+from dotsim_ros.io.arrays import FloatArray, IndexArray
+from dotsim_ros.io.warp_runtime import wp
+
+SAMPLE_COUNT = 2048
+SIGNIFICANT_SHARE = 0.01
+F_SCORE_THRESHOLD_M = 1.0e-3
+
+_TRANSPORT_ITERATIONS = 10_000_000
+# Metre coordinates have squared areas near the tolerances of float32 geometry.
+_MILLIMETRES_PER_METRE = 1000.0
+
+
+@dataclass(frozen=True)
+class CloudDistances:
+    """What samples of two surfaces differ by.
+
+    Attributes:
+        chamfer_m: mean distance to the nearest point of the other cloud, both ways averaged.
+        significant_chamfer_m: the same over the farthest 1 % of the points of each cloud.
+        earth_mover_m: mean distance of the best one-to-one assignment.
+        f_score: harmonic mean of the shares of points within 1 mm of the other cloud.
+    """
+
+    chamfer_m: float
+    significant_chamfer_m: float
+    earth_mover_m: float
+    f_score: float
+
+
+def sample_surface(
+    position_m: FloatArray, triangles: IndexArray, count: int, random: np.random.Generator
+) -> FloatArray:
+    """Return points (count, 3) drawn uniformly by area from a triangle surface (V, 3), (T, 3).
+
+    Raises:
+        ValueError: a position is not finite, or the surface has no area.
+    """
+    area = np.linalg.norm(face_vectors(position_m, triangles), axis=1)
+    total = float(area.sum())
+    if not (np.isfinite(total) and total > 0.0):
+        raise ValueError(f"a surface of twice {total} m^2 cannot be sampled")
+    chosen = triangles[random.choice(len(triangles), size=count, p=area / total)]
+    # Reflected at the diagonal, the unit square's points are uniform in the triangle.
+    weight = random.random((count, 2))
+    outside = weight.sum(axis=1) > 1.0
+    weight[outside] = 1.0 - weight[outside]
+    corner = position_m[chosen]
+    return np.asarray(
+        corner[:, 0]
+        + weight[:, :1] * (corner[:, 1] - corner[:, 0])
+        + weight[:, 1:] * (corner[:, 2] - corner[:, 0])
+    )
+
+
+def cloud_distances(first_m: FloatArray, second_m: FloatArray) -> CloudDistances:
+    """Return the distances between two clouds (N, 3) of as many points, symmetric in them.
+
+    Raises:
+        ValueError: clouds of other shapes or of numbers that are not finite.
+    """
+    for cloud in (first_m, second_m):
+        if cloud.ndim != 2 or cloud.shape[1] != 3 or len(cloud) == 0:
+            raise ValueError(f"a cloud has shape {cloud.shape}, expected (N, 3)")
+        if not np.all(np.isfinite(cloud)):
+            raise ValueError("a cloud holds a number that is not finite")
+    if len(first_m) != len(second_m):
+        raise ValueError(f"clouds of {len(first_m)} and {len(second_m)} points; expected as many")
+    forward = KDTree(second_m).query(first_m)[0]
+    backward = KDTree(first_m).query(second_m)[0]
+    return CloudDistances(
+        chamfer_m=float(0.5 * (forward.mean() + backward.mean())),
+        significant_chamfer_m=float(0.5 * (_farthest_mean(forward) + _farthest_mean(backward))),
+        earth_mover_m=earth_mover_distance(first_m, second_m),
+        f_score=_f_score(forward, backward),
+    )
+
+
+def _farthest_mean(distance: FloatArray) -> float:
+    count = max(1, round(SIGNIFICANT_SHARE * len(distance)))
+    return float(np.partition(distance, -count)[-count:].mean())
+
+
+def _f_score(forward: FloatArray, backward: FloatArray) -> float:
+    precision = float(np.mean(forward < F_SCORE_THRESHOLD_M))
+    recall = float(np.mean(backward < F_SCORE_THRESHOLD_M))
+    return 2.0 * precision * recall / (precision + recall) if precision + recall > 0.0 else 0.0
+
+
+def earth_mover_distance(first_m: FloatArray, second_m: FloatArray) -> float:
+    """Return the least mean distance (m) over which one cloud (N, 3) is moved onto the other.
+
+    Exact: the network simplex method of POT.
+    """
+    import ot  # type: ignore[import-untyped]  # a second, and only the tables need it
+
+    cost = cdist(first_m, second_m)
+    share = [np.full(len(cloud), 1.0 / len(cloud)) for cloud in (first_m, second_m)]
+    return float(ot.emd2(share[0], share[1], cost, numItermax=_TRANSPORT_ITERATIONS))
+
+
+@wp.kernel
+def _surface_distance(
+    mesh: wp.uint64,
+    points: wp.array(dtype=wp.vec3),
+    farthest: float,
+    distance: wp.array(dtype=float),
+):
+    i = wp.tid()
+    query = wp.mesh_query_point_no_sign(mesh, points[i], farthest)
+    if query.result:
+        nearest = wp.mesh_eval_position(mesh, query.face, query.u, query.v)
+        distance[i] = wp.length(points[i] - nearest)
+    else:
+        distance[i] = farthest
+
+
+def surface_distance(
+    points_m: FloatArray, position_m: FloatArray, triangles: IndexArray
+) -> FloatArray:
+    """Return the distance (N,) of points (N, 3) to the nearest point of a triangle surface.
+
+    Args:
+        points_m: the points.
+        position_m: (V, 3) vertices of the surface; exact to some nanometres (float32).
+        triangles: (T, 3) vertex numbers.
+    """
+    mesh = wp.Mesh(
+        points=wp.array(
+            (position_m * _MILLIMETRES_PER_METRE).astype(np.float32), dtype=wp.vec3, device="cpu"
+        ),
+        indices=wp.array(triangles.reshape(-1).astype(np.int32), dtype=wp.int32, device="cpu"),
+    )
+    points = wp.array(
+        (points_m * _MILLIMETRES_PER_METRE).astype(np.float32), dtype=wp.vec3, device="cpu"
+    )
+    distance = wp.empty(len(points_m), dtype=float, device="cpu")
+    wp.launch(
+        _surface_distance,
+        dim=len(points_m),
+        inputs=[mesh.id, points, 1.0e6],
+        outputs=[distance],
+        device="cpu",
+    )
+    return distance.numpy().astype(np.float64) / _MILLIMETRES_PER_METRE
+
+
+def weighted_rms(values: FloatArray, weight: FloatArray) -> float:
+    """Return the root of the weighted mean square of values (N,).
+
+    Raises:
+        ValueError: the weights (N,) sum to nothing.
+    """
+    total = float(weight.sum())
+    if not total > 0.0:
+        raise ValueError("the weights sum to zero, expected a positive sum")
+    return float(np.sqrt(np.sum(weight * values**2) / total))
+
+
+def along_surface(vectors: FloatArray, normal: FloatArray) -> FloatArray:
+    """Return vectors (F, 3) without their components along unit normals (F, 3)."""
+    along = np.sum(vectors * normal, axis=1)
+    return np.asarray(vectors - along[:, None] * normal)
+
+
+def relative_rms(error: FloatArray, measured: FloatArray) -> float | None:
+    """Return the root mean square of errors (F, ...) over that of what was measured (F, ...).
+
+    Small values, which are mostly noise, weigh little; None where all measured are zero.
+    """
+    scale = float(np.sum(measured**2))
+    return float(np.sqrt(np.sum(error**2) / scale)) if scale > 0.0 else None
