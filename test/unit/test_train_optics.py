@@ -71,7 +71,7 @@ def test_untouched_frames_take_noise_off_the_idle_image():
 
 def test_the_command_line_knows_every_network():
     learning = pytest.importorskip("dotsim_ros.learning.networks", exc_type=ImportError)
-    assert sorted(train_optics.NETWORKS) == sorted(learning.KINDS)
+    assert sorted(train_optics.TRAINED) == sorted(learning.KINDS)
 
 
 @needs_data
