@@ -100,10 +100,9 @@ def test_a_file_that_pytest_did_not_come_to_is_found(tool: Any, tmp_path: Path) 
 def test_tests_that_are_not_there_any_more_are_counted(tool: Any, tmp_path: Path) -> None:
     (tmp_path / "test_some.py").write_text(TESTS)
     (tmp_path / "test_module.py").write_text('import pytest\npytest.importorskip("nowhere")\n')
-    for _ in range(2):
-        # What ran twice counts once, whoever ran it.
-        run_tests(tmp_path, "-W", "ignore")
-        run_tests(tmp_path, "-W", "ignore", "-n", "2")
+    # What ran twice counts once, whoever ran it.
+    run_tests(tmp_path, "-W", "ignore")
+    run_tests(tmp_path, "-W", "ignore", "-n", "2")
     skips = tool("skips")
     tests = skips.read(tmp_path / "skips.json")["tests"]
     assert tests == [
