@@ -17,7 +17,7 @@ endif
 
 INSTALLED := $(VENV)/.installed-$(ROS_DISTRO)
 # ROS from wheels beside a sourced ROS would load the libraries of both into one process: a $(VENV)
-# made for the other one, or left half-made, is made anew.
+# made for the other one, or left half-made, is made again.
 CLEAR = $(if $(wildcard $(VENV)/pyvenv.cfg),$(if $(wildcard $(INSTALLED)),,--clear))
 # Two numerical threads on two cores leave none for DDS and the executor.
 RUN := OMP_NUM_THREADS=1 PATH="$(abspath $(VENV))/bin:$$PATH"
@@ -83,6 +83,7 @@ lint: setup
 	$(RUN) ruff check
 	$(RUN) ruff format --check
 	$(RUN) codespell
+	$(RUN) codespell --dictionary .ci/words.txt
 	$(RUN) mypy
 	$(RUN) lint-imports
 

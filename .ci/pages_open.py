@@ -15,7 +15,7 @@ they may ask for files of that folder, parts of them may be hidden, or wider tha
 a part that scrolls; and the search of the first page must find a word of its title.
 
 Chromium is spoken to in its DevTools protocol over a pipe (file descriptors 3 and 4, messages ended
-by a zero byte), which needs no package beside Python and no port.
+by a zero byte), which needs no package next to Python and no port.
 """
 
 from __future__ import annotations

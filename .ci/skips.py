@@ -51,7 +51,7 @@ def _anywhere() -> bool:
 
 
 KNOWN: dict[str, Callable[[], bool]] = {
-    "needs (all real presses|the measured data)|is not here|are not here|beside this checkout": (
+    "needs (all real presses|the measured data)|is not here|are not here|next to this checkout": (
         _without_measured_data
     ),
     "CalculiX is not installed": _without_program("ccx"),

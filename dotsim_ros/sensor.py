@@ -420,7 +420,7 @@ class TactileSensor:
 
     @exclusive(begins=True)
     def reset(self, *, noise_seed: int | None = None) -> None:
-        """Return to rest; time begins anew, and with it the noise of the images.
+        """Return to rest; time begins again, and with it the noise of the images.
 
         Args:
             noise_seed: that the noise is drawn by from now on, in place of the one before.
@@ -542,7 +542,7 @@ class TactileSensor:
     def see(self, gel: GelFrame, pose: Pose | ApexPose | None) -> Frame:
         """Return the frame that shows a gel.
 
-        It may run in a second thread beside `press`: it reads nothing of the gel but its argument.
+        It may run in a second thread next to `press`: it reads nothing of the gel but its argument.
 
         Args:
             gel: from `press`.

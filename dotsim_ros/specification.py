@@ -232,7 +232,7 @@ class GelSpecification:
         """Return whether a point (3,) lies behind the skin, where a camera sees its inner side."""
         x, y, z = (float(v) for v in point_m)
         if self.shape != "dome":
-            # Beside the pad as at its edge.
+            # Next to the pad as at its edge.
             x, y = (
                 min(max(place, -0.5 * length), 0.5 * length)
                 for place, length in zip((x, y), self.pad_size_m[:2], strict=True)
@@ -443,7 +443,7 @@ class CameraSpecification:
     )
     idle_image: str = quantity(
         "images/densetact2_idle.png",
-        help="File of the image without contact, beside this file, below `params/` or absolute; "
+        help="File of the image without contact, next to this file, below `params/` or absolute; "
         "empty: the image is drawn from the sections lighting, vignetting and pattern.",
     )
     residual: str = quantity(
@@ -498,7 +498,7 @@ class NoiseSpecification:
 class LightingSpecification:
     """Nine LEDs around the z axis (three red, three green, three blue) on a ring or in three
     straight rows, and the coat that they light. A crosstalk of 1 makes all of them white. Used
-    where the idle image has no description of its own beside it."""
+    where the idle image has no description of its own next to it."""
 
     radius_m: float = quantity(
         0.010,
@@ -830,7 +830,7 @@ def _skin_marker_count(gel: GelSpecification) -> float:
 
 
 def _nodes_along(gel: GelSpecification, spacing_m: float) -> tuple[float, float, float]:
-    """Return the number of nodes along the box around the gel: a cell's node and one beside it."""
+    """Return the number of nodes along the box around the gel: a cell's node and one next to it."""
     _, upper = gel.bounds_m
     x, y, z = (math.ceil(number / spacing_m - 1e-9) for number in upper)
     return 2.0 * x + 2.0, 2.0 * y + 2.0, z + 1.0
@@ -851,7 +851,7 @@ def _refinement_bytes(gel: GelSpecification, spacing_m: float) -> float:
     along = _nodes_along(gel, spacing_m)
     # Slabs of three planes, factored densely with the coupling of each to the next.
     factor = 216.0 * _grid_node_count(gel, spacing_m) ** 2 / max(along)
-    # Pairs of nodes beside the skin, up to 7 mm apart.
+    # Pairs of nodes next to the skin, up to 7 mm apart.
     layers = 4.4 if gel.shape == "dome" else 3.0
     if gel.shape == "dome":
         beside = layers * gel.skin_area_m2 / spacing_m**2
@@ -894,7 +894,7 @@ def sensor_path(source: str | Path) -> Path:
 def load_sensor(source: str | Path) -> SensorSpecification:
     """Read a sensor from a YAML file, or by name from `params/sensors/`.
 
-    An idle image or a network that lies beside the file is found there, wherever the folder is.
+    An idle image or a network that lies next to the file is found there, wherever the folder is.
 
     Raises:
         FileNotFoundError: no such file or name.

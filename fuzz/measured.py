@@ -83,7 +83,7 @@ def _mcap(files: dict[str, bytes]) -> str:
 
 
 def _attempt_bag(written: _Written, random: Random, folder: Path) -> None:
-    """Spoil the mcap, or the metadata beside it."""
+    """Spoil the mcap, or the metadata next to it."""
     names = [_mcap(written.files), Path(_mcap(written.files)).parent.joinpath("metadata.yaml")]
     name = str(names[0] if random.random() < 0.8 else names[1])
     _lay_out(written.files, folder)

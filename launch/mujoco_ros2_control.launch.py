@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Brings up tactile_sim beside a running mujoco_ros2_control.
+"""Brings up tactile_sim next to a running mujoco_ros2_control.
 
 ros2 launch dotsim_ros mujoco_ros2_control.launch.py peg_x:=0.4 peg_z:=0.1
 ros2 launch dotsim_ros mujoco_ros2_control.launch.py source:=free_body indenter_frame:=ball

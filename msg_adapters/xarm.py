@@ -27,7 +27,7 @@ class RobotState:
         position_m: (3,) tool centre point in the arm's base.
         quaternion_xyzw: (4,) rotation from the tool to the base.
         joints_rad: one angle a joint.
-        state: 1 in motion, 2 ready, 3 paused, 4 stopped, 5 set up anew and not ready.
+        state: 1 in motion, 2 ready, 3 paused, 4 stopped, 5 set up again and not ready.
         mode: 5 takes Cartesian velocities.
         error: code of the controller, 0 for none.
         warning: the same of warnings.

@@ -64,7 +64,7 @@ def pytest_configure(config: pytest.Config) -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     config.addinivalue_line("markers", "fault(area, what): shows the answer to a fault")
     config.addinivalue_line(
-        "markers", "timed: its nodes must keep times: no other test runs beside it"
+        "markers", "timed: its nodes must keep times: no other test runs next to it"
     )
 
 
@@ -82,7 +82,7 @@ def pytest_pycollect_makemodule(
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Let the files that take longest begin first, so that the end does not wait for one of them,
-    and those of nodes, which mostly wait, run beside those that compute."""
+    and those of nodes, which mostly wait, run next to those that compute."""
     seconds = json.loads(SECONDS.read_text(encoding="utf-8"))
     root = SECONDS.parents[1]
     items.sort(key=lambda item: -seconds.get(item.path.relative_to(root).as_posix(), 0))
@@ -104,7 +104,7 @@ def answered(
     """Take the answer to the fault that the test is marked with.
 
     `answered(text)` keeps the text that a user sees; `answered(text, what=...)` names the fault
-    anew, for a test of several.
+    again, for a test of several.
     """
     marker = request.node.get_closest_marker("fault")
     assert marker is not None, "a test that uses `answered` needs @pytest.mark.fault(area, what)"

@@ -73,7 +73,7 @@ def calibrate(
         data: folder of the data set, or the data set.
         sensor: before the fit, a name, a YAML file or a specification: geometry, and where the
             priors are centred.
-        out: file (.yaml) to write the calibrated sensor to, with the report in a folder beside it:
+        out: file (.yaml) to write the calibrated sensor to, with the report in a folder next to it:
             `report_folder(out)`. Where a pad's thickness is fitted and a file beside its idle image
             states the lights, a copy of both, with the lights moved along, lies there too. None
             writes nothing.
@@ -86,7 +86,7 @@ def calibrate(
         leave_out: name of an indenter; judge on all of its trajectories instead.
         trajectories: names of those to use; by default all of the data set.
         indenters: folder of the indenters' meshes; by default looked for in the data set, then
-            beside it.
+            next to it.
         run_folder: of the run's files, from which an interrupted run resumes; by default
             `run` in the report's folder, and where nothing is written, none is kept.
         joint_steps: Gauss-Newton steps of the joint fit, 0 to 4. With 0 it weighs the fits of
@@ -165,7 +165,7 @@ def calibrate(
             raise OSError(
                 f"{out} holds the calibrated sensor, but its report could not be written to "
                 f"{report_folder(out)}: {error}; mend that and give the same command again, which "
-                "solves nothing anew"
+                "solves nothing again"
             ) from error
     return calibration
 
@@ -182,8 +182,8 @@ def _as_lit_before(
     Args:
         calibration: with the sensor under its name.
         before: the sensor that was given.
-        described: its idle image, where lights that stand beside it come before the sensor's own.
-        out: file of the sensor, which a copy of that image is written beside; None writes none.
+        described: its idle image, where lights that stand next to it come before the sensor's own.
+        out: file of the sensor, which a copy of that image is written next to; None writes none.
     """
     sensor, remarks = calibration.specification, []
     if before.camera.residual and not sensor.camera.residual:

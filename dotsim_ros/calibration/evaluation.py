@@ -20,7 +20,12 @@ from dotsim_ros.calibration.run import Progress, measured_skin
 from dotsim_ros.calibration.stages import open_workers
 from dotsim_ros.data.data_set import DataSet, DataSetEntry, find_indenter, read_data_set
 from dotsim_ros.data.presses import Prediction, Press
-from dotsim_ros.data.reading import Omission, few_of, read_observations, read_press_images
+from dotsim_ros.data.reading import (
+    Omission,
+    read_observations,
+    read_press_images,
+    summarize_reasons,
+)
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import values_of
@@ -214,7 +219,7 @@ def evaluate_twin(
         raise ValueError(
             f"no frame of {data_set.directory} can be judged, expected the tip "
             f"{1e3 * from_depth_m:g} mm deep or deeper and a channel to compare (press deeper, or "
-            f"lower --from-depth-mm): {few_of(reasons)}"
+            f"lower --from-depth-mm): {summarize_reasons(reasons)}"
         )
     return Evaluation(
         *(twin.name, data_set.directory.resolve().name, from_depth_m, seed),

@@ -175,7 +175,7 @@ def linearise(
         simulated: the model at the point, if it is known.
 
     Raises:
-        SolveError: the model could not be solved at the point or beside it.
+        SolveError: the model could not be solved at the point or next to it.
     """
     solve_count = 0
     point = within_bounds(problem, point)

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The idle image that belongs to a calibrated sensor's file, with its description beside it."""
+"""The idle image that belongs to a calibrated sensor's file, with its description next to it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def described_image(sensor: SensorSpecification) -> DescribedImage | None:
 
     Raises:
         FileNotFoundError: the sensor names an image that is not there.
-        ValueError: the file beside the image describes none.
+        ValueError: the file next to the image describes none.
     """
     description = description_of(sensor)
     if description is None:
@@ -65,7 +65,7 @@ def described_image(sensor: SensorSpecification) -> DescribedImage | None:
 def idle_image_of(out: Path, ending: str = ".png") -> tuple[Path, str]:
     """Return the file of the idle image of a sensor's file, and how the sensor names it.
 
-    It lies beside the sensor's file, or below `params/images` for one in `params/sensors`.
+    It lies next to the sensor's file, or below `params/images` for one in `params/sensors`.
 
     Args:
         out: the sensor's file.
@@ -80,7 +80,7 @@ def idle_image_of(out: Path, ending: str = ".png") -> tuple[Path, str]:
 
 
 def write_description(image: Path, sections: dict[str, Any], comment: str) -> None:
-    """Write what describes an idle image beside it, whole or not at all.
+    """Write what describes an idle image next to it, whole or not at all.
 
     Args:
         image: file of the image.
@@ -117,7 +117,7 @@ def write_lowered_copy(described: DescribedImage, drop_m: float, out: Path) -> s
     if fine.exists():
         _copy(fine, fine_path(image))
     else:
-        # Samples that are left of another image would be refused beside this one.
+        # Samples that are left of another image would be refused next to this one.
         fine_path(image).unlink(missing_ok=True)
     way = "lower" if drop_m > 0.0 else "higher"
     remark = (

@@ -106,7 +106,7 @@ PARAMETERS = {
         GelParameter("thickness", "thickness_m", "m", 0.3e-3, (1e-3, 0.1), 0.1e-3, _same, _same),
     )
 }
-"""What `--fit` may name, beside `offset`."""
+"""What `--fit` may name, next to `offset`."""
 
 
 def chosen_parameters(names: Sequence[str]) -> tuple[GelParameter, ...]:

@@ -29,7 +29,7 @@ from dotsim_ros.calibration.statistics import (
 )
 from dotsim_ros.data.data_set import DataSet
 from dotsim_ros.data.plausibility import HARDEST_PA, SOFTEST_PA, check_same_shape
-from dotsim_ros.data.reading import Observation, Omission, few_of, read_observations
+from dotsim_ros.data.reading import Observation, Omission, read_observations, summarize_reasons
 from dotsim_ros.data.trajectory import Topics
 from dotsim_ros.gel.make import skin_of
 from dotsim_ros.gel.values import GelValues, specification_with, values_of
@@ -183,7 +183,7 @@ def run_calibration(request: CalibrationRequest, progress: Progress) -> Calibrat
     if not observations:
         raise ValueError(
             f"no trajectory of {r.data_set.directory} can be fitted: "
-            f"{few_of([omission.reason for omission in omissions])}"
+            f"{summarize_reasons([omission.reason for omission in omissions])}"
         )
     asked = FitProblem(
         chosen_parameters(r.fit),
@@ -418,7 +418,7 @@ class _Stages:
         if not found:
             raise ValueError(
                 f"no press could be solved in stage {stage}: "
-                f"{few_of([omission.reason for omission in omissions])}"
+                f"{summarize_reasons([omission.reason for omission in omissions])}"
             )
         return found
 

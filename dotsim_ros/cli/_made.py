@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""A folder that a command makes anew, of those that show something by themselves."""
+"""A folder that a command makes again, of those that show something by themselves."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 
 
 @contextmanager
-def made_anew(directory: Path, name: str) -> Iterator[None]:
+def recreated(directory: Path, name: str) -> Iterator[None]:
     """Remove the sub-folder that the same command made before, and note the one that the block
     makes.
 

@@ -16,7 +16,7 @@ example:
 
 With `--guided` it makes the sensor's file from a folder of photographs of a ball instead, without
 force and without a stage: idle image, scale, shading, and a report that says what photographs do
-not tell. With `--data` beside it, the gel's constants are then fitted to presses with force.
+not tell. With `--data` next to it, the gel's constants are then fitted to presses with force.
 docs/calibration.md walks through it.
 """
 
@@ -77,7 +77,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="folder of the indenters' meshes (in the data set, then beside it)",
+        help="folder of the indenters' meshes (in the data set, then next to it)",
     )
     parser.add_argument(
         "--run",

@@ -6,7 +6,7 @@
 Reads a data set with images (dataset.yaml, bags, idle_*.png) and a sensor whose gel is calibrated;
 fits centre, tilt, focal length, radial term, LEDs, gloss and vignetting on the presses that are not
 held out, and judges the warped image on all. Writes the sensor's file with the fitted camera, the
-mean idle image with its lights beside it, and a report: OUT without its suffix plus
+mean idle image with its lights next to it, and a report: OUT without its suffix plus
 `_camera_report/`, with report.json and sheet.png. docs/camera.md says what the figures mean.
 
 examples:

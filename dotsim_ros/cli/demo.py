@@ -20,7 +20,7 @@ import argparse
 from contextlib import ExitStack
 from pathlib import Path
 
-from dotsim_ros.cli._made import made_anew
+from dotsim_ros.cli._made import recreated
 
 SENSOR, RECORDER, PLAYER = "tactile_sim", "tactile_record", "indenter_player"
 START_TIMEOUT_S = 180.0
@@ -63,7 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
         PLAYER: {"source": "presses", "press_numbers": numbers, "depth_limit_m": depth_m},
     }
     told = PrintedProgress()
-    with made_anew(arguments.out, "presses"), ExitStack() as stack:
+    with recreated(arguments.out, "presses"), ExitStack() as stack:
         processes = {}
         for name, own in parameters.items():
             processes[name] = NodeProcess(name, {**own, "use_sim_time": True, "stepped": True})

@@ -23,7 +23,7 @@ import sys
 import time
 from pathlib import Path
 
-from dotsim_ros.cli._made import made_anew
+from dotsim_ros.cli._made import recreated
 
 POLICY = "densetact2_sphere"
 MOTIONS = ("line", "arc", "figure_eight", "press")
@@ -99,7 +99,7 @@ def run(arguments: argparse.Namespace) -> int:
         return bool(done >= arguments.laps)
 
     with (
-        made_anew(arguments.out, "loop"),
+        recreated(arguments.out, "loop"),
         ClosedLoop(setup, contact=contact, clock=arguments.clock) as loop,
     ):
         loop.start(path.name)

@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="folder of the indenters' meshes (in the data set, then beside it)",
+        help="folder of the indenters' meshes (in the data set, then next to it)",
     )
     add_worker_arguments(parser)
     add("--seed", type=int, default=0, help="of the noise of the simulated images (0)")

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="folder of the indenters' meshes (in the data set, then beside it)",
+        help="folder of the indenters' meshes (in the data set, then next to it)",
     )
     add(
         "--effects",
@@ -57,7 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--channels",
         nargs="+",
         choices=CHANNELS,
-        help="used (all; image where the bags hold images and idle_*.png lie beside them)",
+        help="used (all; image where the bags hold images and idle_*.png lie next to them)",
     )
     add("--candidates", nargs="+", default=[], help="effects to look for (all)")
     add("--alpha", type=float, default=0.02, help="chance of a name without an effect (0.02)")

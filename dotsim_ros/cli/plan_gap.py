@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--indenters",
         type=Path,
         metavar="DIR",
-        help="folder of the indenters' meshes (in the data set, then beside it)",
+        help="folder of the indenters' meshes (in the data set, then next to it)",
     )
     add(
         "--effects",

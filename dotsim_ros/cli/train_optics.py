@@ -6,7 +6,7 @@
 The data set is one as tactile_record writes it: dataset.yaml, bags with poses and images, idle
 images, indenters; the sensor is a calibrated one. Writes into OUT the weights with their card, the
 graph that runs without torch, the idle image that goes with them, and sensor.yaml to run it all;
-beside it, into OUT_training, preview.png (measured, warped, predicted, errors), training.json and
+next to it, into OUT_training, preview.png (measured, warped, predicted, errors), training.json and
 the state of the training: an interrupted run resumes where it stopped. With CUDA the
 networks see the measured resolution; without, the published ones are trained on smaller images.
 

@@ -4,7 +4,7 @@
 """Train a policy that follows paths by touch, on demonstrations, by behaviour cloning.
 
 ResNet-18 from random weights learns the expert's velocity for each path. OUT gets the weights in
-half precision with their card and the graph that runs without torch; beside it, in OUT_training,
+half precision with their card and the graph that runs without torch; next to it, in OUT_training,
 the state of the training (an interrupted run resumes from it) and training.json with the
 errors on the episodes held out. One core shows about 60 examples a second.
 

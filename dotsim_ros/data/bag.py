@@ -60,7 +60,7 @@ def unfinished_path(path: str | Path) -> Path:
 class BagFile:
     """A bag that appears at its path when it is whole, and not before.
 
-    A context manager: messages go into a folder beside the path, which takes the bag's name when
+    A context manager: messages go into a folder next to the path, which takes the bag's name when
     the block ends, and is removed where it ends by an exception. Without a block, `finish` or
     `discard` end it; what was flushed outlives the process.
 
@@ -277,7 +277,7 @@ class BagMessage:
             place = f"{self.bag}, {self.topic}" if self.bag else self.topic
             raise ValueError(
                 f"{place}: a message of {len(self.serialized)} bytes is no whole "
-                f"{self.message_type} ({' '.join(str(error).split())}); record the bag anew"
+                f"{self.message_type} ({' '.join(str(error).split())}); record the bag again"
             ) from error
 
 
@@ -403,7 +403,7 @@ class BagReader:
         if missing:
             words = f"{METADATA} names {', '.join(missing)}, which is not there"
             if not there:
-                raise ValueError(f"{self.path}: {words}; put it back, or record the bag anew")
+                raise ValueError(f"{self.path}: {words}; put it back, or record the bag again")
             if self._tolerance < Tolerance.UNFINISHED:
                 raise ValueError(f"{self.path}: {words}; {self._advice()}")
             self._damage.append(words)

@@ -59,7 +59,7 @@ class BagStorage:
     Attributes:
         storage: "mcap" or "sqlite3".
         files: names of its files.
-        is_compressed: whole files or messages are compressed, beside what mcap does itself.
+        is_compressed: whole files or messages are compressed, next to what mcap does itself.
     """
 
     storage: str

@@ -165,7 +165,7 @@ class DataSet:
         Args:
             indenter: its name.
             folder: of the files, where alone it is looked for; None looks into the data set's own
-                `indenters`, and then into those of the data sets beside it, by their names.
+                `indenters`, and then into those of the data sets next to it, by their names.
 
         Raises:
             FileNotFoundError: no such file; the text lists where it was looked for.

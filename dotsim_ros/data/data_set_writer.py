@@ -170,7 +170,7 @@ class DataSetWriter:
         Args:
             trajectory: its name becomes the bag's.
             indenter: its name becomes the mesh's.
-            notes: entered into the index beside what a data set needs.
+            notes: entered into the index next to what a data set needs.
             failure: why frames are missing; such a trajectory does not count as held.
 
         Raises:

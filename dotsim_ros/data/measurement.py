@@ -14,7 +14,7 @@ import numpy as np
 
 from dotsim_ros.data.bag import BagReader
 from dotsim_ros.data.data_set import INDEX, DataSet, DataSetEntry, find_indenter, read_data_set
-from dotsim_ros.data.reading import BadBagError, few_of, read_motion, read_observation
+from dotsim_ros.data.reading import BadBagError, read_motion, read_observation, summarize_reasons
 from dotsim_ros.data.recording import Recording, phases_of
 from dotsim_ros.data.session import Span, session_starts, span_of
 from dotsim_ros.data.trajectory import MEASURED_TOPICS, Topics
@@ -104,7 +104,7 @@ def read_measurement(
         _add(digest, recording)
     recordings = _in_session(found, data_set, topics)
     if not recordings:
-        raise ValueError(f"{folder}: no trajectory can be used: {few_of(warnings)}")
+        raise ValueError(f"{folder}: no trajectory can be used: {summarize_reasons(warnings)}")
     return Measurement(folder, skin, tuple(recordings), tuple(warnings), digest.hexdigest()[:16])
 
 
@@ -146,7 +146,7 @@ def read_poses(
         found.append(Recording(planned, indenter, 0.0, depth_m, phase))
     recordings = _in_session(found, data_set, topics)
     if not recordings:
-        raise ValueError(f"{directory}: no trajectory has poses: {few_of(warnings)}")
+        raise ValueError(f"{directory}: no trajectory has poses: {summarize_reasons(warnings)}")
     return tuple(recordings), tuple(warnings)
 
 

@@ -163,7 +163,7 @@ def read_observations(
 MOST_REASONS = 3
 
 
-def few_of(reasons: Sequence[str]) -> str:
+def summarize_reasons(reasons: Sequence[str]) -> str:
     """Return the first reasons on one line, and how many more there are."""
     more = len(reasons) - MOST_REASONS
     return "; ".join(reasons[:MOST_REASONS]) + (f"; and {more} more" if more > 0 else "")
@@ -270,7 +270,7 @@ def _check_seen(entry: DataSetEntry, pixels: ImageArray, pose: PoseChannel, topi
     if len(pixels) > 1 and way_m >= MOVED_M and bool((pixels == pixels[0]).all()):
         raise BadBagError(
             f"{entry.name}, {topic}: all {len(pixels)} images are the same to the bit while the "
-            f"indenter moves {1e3 * way_m:.1f} mm, expected a live camera; record its images anew, "
+            f"indenter moves {1e3 * way_m:.1f} mm, expected a live camera; record its images again "
             "or leave the trajectory out"
         )
 

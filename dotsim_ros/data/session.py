@@ -22,7 +22,7 @@ def session_starts(spans: Sequence[Span | None]) -> list[float]:
     """Return when each trajectory began, s; 0 for the first.
 
     If one clock ran on through all recordings, which shows in stamps that never overlap, that clock
-    tells. If it began anew with each, as that of a simulator does, they are taken to follow each
+    tells. If it began again with each, as that of a simulator does, they are taken to follow each
     other in the order given, without pauses.
 
     Args:

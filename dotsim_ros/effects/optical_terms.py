@@ -81,7 +81,7 @@ def _asked_for(place: FloatArray) -> FloatArray:
 
     Its kernel is that of Keys ("Cubic convolution interpolation for digital image processing",
     1981) with a = -0.75, which shows a straight slope at f^3 - 1.5 f^2 + 1.5 f of a pixel where it
-    is asked for f: up to 0.047 px beside it, so that 0.10 px become 0.14.
+    is asked for f: up to 0.047 px next to it, so that 0.10 px become 0.14.
     With f = 1/2 + sinh(u) that is 1/2 + sinh(3 u) / 4.
     """
     whole = np.floor(place)

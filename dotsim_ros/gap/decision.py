@@ -6,7 +6,7 @@
 Version 9. Data in which no effect gains more than its limit have no gap, unless the patterns that
 any model could remove gain more than theirs: then it is unknown. Otherwise, of the effects past
 their limits, the one that gains most, once refitted, is named, with those that gain nearly as much;
-or two, where each gains more than its limit beside the other, both gain much more than the best
+or two, where each gains more than its limit next to the other, both gain much more than the best
 one, and two thirds of the bootstrap repetitions over trajectories ask for both. The gap is unknown
 where fewer of them ask for what would be named, where they explain too little of it, and where the
 one that gains most asks for a size beyond its plausible range, by more than the gains of effects
@@ -17,7 +17,7 @@ in skin and force were free to differ, and all by which the data differ more tha
 effect. Naming the effect that predicts left-out trajectories best was tried on the development half
 of the study: it names as many right, and makes sets where gains do not.
 
-Version 8 named effects whatever the bootstrap said: a pose offset beside a compressible gel, for
+Version 8 named effects whatever the bootstrap said: a pose offset next to a compressible gel, for
 which a third of the repetitions ask, and a slippery skin, for which half do, where nothing was
 missing.
 

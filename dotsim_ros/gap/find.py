@@ -40,7 +40,7 @@ CHANNELS = (*MECHANICAL, IMAGE)
 
 def channels_of(measured: Path) -> tuple[str, ...]:
     """Return the channels that are used where none were asked for: skin and force, unless all that
-    the bags of a data set hold is images, and the images where idle ones lie beside them."""
+    the bags of a data set hold is images, and the images where idle ones lie next to them."""
     if not all(holds_images(measured)):
         return MECHANICAL
     return CHANNELS if holds_skin_or_force(measured) else (IMAGE,)
@@ -75,7 +75,7 @@ def find_gap(
         out: folder of the report, with the solves, from which an interrupted run resumes,
             and the overlay of the effects that were named; None writes and keeps nothing.
         reference: folder of the unit's commissioning, to find what has changed since.
-        indenters: folder of the indenters' meshes; by default looked for beside the data.
+        indenters: folder of the indenters' meshes; by default looked for next to the data.
         effects: folders of your own effects: Python programs, which are run, all of them or, with
             `candidates`, those named alone.
         channels: of "skin", "force" and "image"; by default all that the data hold.

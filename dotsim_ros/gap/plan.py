@@ -52,7 +52,7 @@ def plan(request: GapRequest) -> dict[str, Any]:
         `effects`: for each, the whitened size of its first probe, the size that can be found, its
         unit, and seconds of each protocol; `cosines`: of each pair; `alike`: pairs that are too
         close, with what to add; `silent`: effects that nothing excites, with what would; `add`:
-        protocols beside presses that are missing, with how to record them.
+        protocols next to presses that are missing, with how to record them.
     """
     data_set = read_data_set(request.measured)
     # That of the planned measurement, where it is known.

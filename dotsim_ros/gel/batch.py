@@ -73,7 +73,7 @@ class _Share:
         return GelWorkerError(
             f"the process of environments {self.first} to {last} has ended with status "
             f"{self.process.exitcode}, and what they remember is lost; memory may have run out: "
-            "close the batch and make it anew, with fewer environments or workers"
+            "close the batch and make it again, with fewer environments or workers"
         )
 
 

@@ -67,7 +67,7 @@ class Discretization:
         particle_weight_gradient: (P, 27, 3) gradients of the weights, 1/m.
         skin_interpolation: weights at the skin markers.
         bond: (N, N) sparse matrix of sum(area w w^T) over the bonded core's surface, m^2.
-        ghost: (N, N) sparse matrix of the third differences beside poorly supported nodes.
+        ghost: (N, N) sparse matrix of the third differences next to poorly supported nodes.
         mass_over_density: (N, N) sparse matrix of sum(V w w^T), m^3.
     """
 

@@ -3,7 +3,7 @@
 
 """Shapes that follow smoothly from a reference shape, and how fast a shape's points move with them.
 
-A gel of a slightly different radius, discretised anew, has other particles: its response is no
+A gel of a slightly different radius, discretised again, has other particles: its response is no
 smooth function of the radius. A reshaped body instead moves the particles, markers and bonded
 points of its reference, so that the response is smooth and its derivatives exist. The grid stays.
 """

@@ -51,7 +51,7 @@ class PrintedMarkers:
         skin: that it is printed on, from above.
 
     Raises:
-        ValueError: a marker lies beside the skin.
+        ValueError: a marker lies next to the skin.
     """
 
     def __init__(self, markers: MarkerSpecification, skin: SkinMesh) -> None:
@@ -92,7 +92,7 @@ def _found(place_m: FloatArray, skin: SkinMesh) -> tuple[IndexArray, FloatArray]
     inside = np.flatnonzero(np.all(weight >= -EDGE, axis=1))
     if not len(inside):
         raise ValueError(
-            f"a marker at x, y {place_m.tolist()} m lies beside the skin; expected "
+            f"a marker at x, y {place_m.tolist()} m lies next to the skin; expected "
             "markers.columns, markers.rows and markers.spacing_m of a grid that fits it"
         )
     return skin.triangles[inside[0]], weight[inside[0]]

@@ -86,11 +86,11 @@ class ApexPose:
 
     The apex is where the sensor's axis, z of the base frame, meets the skin at rest. The indenter's
     axis is parallel to the sensor's. Depth is measured along that axis from the plane through the
-    apex: a tip beside the axis of a dome lies less deep below the skin there.
+    apex: a tip next to the axis of a dome lies less deep below the skin there.
 
     Attributes:
         depth_m: of the tip below the apex; negative above it.
-        x_m, y_m: of the tip beside the sensor's axis, base frame.
+        x_m, y_m: of the tip next to the sensor's axis, base frame.
         yaw_rad: rotation of the indenter about its own axis.
 
     Raises:

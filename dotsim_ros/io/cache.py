@@ -96,8 +96,8 @@ def load_arrays(path: Path, forms: Mapping[str, ArrayForm] | None = None) -> Arr
 
 
 def tell_broken(path: Path, reason: object) -> None:
-    """Log that a kept answer cannot be used, which is computed anew then."""
-    _log.warning("%s cannot be used and is computed anew: %s", path, one_line(reason))
+    """Log that a kept answer cannot be used, which is computed again then."""
+    _log.warning("%s cannot be used and is computed again: %s", path, one_line(reason))
 
 
 def store_arrays(path: Path, arrays: Mapping[str, np.ndarray[Any, Any]]) -> None:

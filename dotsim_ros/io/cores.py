@@ -4,7 +4,7 @@
 """The cores of the machine that this process may use, and on how many linear algebra runs.
 
 The threads of one BLAS call wait for each other in a loop. The gel's matrices are too small to gain
-by more than one: a frame takes twice as long on two idle cores, and thirty times as long beside
+by more than one: a frame takes twice as long on two idle cores, and thirty times as long next to
 other processes. And another number of threads makes sums in another order, with other last digits.
 """
 

@@ -433,9 +433,9 @@ def _array_of(
     except (ValueError, TypeError, SyntaxError, OverflowError, KeyError) as error:
         if str(error).startswith(place):
             raise
-        raise ValueError(f"{place} is no array that can be read; write the file anew") from error
+        raise ValueError(f"{place} is no array that can be read; write the file again") from error
     except zipfile.zlib.error as error:  # type: ignore[attr-defined]
-        raise ValueError(f"{place} is broken ({error}); copy or write the file anew") from error
+        raise ValueError(f"{place} is broken ({error}); copy or write the file again") from error
 
 
 def _check_form(array: np.ndarray[Any, Any], form: ArrayForm, place: str) -> None:

@@ -27,7 +27,7 @@ from dotsim_ros.io.printable import did_you_mean
 
 _log = logging.getLogger(__name__)
 
-# colcon build --symlink-install imports a link to the package, without params beside it.
+# colcon build --symlink-install imports a link to the package, without params next to it.
 PACKAGE_ROOT = Path(str(files("dotsim_ros"))).resolve()
 
 
@@ -102,7 +102,7 @@ def write_image(path: str | Path, image: NDArray[np.uint8]) -> None:
 
 
 def beside(path: str | Path, ending: str, *, replaces: tuple[str, ...]) -> Path:
-    """Return the path of a file that belongs to another and lies beside it.
+    """Return the path of a file that belongs to another and lies next to it.
 
     Args:
         path: of the other.
@@ -243,7 +243,7 @@ def given_path(name: str) -> Path:
 def short_name(name: str, most: int = 80) -> str:
     """Return a name as it is, or where it is longer than `most` bytes its beginning and a hash.
 
-    File systems take 255 bytes, and what is written for a while beside a file needs some of them.
+    File systems take 255 bytes, and what is written for a while next to a file needs some of them.
     """
     encoded = os.fsencode(name)
     if len(encoded) <= most:

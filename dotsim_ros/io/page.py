@@ -3,7 +3,7 @@
 
 """A report: sections of text, tables and images, as one HTML file or as Markdown.
 
-The HTML needs nothing beside it: no script, no network, images inside. It is laid out for a
+The HTML needs nothing next to it: no script, no network, images inside. It is laid out for a
 screen of 1280 pixels and for a phone of 400, where tables become lists and no image is drawn
 smaller than it was made for.
 """
@@ -100,7 +100,7 @@ class Section:
     Attributes:
         title: its heading.
         blocks: what it holds, in order.
-        is_half: whether another one may stand beside it on a wide screen.
+        is_half: whether another one may stand next to it on a wide screen.
     """
 
     title: str
@@ -169,7 +169,7 @@ def images_of(page: Page) -> list[ReportImage]:
 
 
 def write_page(directory: Path, page: Page) -> Path:
-    """Write a page as `report.html`, and as `report.md` with its images beside it, in place of
+    """Write a page as `report.html`, and as `report.md` with its images next to it, in place of
     the page before; return the former."""
     replace_files(directory, page_files(page))
     return directory / HTML
@@ -200,7 +200,7 @@ def as_html(page: Page) -> str:
 
 
 def as_markdown(page: Page) -> str:
-    """Return a page as Markdown; its images are PNG files beside it, under their names."""
+    """Return a page as Markdown; its images are PNG files next to it, under their names."""
     label = f"**{_plain(page.label)}.** " if page.label else ""
     parts = [f"# {_plain(page.title)}", f"{label}{_plain(page.lead)}"]
     for section in page.sections:

@@ -49,7 +49,7 @@ def commit_of(checkout: Path) -> str:
     """Return the commit that a checkout stands on, 12 digits.
 
     `-dirty` follows where a figure may depend on what no commit holds: a tracked file that has been
-    changed, or a new one beside the code and its parameters. Documentation does not count: one run
+    changed, or a new one next to the code and its parameters. Documentation does not count: one run
     after the other may write its figures there.
     """
 

@@ -27,7 +27,7 @@ Kind = TypeVar("Kind")
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is known of a field beside its default.
+    """What is known of a field next to its default.
 
     Attributes:
         help: what it is, in one line.

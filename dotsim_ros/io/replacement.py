@@ -25,7 +25,7 @@ from dotsim_ros.io.files import no_room_named, write_json
 MANIFEST = ".report_files.json"
 """Names and SHA-256 of the files that a report wrote into its folder."""
 STAGED = ".report_new"
-"""The next files, beside those of before; whole once they include their manifest."""
+"""The next files, next to those of before; whole once they include their manifest."""
 SET_ASIDE = ".report_before"
 """The files of before, from when the next ones are whole until they are in place."""
 ABSENT = ""
@@ -39,7 +39,7 @@ def replace_files(
 ) -> None:
     """Write files into a folder in place of those of the call before, all of them or none.
 
-    They are written beside the old ones first; a full disk or a kill leaves those as they are.
+    They are written next to the old ones first; a full disk or a kill leaves those as they are.
     Then the old ones are moved out, and after that the new ones in, so that no moment shows files
     of both. What is interrupted there is brought to its end by the next call, or by
     `finish_replacement`.

@@ -62,7 +62,7 @@ def state_to_resume(path: Path, entries: Sequence[str]) -> dict[str, Any] | None
     try:
         return _state(path, entries)
     except (OSError, ValueError) as error:
-        _log.warning("%s; it is kept as %s, and training begins anew", error, keep(path).name)
+        _log.warning("%s; it is kept as %s, and training begins again", error, keep(path).name)
         return None
 
 
@@ -77,5 +77,5 @@ def take_weights(network: nn.Module, weights: Any, path: Path) -> None:
     except (RuntimeError, TypeError, AttributeError, KeyError, ValueError) as error:
         raise ValueError(
             f"{path} holds weights of another network, expected those of the one that is trained; "
-            "remove it to train anew"
+            "remove it to train again"
         ) from error

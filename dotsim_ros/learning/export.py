@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Trained networks as files that run without torch: a graph in ONNX beside weights in safetensors.
+"""Trained networks as files that run without torch: a graph in ONNX next to weights in safetensors.
 
 The graph refers to the weights in the safetensors file as external data, so they are stored once.
 What the exporter has folded together (batch normalisation into convolutions) stays in the graph.

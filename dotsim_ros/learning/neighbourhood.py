@@ -10,7 +10,7 @@ given more than the pixel's own normal and place: the change of normal and depth
 from a pixel's neighbours to a fifth of the image. Light from around need not be told apart into its
 ways to be learnt, and twenty photographs have pixels enough for a few thousand weights.
 
-A camera of such sensors may set its white balance and its exposure anew in every photograph, by
+A camera of such sensors may set its white balance and its exposure again in every photograph, by
 more than what a press changes far away. That is no property of the gel: each photograph that is
 fitted on has three gains of its own, which are fitted along and then forgotten; the image that is
 predicted is that of their mean.

@@ -104,7 +104,7 @@ class UNet(nn.Module):
 
 
 class Block(nn.Module):
-    """Two convolutions beside an identity."""
+    """Two convolutions next to an identity."""
 
     def __init__(self, width: int) -> None:
         super().__init__()

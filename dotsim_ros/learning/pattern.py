@@ -87,7 +87,7 @@ def with_learned_pattern(
     given = image.fine_pattern.reshape(-1, 3).astype(np.float64)
 
     def samples() -> Iterator[_Samples]:
-        # Made anew in each round: all at once would take gigabytes.
+        # Made again in each round: all at once would take gigabytes.
         for press in learn_from:
             for position, measured in zip(press.skin_position_m, press.measured, strict=True):
                 view = renderer.render(position)

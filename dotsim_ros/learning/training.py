@@ -281,7 +281,7 @@ class NetworkTraining:
         if state["fingerprint"] != self._fingerprint:
             raise ValueError(
                 f"{path} belongs to a training with other data, network, seed or settings; choose "
-                "another folder, or remove it to train anew"
+                "another folder, or remove it to train again"
             )
         take_weights(self.network, state["network"], path)
         take_weights(self._averaged, state["averaged"], path)

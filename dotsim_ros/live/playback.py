@@ -77,7 +77,7 @@ def read_playback(path: Path) -> Playback:
     with BagReader(path, Tolerance.UNFINISHED) as reader:
         there = reader.topics()
     if not there:
-        raise ValueError(f"{path} holds no message that can be read; record the bag anew")
+        raise ValueError(f"{path} holds no message that can be read; record the bag again")
     topics = find_topics(there)
     stamps_ns = read_stamps(path, topics).stamp_ns
     if stamps_ns.size == 0:

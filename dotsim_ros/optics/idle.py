@@ -69,7 +69,7 @@ def check_fine(fine: ImageArray, idle: ImageArray) -> None:
     if not np.array_equal(fine[::2, ::2][lit_region(idle)], idle[lit_region(idle)]):
         raise ValueError(
             "the samples between the idle image's pixels belong to another idle image; remove "
-            "them, or learn them anew with train-optics"
+            "them, or learn them again with train-optics"
         )
 
 
@@ -390,7 +390,7 @@ def description_of(sensor: SensorSpecification) -> Path | None:
 def stated_lights(
     sensor: SensorSpecification,
 ) -> tuple[LightingSpecification, VignettingSpecification]:
-    """Return lights and vignetting that the description beside a sensor's idle image states, or
+    """Return lights and vignetting that the description next to a sensor's idle image states, or
     the sensor's file where there is none.
 
     Raises:

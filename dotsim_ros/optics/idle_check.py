@@ -143,7 +143,7 @@ def mean_idle_image(images: NDArray[np.uint8], paths: Sequence[Path]) -> ImageAr
         if not found.is_noise:
             raise ValueError(
                 f"{path} differs from the other idle images by {found}: something touched the gel, "
-                "or the camera or its exposure changed; take idle images anew, without contact"
+                "or the camera or its exposure changed; take idle images again, without contact"
             )
     return np.rint(mean).astype(np.uint8)
 
@@ -166,7 +166,7 @@ def check_untouched(idle: ImageArray, untouched: Iterable[tuple[str, ImageArray]
             f"the idle image shows another gel than {len(other)} of {len(found)} frames whose "
             f"indenter does not touch it; {name} differs by {change}: the idle image was taken "
             "with something in contact, or the camera, its exposure or the lights changed since; "
-            "take idle images anew, without contact, before the presses"
+            "take idle images again, without contact, before the presses"
         )
     raise ValueError(
         f"{name} differs from the idle image by {change}, though its pose is off the gel; check "

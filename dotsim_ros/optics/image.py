@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The image: the idle frame warped along by the skin, and shaded anew to first order.
+"""The image: the idle frame warped along by the skin, and shaded again to first order.
 
 Every pixel shows the material point that it shows in the idle frame somewhere else; the colour is
 taken from there and multiplied by the change of the light that reaches the point: the sum over the

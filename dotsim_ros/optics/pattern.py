@@ -6,8 +6,8 @@
     python -m dotsim_ros.optics.pattern params/images/densetact2_idle.png
 
 writes the image that `params/sensors/densetact2.yaml` names, the same for one seed. LEDs and
-vignetting are those of the YAML file beside the image, which the shading uses later; without one
-they are the sensor's own, and are written beside it.
+vignetting are those of the YAML file next to the image, which the shading uses later; without one
+they are the sensor's own, and are written next to it.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ def idle_frame_of(sensor: SensorSpecification, camera: Camera) -> IdleFrame:
 
 
 def _describe(sensor: SensorSpecification, path: Path) -> None:
-    """Write a sensor's own lights and vignetting beside an image that is drawn with them."""
+    """Write a sensor's own lights and vignetting next to an image that is drawn with them."""
     sections = {
         "lighting": dataclasses.asdict(sensor.lighting),
         "vignetting": dataclasses.asdict(sensor.vignetting),

@@ -151,7 +151,7 @@ class RayQueryFinder:
 
 
 class EmbreeFinder:
-    """Embree through embreex; the hierarchy is built anew for every shape."""
+    """Embree through embreex; the hierarchy is built again for every shape."""
 
     def __init__(self, rays: Float32Array, triangles: IndexArray) -> None:
         self._valid = np.isfinite(rays[..., 2])

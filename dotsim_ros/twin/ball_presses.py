@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Photographs of a ball on a flat gel, beside what this package's pad does under the ball.
+"""Photographs of a ball on a flat gel, next to what this package's pad does under the ball.
 
 Neither the ball's pose nor the force is known of such photographs, only the circle of contact: the
 depth is the one that makes that circle. The pad is wide, so the press is solved once in its middle,
@@ -80,7 +80,7 @@ class PressProfiles:
     upward_m: FloatArray
 
     def displace(self, skin: SkinMesh, axis_m: FloatArray, contact_radius_m: float) -> FloatArray:
-        """Return the skin (V, 3) pressed beside the middle.
+        """Return the skin (V, 3) pressed next to the middle.
 
         Args:
             skin: at rest.

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the camera saw of measured presses, beside what the calibrated sensor renders for them.
+"""What the camera saw of measured presses, next to what the calibrated sensor renders for them.
 
 Poses, images and idle images of a data set go in; the calibrated gel follows the poses, and its
 skin is rendered by the sensor's camera at the measured resolution. Following the poses takes most
@@ -68,7 +68,7 @@ class Rest:
 
 @dataclass(frozen=True)
 class OpticalPress:
-    """Frames of one trajectory: what the model renders beside what was measured.
+    """Frames of one trajectory: what the model renders next to what was measured.
 
     Attributes:
         name: of the trajectory.
@@ -218,7 +218,7 @@ def read_filmed_data(
 def with_measured_skin(
     filmed: FilmedData, directory: str | Path, *, topics: Topics = MEASURED_TOPICS
 ) -> FilmedData:
-    """Return the same images with the skin as it was measured beside them.
+    """Return the same images with the skin as it was measured next to them.
 
     Args:
         filmed: of this data set.

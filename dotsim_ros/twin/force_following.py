@@ -59,7 +59,7 @@ class ForceFollower:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew, clear of the gel, with nothing known of it."""
+        """Begin again, clear of the gel, with nothing known of it."""
         self._depth_m, self._force_n = -CLEAR_M, 0.0
         self._last_pressed: _Press | None = None
         self._power = FIRST_POWER

@@ -77,7 +77,7 @@ def offset_pose(pose: Pose, offset: FloatArray) -> Pose:
 
 
 def gel_key(values: GelValues) -> tuple[float | tuple[float, ...], ...]:
-    """Return what a gel is made anew for, which takes as long as some presses; its friction, its
+    """Return what a gel is recreated for, which takes as long as some presses; its friction, its
     relaxation and its indenter can be changed."""
     v = values
     bond = (v.bond_slip_share, v.loose_patch_rad)
@@ -95,7 +95,7 @@ def _face_height_m(body: Body, skin: SkinMesh) -> float:
 
 def tables_of(poisson_ratio: float) -> tuple[tuple[int, float], ...]:
     """Return the numbers of the tables of the refinement at a Poisson's ratio, with their shares:
-    linear between the two beside it."""
+    linear between the two next to it."""
     place = float(
         np.clip(np.log(0.5 - poisson_ratio), SMALLEST_TABLE_COORDINATE, LARGEST_TABLE_COORDINATE)
         / TABLE_SPACING

@@ -69,7 +69,7 @@ def with_arrows(image: ImageArray, motion: MarkerMotion) -> ImageArray:
 
 
 def write_pictures(names: Sequence[str], directory: Path) -> Iterator[Path]:
-    """Write NAME_idle.png and NAME_pressed.png of each sensor, then all of them beside each other
+    """Write NAME_idle.png and NAME_pressed.png of each sensor, then all of them next to each other
     as sensors.jpg, and yield the paths.
 
     Raises:
@@ -92,7 +92,7 @@ def write_pictures(names: Sequence[str], directory: Path) -> Iterator[Path]:
 
 
 def _row(name: str, pair: tuple[ImageArray, ImageArray]) -> ImageArray:
-    """Return both images of a sensor, beside each other below its name."""
+    """Return both images of a sensor, next to each other below its name."""
     height, width = pair[0].shape[:2]
     size = (round(width * ROW_HEIGHT_PX / height), ROW_HEIGHT_PX)
     images = np.hstack([cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in pair])

@@ -138,7 +138,7 @@ def evaluate_real_ball(
     scene = flat_scene(idle, sensor, PIXELS_PER_METRE)
     measured = gel_presses(presses, scene, press_profiles(sensor, BALL_RADIUS_M))
     touches, labels = simulated_pad_touches(scene, sensor, study.touches, study.fit.seed)
-    tell(f"{len(touches)} simulated touches beside {len(presses)} real presses of a ball")
+    tell(f"{len(touches)} simulated touches next to {len(presses)} real presses of a ball")
     names = tuple(SHAPES)
     drawn = {
         (model, half): _drawn(

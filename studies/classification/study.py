@@ -95,7 +95,7 @@ class Study:
 
 @dataclass(frozen=True)
 class _Measured:
-    """The measured frames beside what a sensor renders for them."""
+    """The measured frames next to what a sensor renders for them."""
 
     sensor: SensorSpecification
     filmed: FilmedData

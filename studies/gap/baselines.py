@@ -33,8 +33,8 @@ class Left:
 
     Attributes:
         recalibrated: with the twin's constants fitted.
-        black_box: with a smooth correction by phase and region fitted beside them.
-        with_effects: with the named effects beside them; as recalibrated where none was named.
+        black_box: with a smooth correction by phase and region fitted next to them.
+        with_effects: with the named effects next to them; as recalibrated where none was named.
         nothing_hidden: recalibrated, before the effect was hidden.
     """
 

@@ -6,7 +6,7 @@ are apart, what the twin is off by, and how much effects gain by it.
 
 All of it comes from the presses that are named, and from no other. How much effects gain is
 cross-fitted: one half of the presses gives the covariances and the bias, the other half shows what
-effects gain beside them, and the other way round, for several draws of the halves: the limit of
+effects gain next to them, and the other way round, for several draws of the halves: the limit of
 latency from one draw alone was twice that from another.
 """
 

@@ -175,7 +175,7 @@ def open_presses(
 
 
 def further_sizes(variant: Variant) -> list[float]:
-    """Return sizes to simulate beside those that are."""
+    """Return sizes to simulate next to those that are."""
     parameter = variant.effect.parameters[0]
     sizes: list[float] = []
     for end in (parameter.low, parameter.high):

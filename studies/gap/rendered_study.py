@@ -8,7 +8,7 @@ set: a commissioning, from which the finder learns what its images show where no
 missing, and later sets of other trajectories, of which some hide an effect in the scene or in the
 camera. The twin has the gel of a sensor's file, the camera and the LEDs as the scene has them, and
 no network.
-Each set's truth is sealed beside it, its hash printed first, and opened after the finder's answer.
+Each set's truth is sealed next to it, its hash printed first, and opened after the finder's answer.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def plans(names: Sequence[str], seed: int) -> tuple[Plan, list[Plan]]:
 
 
 def render(studio: Studio, plan: Plan, directory: Path) -> None:
-    """Write the data set of a plan, its truth sealed beside it."""
+    """Write the data set of a plan, its truth sealed next to it."""
     print(f"{plan.name}: truth {plan.truth.digest()}", flush=True)
     unit = studio.unit
     for name, size in plan.truth.effects:

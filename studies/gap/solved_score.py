@@ -55,7 +55,7 @@ class ScoreRequest:
     discrepancy: Path | None = None
 
     def asked(self) -> str:
-        """Return a digest of what a search is given beside its set."""
+        """Return a digest of what a search is given next to its set."""
         error = self.discrepancy or parameter_path(SHIPPED)
         asked = repr(self.sensor).encode() + error.read_bytes()
         return hashlib.sha256(asked).hexdigest()
@@ -163,7 +163,7 @@ def opened_truth(sets: Path, record: SetRecord) -> dict[str, Any]:
     text = path.read_text(encoding="utf-8")
     if hashlib.sha256(text.encode()).hexdigest() != record.truth_sha256:
         raise ValueError(
-            f"{path} is not the truth whose SHA-256 the index states; make the set anew"
+            f"{path} is not the truth whose SHA-256 the index states; make the set again"
         )
     return truth_of(text)
 
@@ -208,7 +208,7 @@ def kind_of(truth: Mapping[str, Any]) -> str:
 
 
 def judged(findings: Findings, truth: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the finder answered beside what was hidden, and what the answer is worth.
+    """Return what the finder answered next to what was hidden, and what the answer is worth.
 
     Args:
         findings: of a set.

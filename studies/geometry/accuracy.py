@@ -6,7 +6,7 @@
 The reference is the same model on a grid of 1.2 mm, solved until no marker moves by more than 1 um,
 with contact at every marker.
 Its compliance at rest is inverted once, which takes some ten minutes and 6 GB; then a motion of an
-indenter takes one to five minutes. It is kept beside the tables that are computed once, so that a
+indenter takes one to five minutes. It is kept next to the tables that are computed once, so that a
 second run needs seconds. Penetration of the reference itself is a figure too: a sharp edge sinks in
 whatever the solver does.
 

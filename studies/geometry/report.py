@@ -13,7 +13,7 @@ import numpy as np
 
 from dotsim_ros.data.data_set import DataSet, find_indenter
 from dotsim_ros.data.presses import Press
-from dotsim_ros.data.reading import few_of, read_observation
+from dotsim_ros.data.reading import read_observation, summarize_reasons
 from dotsim_ros.data.split import (
     HELD_OUT_COUNT,
     Split,
@@ -89,7 +89,7 @@ def read_measured(data: DataSet, *, meshes: DataSet | None = None) -> Measured:
         presses[found.press.name] = found.press
         indenters.setdefault(found.press.indenter, found.indenter)
     if not presses:
-        reasons = few_of(list(left_out.values()))
+        reasons = summarize_reasons(list(left_out.values()))
         raise ValueError(f"{data.directory}: no press can be read: {reasons}")
     return Measured(presses, indenters, skin, left_out)
 
@@ -113,8 +113,8 @@ def read_with_later(earlier: DataSet, later: DataSet) -> tuple[Measured, Split]:
     twice = sorted(set(fitted.presses) & set(judged.presses))
     if twice:
         raise ValueError(
-            f"{few_of(twice)} in both {earlier.directory} and {later.directory}; a press that was "
-            "fitted on cannot be judged on, so give the later ones other names"
+            f"{summarize_reasons(twice)} in both {earlier.directory} and {later.directory}; a "
+            "press that was fitted on cannot be judged on, so give the later ones other names"
         )
     both = Measured(
         fitted.presses | judged.presses,
@@ -308,7 +308,7 @@ def definitions(from_depth_m: float) -> dict[str, str]:
             "root mean square of the error along the skin in contact over that of the whole force"
         ),
         "floor": (
-            "of the samples: the measured surface against itself, drawn anew; of the others: what "
+            "of the samples: the measured surface against itself, drawn again; of the others: what "
             "was measured before anything touched, against the skin at rest and no force; of the "
             "contact region how deep the measured skin lies in the indenter, where that is more: "
             "no surface outside of the indenter is nearer to it"

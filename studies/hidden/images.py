@@ -28,7 +28,7 @@ LEAK = 0.06
 HALF_HEIGHT_DEG = 86.0
 """What half the image's height shows, as the maker of `sensor_a` states it."""
 DARK_LEVELS = 8.0
-"""What is darker in the idle image is beside the skin."""
+"""What is darker in the idle image is next to the skin."""
 
 
 @dataclass(frozen=True)

@@ -267,7 +267,7 @@ def _checked_index(path: Path) -> dict[str, Any]:
         )
     if index["version"] != VERSION:
         raise ValueError(
-            f"{path} is of version {index['version']}, expected {VERSION}; make the sets anew in "
+            f"{path} is of version {index['version']}, expected {VERSION}; make the sets again in "
             "another folder"
         )
     return index

@@ -11,8 +11,8 @@ of the gel is inferred from the circle:
 - as a cap: the ball's surface inside the circle and a flat gel around it, which is how Taxim and
   FOTS label such presses for their own calibration.
 
-The cameras set their white balance and exposure in every photograph anew, which no model of the gel
-can know. So beside the plain scores each row has `balanced` ones: of the image with the three gains
+The cameras set their white balance and exposure in every photograph, which no model of the gel
+can know. Next to the plain scores each row has `balanced` ones: of the image with the three gains
 that the photograph shows beyond the contact, for every model alike.
 """
 

@@ -234,7 +234,7 @@ def _load(path: Path) -> Row | None:
         return Row(scores=scores, images=images, training=record, **values)
     except FileNotFoundError:
         return None
-    # What is broken or of another version is made anew.
+    # What is broken or of another version is recreated.
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         tell_broken(path, error)
         return None

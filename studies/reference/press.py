@@ -193,7 +193,7 @@ class ReferencePress:
         )
 
     def notes(self) -> dict[str, Any]:
-        """Return what the trajectory depends on beside the indenter's shape, as plain values."""
+        """Return what the trajectory depends on next to the indenter's shape, as plain values."""
         s = self.specification
         sections = {"gel": s.gel, "material": s.material, "contact": s.contact}
         sensor = {"name": s.name} | {name: _plain(part) for name, part in sections.items()}

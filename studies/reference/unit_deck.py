@@ -7,7 +7,7 @@ another law, parts that are stiffer, a core that the gel slides on, a base that 
 CalculiX has no Prony series (its 2.20 knows *CREEP, but no *VISCOELASTIC). A generalized Maxwell
 solid is solved instead, branch by branch: each is a second set of elements on the gel's own nodes,
 elastic and creeping by Norton's law of first power, at finite strain (Simo and Hughes,
-"Computational inelasticity", 1998, chapter 9), beside the hyperelastic gel.
+"Computational inelasticity", 1998, chapter 9), next to the hyperelastic gel.
 """
 
 from __future__ import annotations

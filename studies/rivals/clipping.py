@@ -15,7 +15,7 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.geometry.skin_mesh import SkinMesh, vertex_normals
 from dotsim_ros.io.arrays import FloatArray
 
-# Searching a mesh anew costs more than many points of one search, so rays are sampled many at once.
+# Another search of a mesh costs more than many points of one, so rays are sampled many at once.
 SAMPLES = 64
 # A gap between two parts of an indenter that is narrower than this is stepped over.
 STEP_M = 1.0e-4

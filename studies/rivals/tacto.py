@@ -5,7 +5,7 @@
 
 Wang, Lambeta, Chou, Calandra: "TACTO: A Fast, Flexible, and Open-Source Simulator for
 High-Resolution Vision-Based Tactile Sensors", RA-L 7(2), 2022. Tacto renders the object that has
-sunk into the elastomer and the undeformed elastomer beside it into one depth buffer, of which the
+sunk into the elastomer and the undeformed elastomer next to it into one depth buffer, of which the
 nearer to the camera is seen. On a skin mesh that is the skin, with every vertex
 inside the indenter moved along its normal onto the indenter's surface.
 """

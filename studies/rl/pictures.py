@@ -49,7 +49,7 @@ def write_curve(file: Path, rows: Sequence[dict[str, Any]]) -> None:
 def write_rollout(
     file: Path, settings: PpoSettings, folder: Path, episode_seeds: Sequence[int]
 ) -> None:
-    """Draw episodes of a learnt policy as a GIF: the box from above, beside the tactile image."""
+    """Draw episodes of a learnt policy as a GIF: the box from above, next to the tactile image."""
     made = make_world(settings, render_mode="rgb_array")
     world = made.unwrapped
     assert isinstance(world, BoxYawEnvironment)
@@ -77,7 +77,7 @@ def write_rollout(
 
 
 def frame_of(world: BoxYawEnvironment) -> NDArray[np.uint8]:
-    """Return the view from above beside the tactile image, (SIZE_PX, 2 SIZE_PX, 3)."""
+    """Return the view from above next to the tactile image, (SIZE_PX, 2 SIZE_PX, 3)."""
     above = np.full((SIZE_PX, SIZE_PX, 3), 255, dtype=np.uint8)
     half_m = world.task.half_width_m
     for yaw, colour, width in ((world.task.target_rad, GREY, 1), (world.yaw_rad, BLUE, 3)):

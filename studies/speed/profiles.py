@@ -38,7 +38,7 @@ from dotsim_ros.gel.make import make_gel, skin_of
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.io.arrays import FloatArray
-from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of
+from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import AUTO, EXACT, PROFILES
 from dotsim_ros.sensor import TactileSensor
 from dotsim_ros.specification import SensorSpecification, SolverSpecification, load_sensor
@@ -133,7 +133,7 @@ def handovers(sensor: SensorSpecification, indenter: str) -> list[dict[str, Any]
     skin = live.skin
     rows = []
     for first, second in pairwise([*rungs, *reversed(rungs[:-1])]):
-        anew = make_gel(_with(sensor, second.solver), skin, shape)
+        again = make_gel(_with(sensor, second.solver), skin, shape)
         live.reset()
         live.set_solver(first.solver)
         jump_m, anew_m, spent_s, refused = [0.0], [0.0], [0.0], 0
@@ -142,8 +142,8 @@ def handovers(sensor: SensorSpecification, indenter: str) -> list[dict[str, Any]
             before_m = live.press(pose, FRAME_S).skin_position_m
             if number % HANDOVER_EVERY:
                 continue
-            anew.reset()
-            other_m = anew.step(pose, FRAME_S).skin_position_m
+            again.reset()
+            other_m = again.step(pose, FRAME_S).skin_position_m
             anew_m.append(float(np.linalg.norm(other_m - before_m, axis=1).max()))
             begun_s = time.perf_counter()
             try:

@@ -20,7 +20,7 @@ from itertools import cycle, islice
 from typing import Any
 
 from dotsim_ros.io.files import shipped_names
-from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of
+from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import EXACT, REALTIME
 from dotsim_ros.sensor import FRAME_S
 from dotsim_ros.specification import SensorSpecification, load_sensor

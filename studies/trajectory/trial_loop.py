@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Trials of a policy on one sensor after the other; starts only what must be started anew."""
+"""Trials of a policy on one sensor after the other; starts only what must be started again."""
 
 from __future__ import annotations
 

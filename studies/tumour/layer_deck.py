@@ -58,11 +58,11 @@ def half_layer_mesh(layer: LayerSpecification, insert: Insert, spacing_m: float)
         spacing_m: about the size of the elements.
 
     Raises:
-        ValueError: an insert beside the plane of symmetry, or a spacing that is not positive.
+        ValueError: an insert next to the plane of symmetry, or a spacing that is not positive.
     """
     if insert.centre_m[1] != 0.0:
         raise ValueError(
-            f"the insert lies {insert.centre_m[1]} m beside the plane y = 0, expected 0: half of "
+            f"the insert lies {insert.centre_m[1]} m next to the plane y = 0, expected 0: half of "
             "the layer is solved; turn the layer instead"
         )
     if not spacing_m > 0.0:

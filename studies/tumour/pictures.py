@@ -25,7 +25,7 @@ WHITE = (255, 255, 255)
 
 
 def write_presses(file: Path, study: Study, cache: Path, tell: Progress) -> None:
-    """Draw the same presses, solved by our gel and skin and by CalculiX, beside each other.
+    """Draw the same presses, solved by our gel and skin and by CalculiX, next to each other.
 
     Args:
         file: of the picture.

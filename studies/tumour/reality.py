@@ -41,7 +41,7 @@ def calculix_presses(
 ) -> list[SolvedPress]:
     """Return presses that CalculiX solved with both bodies deformable; every second pair of a
     tumour and none with friction, which our own presses have not. Each is returned in its turns,
-    beside the press that is its first one.
+    next to the press that is its first one.
 
     Args:
         sensor: as `coarse` returns it.

@@ -245,7 +245,7 @@ def test_a_fit_keeps_to_its_budget() -> None:
 
 
 def test_intervals_cover_the_truth_of_simulated_presses() -> None:
-    """Gradients of white noise have the information as their covariance; beside it, each press has
+    """Gradients of white noise have the information as their covariance; next to it, each press has
     parameters a little of its own, which no stated noise covers."""
     problem = problem_of()
     presses = [linearised(seed) for seed in range(6)]

@@ -42,7 +42,7 @@ NOISE_LEVELS = 1.2
 
 
 def dented(skin, axis, depth_m):
-    """Return the skin pressed in along a direction, what lies beside pushed outwards."""
+    """Return the skin pressed in along a direction, what lies next to pushed outwards."""
     axis = np.asarray(axis) / np.linalg.norm(axis)
     square = np.sum((skin.rest_position_m - RADIUS_M * axis) ** 2, axis=1) / 0.004**2
     dent = depth_m * (1.0 - 0.5 * square) * np.exp(-square)

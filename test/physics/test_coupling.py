@@ -93,7 +93,7 @@ def test_momentum_of_two_free_bodies_is_kept(sensor: TactileSensor) -> None:
         sensor, BALL, mass_kg=0.05, height_m=APEX_M + 4.2e-3, gravity=0.0, joint="free"
     )
     data = coupling.data
-    # Six of each free joint: the sensor's, then the ball's. Beside the axis, so that both turn.
+    # Six of each free joint: the sensor's, then the ball's. Next to the axis, so that both turn.
     data.qpos[7] = 1.0e-3
     data.qvel[8] = -0.05
     coupling.reset()
@@ -281,7 +281,7 @@ def test_a_ball_slips_from_two_sensors_with_too_little_friction(pair: list[Tacti
 def test_momentum_of_a_ball_and_two_fingers_is_kept(pair: list[TactileSensor]) -> None:
     finger = '<freejoint/><inertial mass="0.1" pos="0 0 0.005" diaginertia="1e-5 1e-5 1e-5"/>'
     model, data = ball_between(0.2e-3, finger=finger, gravity=0.0)
-    # Beside the axis, so that all turn; each moves towards the ball.
+    # Next to the axis, so that all turn; each moves towards the ball.
     data.qpos[1] = 1.0e-3
     data.qvel[6], data.qvel[12] = 0.05, -0.03
     held = gripper(pair, model, data)

@@ -80,7 +80,7 @@ def off(true: Trajectory) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a data set, with the sensor's file `pad.yaml` beside it."""
+    """Return a data set, with the sensor's file `pad.yaml` next to it."""
     folder = tmp_path_factory.mktemp("evaluated")
     stiff = replace(PAD.material, youngs_modulus_pa=STIFFER * PAD.material.youngs_modulus_pa)
     same = recorded(PAD, BALL, "same_0")

@@ -123,7 +123,7 @@ def measure(unit: Unit, directory: Path, law: Law | None = None) -> Path:
 
 
 def _with_images(data: Path, images: Callable[[str, int], np.ndarray]) -> MeasuredImages:
-    """Write bags with images beside those that are there, and an index of them; read them."""
+    """Write bags with images next to those that are there, and an index of them; read them."""
     folder = data / "filmed"
     shutil.rmtree(folder, ignore_errors=True)
     index = yaml.safe_load((data / "dataset.yaml").read_text(encoding="utf-8"))

@@ -14,13 +14,13 @@ import pytest
 from dotsim_ros.gel.implicit.handover import SkinJumpError
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.geometry.pose import Pose
-from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
-from dotsim_ros.nodes.tactile_sim.profile_in_force import (
-    ProfileInForce,
+from dotsim_ros.nodes.tactile_sim.active_profile import (
+    ActiveProfile,
     Rung,
     ladder_of,
-    make_profile_in_force,
+    make_active_profile,
 )
+from dotsim_ros.nodes.tactile_sim.motion import MotionOrder
 from dotsim_ros.nodes.tactile_sim.profile_keeper import ProfileKeeper
 from dotsim_ros.nodes.tactile_sim.profiles import FAST, REALTIME, solver_of
 from dotsim_ros.nodes.tactile_sim.session import SensorSession
@@ -80,8 +80,8 @@ def test_the_friction_of_a_slide_is_carried_not_lost(
     told_m = sensor.set_solver(rungs["fast"].solver)
     after = sensor.press(poses[-1])
     sensor.reset()
-    anew = sensor.press(poses[-1])
-    anew_m = np.linalg.norm(anew.skin_position_m - before.skin_position_m, axis=1).max()
+    again = sensor.press(poses[-1])
+    anew_m = np.linalg.norm(again.skin_position_m - before.skin_position_m, axis=1).max()
     assert told_m < 0.3 * anew_m
     # Along the slide the gel pulls the indenter back.
     assert before.wrench.force_n[0] < -0.1
@@ -157,7 +157,7 @@ def test_auto_changes_a_session_and_tells(sensor: TactileSensor, rungs: dict[str
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=REALTIME.move_m)
     ladder = [rungs["realtime"], rungs["fast"]]
     keeper = ProfileKeeper({"realtime": 0.02, "fast": 0.01}, period_s=0.04)
-    profile = ProfileInForce(ladder, session, keeper=keeper, why="", tell=said.append)
+    profile = ActiveProfile(ladder, session, keeper=keeper, why="", tell=said.append)
     skins = []
     for number, pose in enumerate(slide_poses(float(sensor.skin.apex_m[2]))):
         session.follow(MotionOrder(pose, 40_000_000 * (number + 1), None))
@@ -178,14 +178,14 @@ def test_auto_makes_and_times_its_profiles(sensor: TactileSensor, rungs: dict[st
     said: list[str] = []
     sensor.set_solver(rungs["exact"].solver)
     session = SensorSession(sensor, first_dt_s=0.04, limit_m=np.inf)
-    profile = make_profile_in_force(
+    profile = make_active_profile(
         list(rungs.values()), sensor, session, asked="auto", period_s=10.0, tell=said.append
     )
     assert profile.name == "exact"
     assert not session.is_touched()
     assert sensor.specification.solver == rungs["exact"].solver
     assert "made and timed in" in said[0]
-    hurried = make_profile_in_force(
+    hurried = make_active_profile(
         list(rungs.values()), sensor, session, asked="auto", period_s=1e-6, tell=said.append
     )
     assert hurried.name == "fast"

@@ -82,7 +82,7 @@ def sunk_m(gel: ImplicitGel, state: GelState) -> float:
     """Return how far the middle of the pad's skin has sunk: the depth without the contact's gap."""
     rest = gel.skin.rest_position_m
     middle = np.argmin(np.linalg.norm(rest[:, :2], axis=1))
-    # Markers lie up to half their distance beside the tip.
+    # Markers lie up to half their distance next to the tip.
     beside = np.linalg.norm(state.skin_position_m[middle, :2])
     return float(
         rest[middle, 2] - state.skin_position_m[middle, 2] + beside**2 / 2 / HERTZ_RADIUS_M
@@ -128,7 +128,7 @@ def test_nearly_incompressible_gel_does_not_lock(refined_pads: dict[float, Impli
     stiff_depth, stiff = hertz_presses(refined_pads[0.49])
     ratio = stiff / soft * (depth / stiff_depth) ** 1.5
     half_space = (1.0 - 0.3**2) / (1.0 - 0.49**2)
-    # A layer that is wide beside its thickness is confined, this one less so, a half space not.
+    # A layer that is wide next to its thickness is confined, this one less so, a half space not.
     confinement = np.sqrt(HERTZ_RADIUS_M * depth[-1]) / HERTZ_PAD_M[2]
     layer = bonded_layer_factor(0.49, confinement) / bonded_layer_factor(0.3, confinement)
     assert np.all(ratio > 0.97 * half_space)

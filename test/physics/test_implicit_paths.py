@@ -135,7 +135,7 @@ def test_environments_equal_single_runs(setting: dict[str, Any]) -> None:
         [pressed(0.3e-3), pressed(0.6e-3, 0.2e-3), None, pressed(0.2e-3)],
         [None, pressed(0.8e-3, -1e-3), pressed(0.9e-3, -0.8e-3), None],
         [pressed(0.5e-3, 0.0, 2e-3), None, None, pressed(0.5e-3)],
-        # Steps that are not divided, beside steps of several substeps.
+        # Steps that are not divided, next to steps of several substeps.
         [pressed(0.2e-3), *(pressed(0.4e-3, x) for x in (0.4e-3, 0.8e-3, 1.2e-3))],
         [pressed(0.2e-3), pressed(0.4e-3, 2e-3), pressed(0.5e-3, 2.1e-3), pressed(0.3e-3, 1e-3)],
     ]

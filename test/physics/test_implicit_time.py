@@ -85,7 +85,7 @@ def test_impulse_changes_the_momentum(friction_coefficient: float) -> None:
     dt = 0.5e-3
     given = 0.0
     for k in range(1, 9):
-        # Down and sideways, a little beside the middle.
+        # Down and sideways, a little next to the middle.
         state = one(gel, at(0.6e-3 + 0.02e-3 * k, -0.4e-3, BLOCK_TOP_M - 0.05e-3 * k), dt)
         assert state.converged
         given = given + -state.wrench.force_n * dt

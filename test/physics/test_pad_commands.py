@@ -83,7 +83,7 @@ def pad_press(simulator: GelSimulator, name: str, ball: Indenter, way: Sequence[
 
 
 def lit_pad(folder: Path) -> SensorSpecification:
-    """Return the pad with an idle image, lights beside it, and a network for its camera."""
+    """Return the pad with an idle image, lights next to it, and a network for its camera."""
     export = pytest.importorskip("dotsim_ros.learning.export", exc_type=ImportError)
     from dotsim_ros.learning.neighbourhood import NeighbourhoodModel
 

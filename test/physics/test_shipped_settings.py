@@ -129,7 +129,7 @@ def test_friction_of_a_slide_ends_at_coulombs_limit(profile: Profile) -> None:
         # All markers slip.
         assert size.sum() == pytest.approx(FRICTION * touch.pressing_n.sum(), rel=1e-6)
         # What Coulomb's law makes of the pressures where the skin lags behind the indenter: up to
-        # 0.3 % beside it, since the skin also stretches.
+        # 0.3 % next to it, since the skin also stretches.
         against = along - (touch.normal @ along)[:, None] * touch.normal
         against /= np.linalg.norm(against, axis=1)[:, None]
         expected = touch.pressing_n @ (touch.normal + FRICTION * against)

@@ -42,7 +42,7 @@ class WarmWorkers:
     def open_pool(
         self, count: int, initialize: Callable[..., None], *given: Any
     ) -> Iterator[Executor]:
-        """See `open_worker_pool`; a pool of several workers is opened anew.
+        """See `open_worker_pool`; a pool of several workers is opened again.
 
         A worker that an exception interrupts serves nobody any more.
         """
@@ -79,7 +79,7 @@ class Borrowed(Executor):
         if self.worker is None:
             self.worker = self._take()
             environment = dict(os.environ)
-            self.worker.submit(begin_anew, environment, self._initialize, self._given).result()
+            self.worker.submit(restart, environment, self._initialize, self._given).result()
         return self.worker.submit(task, *given, **named)
 
 
@@ -88,7 +88,7 @@ def begin() -> None:
     share(pytest.MonkeyPatch())
 
 
-def begin_anew(
+def restart(
     environment: Mapping[str, str], initialize: Callable[..., None], given: tuple[Any, ...]
 ) -> None:
     """Prepare a worker for a pool, as a process that is started for it would be."""

@@ -34,7 +34,7 @@ TIMED = {
     "test_tactile_policy_loop",
     "test_xarm_sim",
 }
-"""Files whose nodes must keep times: no other test runs beside theirs."""
+"""Files whose nodes must keep times: no other test runs next to theirs."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -178,7 +178,7 @@ def measured_until(
     What is too slow is so every time, a busy machine now and then.
 
     Args:
-        measure: does it anew and returns what is found.
+        measure: does it again and returns what is found.
         below: the bound.
         never: what may not be reached even once.
 

@@ -243,7 +243,7 @@ def test_messages_of_stamp_zero_are_all_taken_while_a_clock_stands(topic: str) -
     if motions:
         assert [order.pose.position_m[0] for order in motions] == [1e-4 * k for k in range(5)]
         assert set(np.diff([order.stamp_ns for order in motions])) == {1}
-        # A clock that begins anew is not held up by what was stamped before.
+        # A clock that begins again is not held up by what was stamped before.
         desk.now_ns -= 10**10
         desk.callbacks[topic](indenter_pose(0.0, sec=0))
         assert motions[-1].new_start is Fault.RESTART

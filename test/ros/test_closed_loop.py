@@ -42,7 +42,7 @@ def loop(started: ClosedLoop) -> ClosedLoop:
     """The loop before it is enabled, with another sensor where a test before has killed it."""
     if psutil.Process(started.process(SENSOR).pid).status() == psutil.STATUS_ZOMBIE:
         started.start_sensor()
-        # The policy does not start beside two senders, and DDS counts the dead one for a while.
+        # The policy does not start next to two senders, and DDS counts the dead one for a while.
         seen = started.observer
         seen.wait(lambda: seen.node.count_publishers("image_raw") == 1, "the end of the dead one")
     started.disable()

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Runs of the tests beside each other: no node of one may hear those of another."""
+"""Runs of the tests next to each other: no node of one may hear those of another."""
 
 from __future__ import annotations
 

@@ -400,7 +400,7 @@ def test_the_force_goes_back_to_the_links(source: tuple[Executable, SimulatorPre
     assert heard["peg::link"].entity.type == heard["peg::link"].entity.LINK
 
 
-# Alone: beside other nodes half a minute went by in which no frame came whole.
+# Alone: next to other nodes half a minute went by in which no frame came whole.
 @pytest.mark.timed
 def test_with_the_parameters_and_remaps_of_a_launch_file_it_reads_the_simulators_topic() -> None:
     topic = "/simulator/floating_base_state"

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The examples for ROS 2, run beside a real `tactile_sim` as a user runs them."""
+"""The examples for ROS 2, run next to a real `tactile_sim` as a user runs them."""
 
 from __future__ import annotations
 

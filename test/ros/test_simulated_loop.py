@@ -129,7 +129,7 @@ def test_a_time_off_the_steps_is_rounded_to_them(seconds: float, passed_s: float
 def test_one_process_in_real_time_is_heard_outside() -> None:
     contact = DomeContact()
     path = reference_path(PATH, contact)
-    # Frames may come late beside other tests.
+    # Frames may come late next to other tests.
     patient = {"stop_within_s": 1.0, "maximum_delay_s": 10.0}
     setup = LoopSetup("densetact2_sphere", one_process=True, policy_parameters=patient)
     with ClosedLoop(setup, contact=contact, clock=REALTIME) as loop:

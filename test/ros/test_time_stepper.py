@@ -94,11 +94,11 @@ def test_a_managed_node_may_rest_but_not_be_configured_anew(steps: Session) -> N
     change("deactivate")
     change("cleanup")
     assert "worker left at" in (reason := steps.reason(stepper))
-    assert "started anew: start all participants together" in reason
+    assert "started again: start all participants together" in reason
 
 
 def _new_starts(steps: Session) -> IntArray:
-    """Return where the worker's count of its ticks began anew."""
+    """Return where the worker's count of its ticks began again."""
     return np.flatnonzero(np.diff([count for _, count, _, _ in list(steps.ticks)]) < 0)
 
 
@@ -130,8 +130,8 @@ def test_pause_step_and_reset(steps: Session) -> None:
     assert steps.pause().message == "paused"
     steps.wait_for_state("paused")
     counts = [count for _, count, _, _ in steps.ticks]
-    (anew,) = _new_starts(steps)
-    assert counts[anew + 1] == 1
+    (again,) = _new_starts(steps)
+    assert counts[again + 1] == 1
     # The start may be told more than once, to a worker that answers late.
     again = max(0, steps.clock_ns.count(7_000_000_000) - 1)
     np.testing.assert_array_equal(np.diff(steps.clock_ns[again:]), STEP_NS)
@@ -235,20 +235,20 @@ def test_a_participant_is_killed(steps: Session, answered: Callable[..., None]) 
     answered(without_time(line))
 
 
-@pytest.mark.fault(AREA, "a node that time waits for is started anew")
+@pytest.mark.fault(AREA, "a node that time waits for is started again")
 def test_a_participant_starts_anew(steps: Session, answered: Callable[..., None]) -> None:
     worker = steps.start(WORKER, **STEPPED)
     stepper = steps.step()
     steps.wait_for_time(1.5)
     steps.pause()
     assert worker.interrupt() == 0
-    anew = steps.start(WORKER, **STEPPED)
-    anew.wait_for_line("ready:")
+    again = steps.start(WORKER, **STEPPED)
+    again.wait_for_line("ready:")
     steps.wait(lambda: steps.trigger("reset").success, "the stepper to know the new one")
     steps.pause(False)
     line = steps.reason(stepper)
     assert "worker left at " in line
-    assert "has started anew" in line
+    assert "has started again" in line
     answered(without_time(line))
 
 

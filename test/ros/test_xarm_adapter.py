@@ -306,7 +306,7 @@ def test_speeds_are_limited(rig: Rig) -> None:
     )
 
 
-# This one and the next ask for times that a machine with other tests beside them may miss.
+# This one and the next ask for times that a machine with other tests next to them may miss.
 @pytest.mark.timed
 def test_silence_becomes_zero_speed_once_and_then_nothing(rig: Rig) -> None:
     last_s, _ = lead(rig, 0.4)

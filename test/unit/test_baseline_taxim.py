@@ -57,7 +57,7 @@ def test_the_contact_keeps_the_shape_of_the_object(skin: SkinMesh) -> None:
     smooth = taxim.smoothed_depths(smoother, depth, sharp)
     core = depth > 0.5 * depth.max()
     assert np.array_equal(smooth[core], depth[core])
-    # Beside the contact the gel is drawn in.
+    # Next to the contact the gel is drawn in.
     beside = (depth == 0.0) & (smooth > 1.0e-4)
     assert beside.sum() > 20
     assert smooth.min() >= 0.0

@@ -198,7 +198,9 @@ def test_the_camera_counts_but_not_its_resolution(made, camera):
     assert camera_hash(camera.scaled(320, 240)) == camera_hash(camera)
     open_network(made[0], camera.scaled(320, 240))
     turned = replace(camera, pose=Pose(camera.pose.position_m, np.array([0.01, 0.0, 0.0, 1.0])))
-    with pytest.raises(ValueError, match=r"another camera of 'densetact2'.*train the network anew"):
+    with pytest.raises(
+        ValueError, match=r"another camera of 'densetact2'.*train the network again"
+    ):
         open_network(made[0], turned)
     wider = replace(camera, distortion=np.array([0.01, 0.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match="another camera"):

@@ -3,7 +3,7 @@
 
 """Policies and networks that somebody made to break their reader: one line that says what is wrong.
 
-The shipped ones are spoilt; hashes are made anew, as whoever wants to be believed would do.
+The shipped ones are spoilt; hashes are recreated, as whoever wants to be believed would do.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def opened(noun: str, folder: Path) -> Any:
 
 
 def refusal(noun: str, folder: Path) -> str:
-    with pytest.raises(ValueError, match=r"anew|expected") as caught:
+    with pytest.raises(ValueError, match=r"again|expected") as caught:
         opened(noun, folder)
     words = str(caught.value)
     assert str(folder) in words

@@ -148,7 +148,7 @@ def test_a_broken_file_is_one_line(folder: Path, what: str, answered: Callable[.
     assert "own" not in load_effects([folder], names=["gamma"])
 
 
-@pytest.mark.fault("effects and overlays", "files beside the effects that are asked for")
+@pytest.mark.fault("effects and overlays", "files next to the effects that are asked for")
 def test_only_what_is_named_is_run(
     folder: Path, caplog: pytest.LogCaptureFixture, answered: Callable[..., None]
 ) -> None:

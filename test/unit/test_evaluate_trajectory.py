@@ -48,7 +48,7 @@ LIMITS = SafetyLimits()
 def recording_of(
     name: str = "line", *, seconds: float = 9.0, beside_m: float = 0.0, **notes: Any
 ) -> LoopRecording:
-    """Return an arm that goes along a path as the expert would, so far beside it."""
+    """Return an arm that goes along a path as the expert would, so far next to it."""
     path = reference_path(name)
     time_s = np.arange(0.0, seconds, 0.01)
     arc_m, arcs = 0.0, []
@@ -256,7 +256,7 @@ def test_a_run_that_was_broken_off_goes_on(tmp_path: Path) -> None:
     assert [len(rows) for rows in trials.rows.values()] == [2, 2, 2, 2]
     assert run(plan_of()).rows == trials.rows
     assert len(asked) == 9
-    # What is empty or broken is run anew.
+    # What is empty or broken is run again.
     for number, path in enumerate(sorted(tmp_path.glob("*.npz"))[:2]):
         path.write_bytes(b"" if number else path.read_bytes()[:100])
     assert run(plan_of()).rows == trials.rows

@@ -32,7 +32,7 @@ def run(name: str, *arguments: object) -> str:
     what it printed."""
     printed = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
-        # Python looks beside a script first, and gives it its own arguments.
+        # Python looks next to a script first, and gives it its own arguments.
         patch.syspath_prepend(str(EXAMPLES))
         patch.setattr(sys, "argv", [str(EXAMPLES / name), *map(str, arguments)])
         runpy.run_path(str(EXAMPLES / name), run_name="__main__")

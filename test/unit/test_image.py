@@ -232,7 +232,7 @@ def test_rendered_idle_image_repeats_and_looks_lit(camera):
 
 
 @pytest.mark.skipif(
-    not SENSOR_A.is_dir(), reason="needs the measured data set sensor_a beside the checkout"
+    not SENSOR_A.is_dir(), reason="needs the measured data set sensor_a next to the checkout"
 )
 def test_measured_skin_carries_the_measured_idle_frame():
     from dotsim_ros.data.data_set import read_data_set

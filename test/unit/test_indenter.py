@@ -530,7 +530,7 @@ def test_impossible_primitives_are_refused(build: object, message: str) -> None:
 @pytest.mark.parametrize("path", STAND_IN_MESHES or [None])
 def test_stand_in_meshes_touch_at_the_origin_plane(path: Path | None) -> None:
     if path is None:
-        pytest.skip("no measured data beside this checkout")
+        pytest.skip("no measured data next to this checkout")
     indenter = load_mesh(path)
     assert indenter.bounds_m()[0][2] == pytest.approx(0.0, abs=2e-5)
     middle = indenter.bounds_m().mean(axis=0)
@@ -539,7 +539,7 @@ def test_stand_in_meshes_touch_at_the_origin_plane(path: Path | None) -> None:
 
 def test_stand_in_sphere_and_torus_agree_with_the_primitives() -> None:
     if not STAND_IN_MESHES:
-        pytest.skip("no measured data beside this checkout")
+        pytest.skip("no measured data next to this checkout")
     for stem, primitive in (("1_sphere", sphere(0.004)), ("4_torus", torus(0.0028, 0.0015))):
         path = next(path for path in STAND_IN_MESHES if path.stem == stem)
         points = points_around(primitive, 500)
@@ -550,7 +550,7 @@ def test_stand_in_sphere_and_torus_agree_with_the_primitives() -> None:
 @pytest.mark.parametrize("path", REAL_MESHES or [None])
 def test_real_meshes_load_in_millimetres_only(path: Path | None) -> None:
     if path is None:
-        pytest.skip("no real indenters beside this checkout")
+        pytest.skip("no real indenters next to this checkout")
     with pytest.raises(ValueError, match="millimetres"):
         load_mesh(path)
     indenter = load_mesh(path, 0.001, away_axis="-y", origin="tip")

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Answers kept on disk: another input gives another one, and a broken file is computed anew."""
+"""Answers kept on disk: another input gives another one, and a broken file is computed again."""
 
 from __future__ import annotations
 
@@ -164,8 +164,8 @@ def test_a_solve_is_kept_under_all_that_decides_it(
     # Another version of the physics.
     monkeypatch.setattr(cache, "source_hash", lambda *_: "of other source")
     assert solve(tmp_path, pool, indenter=ball) == 1
-    anew, kept = ([what for what, n in seen.items() if n == count] for count in (1, 0))
-    answered(f"solved anew where {', '.join(anew)} changed; kept where {', '.join(kept)} did")
+    again, kept = ([what for what, n in seen.items() if n == count] for count in (1, 0))
+    answered(f"solved again where {', '.join(again)} changed; kept where {', '.join(kept)} did")
 
 
 BROKEN: dict[str, bytes] = {
@@ -210,7 +210,7 @@ def test_presses_of_one_gel_are_one_task(tmp_path: Path) -> None:
     )
     ratios = [{request.values.poisson_ratio for request in task} for task in pool.tasks]
     assert [len(each) for each in ratios] == [1] * 5
-    # Friction is no reason to make a gel anew.
+    # Friction is no reason to make a gel again.
     assert [len(task) for task in pool.tasks] == [TOGETHER, TOGETHER, TOGETHER, TOGETHER, 4]
     assert done[0] == (0, 36 + 2 * MAKING)
     assert done[-1] == (36 + 2 * MAKING, 36 + 2 * MAKING)
@@ -231,7 +231,7 @@ def test_a_broken_solve_is_computed_anew(
     with caplog.at_level(logging.WARNING):
         assert solve(tmp_path, pool) == 1
     (line,) = [record.getMessage() for record in caplog.records]
-    assert line.startswith(f"{path} cannot be used and is computed anew: ")
+    assert line.startswith(f"{path} cannot be used and is computed again: ")
     assert "pickle" not in line
     assert solve(tmp_path, pool) == 0
     if what == "empty":
@@ -347,7 +347,7 @@ def test_a_broken_stage_is_computed_anew(
     assert pool.count == 2
     assert found is not None
     (line,) = [record.getMessage() for record in caplog.records]
-    assert line.startswith(f"{path} cannot be used and is computed anew: ")
+    assert line.startswith(f"{path} cannot be used and is computed again: ")
     stage(tmp_path, pool, observation)
     assert pool.count == 2
     if what == "half of it":

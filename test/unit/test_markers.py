@@ -62,7 +62,7 @@ def dots_px(image: np.ndarray) -> np.ndarray:
 
 def test_the_drawn_dots_are_where_the_markers_are_at_rest_and_pressed(pad: TactileSensor) -> None:
     frame = pad.step(ApexPose(0.0012), 0.04)
-    # Beside the middle one: the gel is drawn towards the contact.
+    # Next to the middle one: the gel is drawn towards the contact.
     motion = pad.marker_motion(frame.skin_position_m)
     assert motion.rest_m[:, :2] == pytest.approx(grid_m(pad.specification.markers), abs=1e-12)
     assert motion.rest_m[:, 2] == pytest.approx(0.004)

@@ -69,7 +69,7 @@ def written(folder: Path, *trajectories: Trajectory) -> Path:
         ([(1000.0, 1002.0), (1010.0, 1012.0), (2800.0, 2802.0)], [0.0, 10.0, 1800.0]),
         ([(2800.0, 2802.0), (1000.0, 1002.0)], [1800.0, 0.0]),
         ([(1000.0, 1002.0), None, (1010.0, 1012.0)], [0.0, 0.0, 10.0]),
-        # A clock that begins anew with each trajectory.
+        # A clock that begins again with each trajectory.
         ([(1.0, 3.0), (1.0, 2.0), (1.0, 4.0)], [0.0, 2.0, 3.0]),
         ([(1.0, 3.0), None, (1.0, 4.0)], [0.0, 2.0, 2.0]),
         ([], []),

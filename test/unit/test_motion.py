@@ -202,7 +202,7 @@ def test_turn_about_an_axis():
         pytest.param(
             ALL_PRESSES,
             marks=pytest.mark.skipif(
-                not ALL_PRESSES.is_file(), reason="needs all real presses beside the checkout"
+                not ALL_PRESSES.is_file(), reason="needs all real presses next to the checkout"
             ),
         ),
     ],

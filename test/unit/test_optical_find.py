@@ -215,7 +215,7 @@ def test_a_lens_out_of_focus_is_unknown(searched):
 
 @pytest.fixture(scope="module")
 def lens_and_light():
-    """The search for what depth and normals of the skin enter, beside what is taken for it."""
+    """The search for what depth and normals of the skin enter, next to what is taken for it."""
     effects = [
         LIBRARY[name]
         for name in (
@@ -484,7 +484,7 @@ def test_the_report_keeps_the_parts_apart(tmp_path: Path):
     assert "Share of the images' gap closed, in expected deviations of all tiles: 97 %" in text
     assert "19 trajectories of sensor_a" in text
     assert "1. Coulomb slip at another friction (coulomb_slip), added" in text
-    # What no image excites stands beside what no press does.
+    # What no image excites stands next to what no press does.
     assert "| Motion blur |" in text
     refused = as_markdown(page_of(combined(no_gap(), optical(Verdict.UNUSABLE)), {}, LIBRARY))
     assert "Images: unusable." in refused

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What the camera saw of measured presses: read, checked, and laid beside what the gel says."""
+"""What the camera saw of measured presses: read, checked, and laid next to what the gel says."""
 
 from dataclasses import replace
 from pathlib import Path

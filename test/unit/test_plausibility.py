@@ -270,7 +270,7 @@ IDLE = np.full((6, 8, 3), 90, np.uint8)
 FILM = np.stack([IDLE + number for number in range(len(STAMP_NS))]).astype(np.uint8)
 
 
-@pytest.mark.fault("bags and data sets", "images, or forces beside them, by another clock")
+@pytest.mark.fault("bags and data sets", "images, or forces next to them, by another clock")
 @pytest.mark.parametrize("channel", ["image", "wrench"])
 def test_images_by_another_clock_are_refused(
     tmp_path: Path, channel: str, answered: Callable[..., None]

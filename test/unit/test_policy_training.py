@@ -289,7 +289,7 @@ def test_a_training_that_was_broken_off_goes_on_as_if_it_had_not(
     assert training("parts").done == 0
     assert (tmp_path / "parts" / "state.pt.kept").read_bytes() == b"nothing"
     (line,) = [record.getMessage() for record in caplog.records]
-    assert "kept as state.pt.kept, and training begins anew" in line
+    assert "kept as state.pt.kept, and training begins again" in line
     assert "weights_only" not in line
     assert "pickle" not in line
     answered(line)

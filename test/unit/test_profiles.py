@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of
 from dotsim_ros.nodes.tactile_sim.parameters import TactileSimParameters
-from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of
 from dotsim_ros.nodes.tactile_sim.profile_keeper import ProfileKeeper
 from dotsim_ros.nodes.tactile_sim.profiles import (
     EXACT,

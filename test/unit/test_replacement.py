@@ -152,7 +152,7 @@ def test_what_the_user_wrote_or_changed_is_kept(tmp_path: Path) -> None:
     (tmp_path / FILE_NAME).write_bytes(b"slip, corrected by hand")
     replace_files(tmp_path, NEW)
     found = shown(tmp_path)
-    # It must not stand beside another verdict under the name that the sensor loads.
+    # It must not stand next to another verdict under the name that the sensor loads.
     assert FILE_NAME not in found
     assert found[f"{FILE_NAME}.kept"] == b"slip, corrected by hand"
 

@@ -271,7 +271,7 @@ def test_a_gel_without_memory_rests_under_a_held_indenter(sensor):
 
 BEGINNINGS = {
     "a calibration": lambda session: session.relax(),
-    "a stop": lambda session: session.begin_anew(),
+    "a stop": lambda session: session.restart(),
     "another indenter": lambda session: session.change_indenter(load_indenter("sphere_4mm")),
 }
 

@@ -29,7 +29,7 @@ from dotsim_ros.data.trajectory import (
 
 SENSOR_A = Path(__file__).parents[3] / "shared" / "measured" / "sensor_a"
 needs_sensor_a = pytest.mark.skipif(
-    not SENSOR_A.is_dir(), reason="needs the measured data set sensor_a beside the checkout"
+    not SENSOR_A.is_dir(), reason="needs the measured data set sensor_a next to the checkout"
 )
 
 
@@ -237,7 +237,7 @@ def _data_set(tmp_path, trajectory):
 
 
 def test_data_set_is_read(tmp_path, trajectory):
-    # Meshes are looked for beside a data set, too: not among the folders of other tests.
+    # Meshes are looked for next to a data set, too: not among the folders of other tests.
     _data_set(tmp_path / "alone", trajectory)
     data_set = read_data_set(tmp_path / "alone")
     (entry,) = data_set.entries
@@ -268,7 +268,7 @@ def test_a_mesh_is_looked_for_in_the_data_set_then_beside_it_or_in_the_folder_na
             data_set.indenter_file("ball", given)
         looked = [name for name in meshes if str(meshes[name].parent) in str(refused.value)]
         assert sorted(looked) == sorted(places)
-    meshes["other"].write_text("beside")
+    meshes["other"].write_text("next to")
     assert data_set.indenter_file("ball") == meshes["other"]
     meshes["mine"].write_text("own")
     assert data_set.indenter_file("ball") == meshes["mine"]

@@ -92,7 +92,7 @@ class CameraModel:
 
 
 def read_lights(sensor: SensorSpecification) -> tuple[RingLights, tuple[float, ...]]:
-    """Return ring and falloff that the file beside a sensor's idle image states, or the sensor's.
+    """Return ring and falloff that the file next to a sensor's idle image states, or the sensor's.
 
     Raises:
         FileNotFoundError: the sensor names an image that is not there.
@@ -103,7 +103,7 @@ def read_lights(sensor: SensorSpecification) -> tuple[RingLights, tuple[float, .
 
 
 def describe_lights(model: CameraModel) -> dict[str, dict[str, Any]]:
-    """Return the sections of the file beside an idle image.
+    """Return the sections of the file next to an idle image.
 
     Raises:
         ValueError: a number is out of the range that such a file takes.

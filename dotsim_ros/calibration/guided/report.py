@@ -31,7 +31,7 @@ IDENTIFIED = """| what | from these photographs |
 | depth of a press | only as the pad's shape gives it for the circle |
 | thickness of the pad | no: measure it |
 | Young's modulus, law, relaxation | no: a shape under a rigid ball does not depend on stiffness |
-| Poisson's ratio | hardly: by the bulge beside the ball, mixed with the shading |
+| Poisson's ratio | hardly: by the bulge next to the ball, mixed with the shading |
 | friction | no |
 | place and tilt of the camera | no: taken as straight, without distortion |
 

@@ -150,7 +150,7 @@ class BallEnvironment(gymnasium.Env[NDArray[Any], NDArray[np.float32]]):
 
     @abstractmethod
     def _info(self) -> dict[str, Any]:
-        """Return what is told beside the observation."""
+        """Return what is told next to the observation."""
 
 
 class PressEnvironment(BallEnvironment):

@@ -218,7 +218,7 @@ def train(
     """Learn until so many steps are done or so much time is spent, and return the progress.
 
     It goes on from `folder`, where a checkpoint is left after every update: a training that was
-    killed loses at most one. The worlds begin anew then. Policies may get worse again, so the one
+    killed loses at most one. The worlds begin again then. Policies may get worse again, so the one
     that got there most often while learning is kept as well, and is the one that is judged.
 
     Args:
@@ -314,7 +314,7 @@ def _seen_at_random(environment: Any, settings: PpoSettings) -> torch.Tensor:
 
 
 def make_worlds(settings: PpoSettings) -> gymnasium.vector.VectorEnv:
-    """Return the worlds of a training, which begin anew by themselves."""
+    """Return the worlds of a training, which begin again by themselves."""
     assert dotsim_ros.control.environments.NAMES
     return gymnasium.make_vec(
         settings.environment,
@@ -449,7 +449,7 @@ def _load(
     try:
         content = torch.load(path, weights_only=True)
     except Exception as error:
-        raise ValueError(f"{path} cannot be read ({error}); remove it to begin anew") from error
+        raise ValueError(f"{path} cannot be read ({error}); remove it to begin again") from error
     found = content.get("format") if isinstance(content, dict) else None
     if found != FORMAT:
         raise ValueError(

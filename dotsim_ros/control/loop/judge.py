@@ -19,7 +19,7 @@ from dotsim_ros.control.safety_layer.limits import SafetyLimits
 from dotsim_ros.io.arrays import FloatArray
 
 START_SPREAD_M = 0.4e-3
-"""Standard deviation along each axis of where a trial starts beside its path."""
+"""Standard deviation along each axis of where a trial starts next to its path."""
 
 
 BRAKING_S = 0.3
@@ -28,7 +28,7 @@ BRAKING_S = 0.3
 
 def trial_start(path: ReferencePath, contact: DomeContact, *, seed: int, number: int) -> FloatArray:
     """Return where the indenter is (3,) in the sensor's frame as a trial begins: somewhere on the
-    path and a little beside it, the same in every setting."""
+    path and a little next to it, the same in every setting."""
     random = np.random.default_rng([seed, PATHS.index(path.name), number])
     place = path.position_m[int(random.integers(len(path.position_m)))]
     return within_bounds(place + START_SPREAD_M * random.standard_normal(3), contact)

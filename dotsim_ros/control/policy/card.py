@@ -106,6 +106,6 @@ def read_policy(folder: Path) -> tuple[PolicyCard, dict[str, NDArray[Any]]]:
             had = "is missing" if found is None else f"is {found.dtype} of shape {found.shape}"
             raise ValueError(
                 f"{folder / WEIGHTS}: {name} {had}, expected numbers of shape {shape}; train the "
-                "policy anew"
+                "policy again"
             )
     return card, arrays

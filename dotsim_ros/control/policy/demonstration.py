@@ -359,7 +359,7 @@ def read_episode(path: Path) -> Episode:
         return Episode(**arrays)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(
-            f"{path} holds no demonstration ({error}); remove it and make it anew with dotsim_ros "
+            f"{path} holds no demonstration ({error}); remove it and make it again with dotsim_ros "
             "demonstrate"
         ) from error
 

@@ -56,13 +56,13 @@ def keep_card(folder: Path, card: Mapping[str, Any]) -> None:
     if known[PLAN] != card[PLAN]:
         raise ValueError(
             f"{folder} holds demonstrations of another plan; choose another folder, or remove it "
-            "to make them anew"
+            "to make them again"
         )
     if known[CONTENT] != card[CONTENT]:
         raise ValueError(
             f"{folder} holds demonstrations of another sensor or indenter than the present "
             f"{value_text(card[PLAN]['sensor'])} and {value_text(card[PLAN]['indenter'])}, whose "
-            "names are the same; give another folder with --out, or remove it to make them anew"
+            "names are the same; give another folder with --out, or remove it to make them again"
         )
 
 
@@ -86,7 +86,7 @@ def read_card(folder: Path) -> dict[str, Any]:
             raise ValueError(
                 f"{folder / CARD} has no {entry}: it is of an earlier version, which did not note "
                 "the sensor and the ball, so that neither can be told; make the demonstrations "
-                "anew in another folder with dotsim_ros demonstrate"
+                "again in another folder with dotsim_ros demonstrate"
             )
     return card
 
@@ -106,6 +106,6 @@ def contact_in(folder: Path) -> DomeContact:
     ):
         raise ValueError(
             f"{folder / CARD}: {CONTACT} is {value_text(given)}, expected {' and '.join(names)} in "
-            "metres; make the demonstrations anew with dotsim_ros demonstrate"
+            "metres; make the demonstrations again with dotsim_ros demonstrate"
         )
     return DomeContact(**given)

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Demonstrations as examples for a network, turned, mirrored and exposed anew each time."""
+"""Demonstrations as examples for a network, turned, mirrored and exposed again each time."""
 
 from __future__ import annotations
 
@@ -177,7 +177,7 @@ class PolicyExamples:
     def input(
         self, number: int, symmetry: int = 0, random: np.random.Generator | None = None
     ) -> Float32Array:
-        """Return the network's input of an image, exposed anew where something draws.
+        """Return the network's input of an image, exposed again where something draws.
 
         Args:
             number: of the image.

@@ -16,7 +16,7 @@ from dotsim_ros.io.arrays import FloatArray
 
 @dataclass(frozen=True)
 class Expert:
-    """Goes along a path, and back to it from beside.
+    """Goes along a path, and back to it from next to.
 
     Attributes:
         path: to follow.

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Policies as files that run without torch: a graph in ONNX beside half-precision weights.
+"""Policies as files that run without torch: a graph in ONNX next to half-precision weights.
 
 The graph widens each weight to single precision, which ONNX Runtime does once, when it opens the
 graph: it is as fast as single precision and half as large.
@@ -67,7 +67,7 @@ def halve_weights(model: onnx.ModelProto) -> Arrays:
         with np.errstate(over="ignore"):
             half = array.astype(np.float16)
         if not np.all(np.isfinite(half)):
-            raise ValueError(f"weights {tensor.name!r} do not fit half precision; train anew")
+            raise ValueError(f"weights {tensor.name!r} do not fit half precision; train again")
         name = tensor.name
         stored = f"{name}.half"
         tensor.CopyFrom(onnx.numpy_helper.from_array(half, stored))

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 INPUT = "picture"
 THREADS = 1
-"""A second one gains a third on an idle machine, and costs tails beside a simulation."""
+"""A second one gains a third on an idle machine, and costs tails next to a simulation."""
 
 
 class Policy:

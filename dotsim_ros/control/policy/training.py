@@ -45,7 +45,7 @@ REPORT = "training.json"
 ROUND = 2000
 """Examples between two checkpoints."""
 PLACE_WEIGHT = 0.3
-"""Weight of the place's error beside that of the commands: a network that must also estimate the
+"""Weight of the place's error next to that of the commands: a network that must also estimate the
 place of the contact learns the commands sooner."""
 SHRINKAGE = 0.02
 """Share of the fingerprints' mean variance that is added to each cell's, since the variance of
@@ -61,7 +61,7 @@ class PolicyRecipe:
     """How a network is trained.
 
     Attributes:
-        example_count: shown in all, each exposed anew.
+        example_count: shown in all, each exposed again.
         batch: examples a step.
         learning_rate: of AdamW, the highest of one cycle.
         weight_decay: of AdamW.
@@ -238,7 +238,7 @@ class PolicyTraining:
         if state["key"] != self._key:
             raise ValueError(
                 f"{self._checkpoint} belongs to a training with other data, seed or settings; "
-                "choose another folder, or remove it to train anew"
+                "choose another folder, or remove it to train again"
             )
         take_weights(self.network, state["network"], self._checkpoint)
         take_weights(self._averaged, state["averaged"], self._checkpoint)

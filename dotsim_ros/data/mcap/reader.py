@@ -347,7 +347,7 @@ class McapFile:
         )
 
     def _scan(self, start: int) -> None:
-        """Make the index anew, from what lies in the file from its header on."""
+        """Make the index again, from what lies in the file from its header on."""
         while start < self._size:
             try:
                 opcode, end = self._next(start)

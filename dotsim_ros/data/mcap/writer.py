@@ -35,7 +35,7 @@ CHUNK_BYTES = 2**20
 """A chunk is written when it is as large as this."""
 
 RESERVE_BYTES = 2**16
-"""Kept free on the disk for the end of the file, beside the index of its chunks."""
+"""Kept free on the disk for the end of the file, next to the index of its chunks."""
 
 LARGEST_LOG_TIME_NS = 2**63 - 1
 """ROS 2 counts time in 63 bits."""

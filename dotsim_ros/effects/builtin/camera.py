@@ -122,7 +122,7 @@ def _camera_displacement_image(values: Values) -> ImageFilter:
 CAMERA_DISPLACEMENT = Effect(
     name="camera_displacement",
     title="Displaced camera",
-    summary="the camera, or its entrance pupil, stands beside its place.",
+    summary="the camera, or its entrance pupil, stands next to its place.",
     parameters=(
         EffectParameter("x_m", "m", 0.0, -5.0e-4, 5.0e-4, (1.0e-4, -1.0e-4)),
         EffectParameter("y_m", "m", 0.0, -5.0e-4, 5.0e-4, (0.0, 1.0e-4)),

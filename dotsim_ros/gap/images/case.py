@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Measured images beside the twin's: the residuals and films of a set of trajectories."""
+"""Measured images next to the twin's: the residuals and films of a set of trajectories."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ WIDTH, HEIGHT = 320, 240
 
 @dataclass(frozen=True)
 class Shot:
-    """A trajectory's images beside the twin's, at the size of the tiles.
+    """A trajectory's images next to the twin's, at the size of the tiles.
 
     Attributes:
         name: of the trajectory.
@@ -68,7 +68,7 @@ class Shot:
 
 @dataclass(frozen=True)
 class OpticalCase:
-    """All images of a data set beside the twin's.
+    """All images of a data set next to the twin's.
 
     Attributes:
         shots: `IDLE` first.
@@ -108,7 +108,7 @@ def optical_case(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> OpticalCase:
-    """Return measured images beside those of a model.
+    """Return measured images next to those of a model.
 
     Args:
         images: as measured.

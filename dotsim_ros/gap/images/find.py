@@ -89,7 +89,7 @@ def fit_noise_of_images(request: GapRequest, progress: Progress) -> OpticalNull:
 
 
 def case_of(request: GapRequest, progress: Progress) -> OpticalCase:
-    """Return the images of a data set beside those of the twin without any effect.
+    """Return the images of a data set next to those of the twin without any effect.
 
     Raises:
         FileNotFoundError, ValueError: images that cannot be used; the text says why.

@@ -3,7 +3,7 @@
 
 """The rule of the images: which optical effects are named, how large they are, what is unknown.
 
-The best effect's signature is made anew at the size found (a secant instead of the probe's), its
+The best effect's signature is recreated at the size found (a secant instead of the probe's), its
 shape searched about the best probe. A second effect enters past the threshold and with a share of
 what the first one leaves (`decision.FURTHER`). What the named ones leave is compared with what
 trajectories leave in which nothing is missing.
@@ -44,7 +44,7 @@ from dotsim_ros.gap.resampling import BOOTSTRAPS, bootstrap_weights
 from dotsim_ros.io.arrays import FloatArray
 
 ROUNDS = 2
-"""How often a signature is made anew."""
+"""How often a signature is recreated."""
 SMALLEST_STEP = 0.2
 """A signature is made with this share of its probe at least: shorter ones are all rounding."""
 MOST_EFFECTS = 2
@@ -245,7 +245,7 @@ class ImageSearch:
         return None
 
     def _beyond_of(self, residuals: Sequence[FloatArray], one: Fitted) -> BeyondRange | None:
-        """Return as `_beyond` of one effect, beside nothing."""
+        """Return as `_beyond` of one effect, next to nothing."""
         values = one.score.values
         ends = {p.name: p.end_at(values[p.name]) for p in one.effect.parameters}
         directions = tuple(_opened(d, ends[d.name]) for d in one.signature.directions)
@@ -379,7 +379,7 @@ class ImageSearch:
     ) -> float:
         """Return the share of bootstrap repetitions, (draws, shots) weights, that give the same
         answer: the effect that is named, or one of the set, comes first and is past the threshold;
-        of two named, each beside the other."""
+        of two named, each next to the other."""
         same = np.ones(len(weights), dtype=bool)
         named = {one.effect.name for one, _ in alone}
         for one, rest in alone:

@@ -139,7 +139,7 @@ class OpticalNull:
         if not known:
             raise ValueError(
                 f"the file of the images' noise does not hold the effect {name} "
-                f"({', '.join(sorted(names))}); make it anew with find-gap --fit-optical-noise"
+                f"({', '.join(sorted(names))}); make it again with find-gap --fit-optical-noise"
             )
         step = signature.directions[0].step
         nearest = min(known, key=lambda one: _distance(one, signature, known, step))
@@ -312,14 +312,14 @@ def load_optical_null(path: str | Path | None = None) -> OpticalNull:
     version = arrays.get("version")
     if version is None or version.shape != () or version.dtype.kind != "i" or version != VERSION:
         raise ValueError(
-            f"{path} is no noise of images of version {VERSION}; make it anew with find-gap "
+            f"{path} is no noise of images of version {VERSION}; make it again with find-gap "
             "--fit-optical-noise"
         )
     try:
         return _null_of(arrays)
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise ValueError(
-            f"{path} is no whole noise of images ({type(error).__name__}: {error}); make it anew "
+            f"{path} is no whole noise of images ({type(error).__name__}: {error}); make it again "
             "with find-gap --fit-optical-noise"
         ) from error
 

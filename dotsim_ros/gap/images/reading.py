@@ -131,7 +131,7 @@ def read_images(
     if not found:
         raise ValueError(
             f"no trajectory of {data_set.directory} has images that can be used; record the "
-            "camera's images beside the poses, and say 'images: true' in the index"
+            "camera's images next to the poses, and say 'images: true' in the index"
             + "".join(f"; {text}" for text in warnings)
         )
     return MeasuredImages(

@@ -573,7 +573,7 @@ def _variance_beyond(right: FloatArray, square: FloatArray) -> FloatArray:
 
 
 def _without(columns: FloatArray, deviation: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Return what turns vectors of unit covariance, beside nuisances (N, Q) of these deviations,
+    """Return what turns vectors of unit covariance, next to nuisances (N, Q) of these deviations,
     into vectors of unit covariance in all; nothing is left along those of infinite deviation."""
     free = _directions(columns[:, np.isinf(deviation)])
     known = columns[:, ~np.isinf(deviation)] * deviation[~np.isinf(deviation)]

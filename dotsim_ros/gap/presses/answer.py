@@ -303,7 +303,7 @@ def size_beyond_range(search: Search, entry: Ranked, beside: Ranked | None = Non
     Args:
         search: the case.
         entry: the effect, as it was found within its range.
-        beside: another one that acts, too.
+        next to: another one that acts, too.
     """
     end = entry.end
     if end is None:
@@ -336,7 +336,7 @@ def _gain(search: Search, entries: Sequence[Ranked]) -> float:
 
 
 def _left(search: Search, entries: Sequence[Ranked]) -> float:
-    """Return the gap that effects leave: what patterns could remove beside them, if skin and force
+    """Return the gap that effects leave: what patterns could remove next to them, if skin and force
     need not agree about an effect's size, or by how much more the data differ than data without any
     effect, whichever is more."""
     evidence = search.evidence
@@ -385,7 +385,7 @@ def sizes_by_channel(search: Search, entry: Ranked) -> tuple[float, float] | Non
 
 
 def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
-    """Return the two effects that gain most together, None unless each gains more beside the other
+    """Return the two effects that gain most together, None unless each gains more next to the other
     than its limit and what the other's law may be off by.
 
     The one that gains most alone need not be of them: it may be what the two look like together.
@@ -397,7 +397,7 @@ def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
         second = _beside(search, first, [entry for entry in ranked if entry is not first])
         pair = [first, second]
         for _ in range(PAIR_ROUNDS):
-            # Each at the size that it has beside the other.
+            # Each at the size that it has next to the other.
             pair = [_beside(search, pair[1], [pair[0]]), _beside(search, pair[0], [pair[1]])]
         pairs.append(pair)
     best = max(pairs, key=lambda pair: _gain(search, pair))
@@ -410,7 +410,7 @@ def _pair(search: Search, ranked: Sequence[Ranked]) -> list[Ranked] | None:
 
 
 def _beside(search: Search, known: Ranked, others: Sequence[Ranked]) -> Ranked:
-    """Return that of the others which gains most beside a known effect, as it does there."""
+    """Return that of the others which gains most next to a known effect, as it does there."""
     evidence = search.evidence.without(known.trial.change)
     base = fit_nuisances(evidence).objective
     tried = [

@@ -124,7 +124,7 @@ def stability_of(
     """Return the share of bootstrap repetitions over trajectories that give the same answer.
 
     Of the effects past their limits the one that gains most is the one that is named, or one of
-    the set; of two named, each is that beside the other.
+    the set; of two named, each is that next to the other.
 
     Args:
         search: the case.

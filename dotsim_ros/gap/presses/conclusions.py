@@ -161,7 +161,7 @@ def leaves_open(closed: Closed) -> bool:
 
 
 def _with_effects(search: Search, named: Sequence[Ranked]) -> tuple[Residuals, Fit]:
-    """Return what effects leave, and the nuisances beside them."""
+    """Return what effects leave, and the nuisances next to them."""
     change = change_by_trajectory(search, named)
     refitted = fit_nuisances(search.evidence.without(search.case.whitened(change, search.chosen)))
     residuals = residuals_of(
@@ -187,7 +187,7 @@ def change_by_trajectory(search: Search, entries: Sequence[Ranked]) -> list[Floa
 
 def _fallback(search: Search) -> Residuals:
     """Return what patterns leave when they stand in for an effect: a Gaussian process with the
-    patterns as its functions, fitted beside the nuisances."""
+    patterns as its functions, fitted next to the nuisances."""
     widened = search.evidence.with_nuisances(search.pattern_columns)
     found = fit_nuisances(widened).nuisance
     count = search.evidence.nuisance.shape[1]

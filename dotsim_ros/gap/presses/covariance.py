@@ -6,7 +6,7 @@ of the model and of the measurement that belongs to a place of the contact.
 
 The discrepancy of frame f of a trajectory is a_f (b + w_f): b is drawn once for it, w_f changes
 as the indenter moves, and a_f scales with the press: the skin by the depth, the force by the force.
-Beside it every trajectory has an error of pose and of clock of its own. The covariances of b and w
+Next to it every trajectory has an error of pose and of clock of its own. The covariances of b and w
 come from residuals of presses in which nothing is missing (Kennedy and O'Hagan 2001 say why,
 Brynjarsdottir and O'Hagan 2014 what happens without).
 """

@@ -67,7 +67,7 @@ class Variant:
 
     Attributes:
         effect: the effect.
-        shape: its parameters beside the first.
+        shape: its parameters next to the first.
         node: sizes that were simulated, the absent effect's among them.
         change: at each node, by trajectory, (F, SIZE): with the effect minus without; None for a
             trajectory along which it was not simulated.
@@ -231,7 +231,7 @@ class Case:
 
     def change_at(self, variant: Variant, size: float) -> list[FloatArray | None]:
         """Return (F, SIZE) of each trajectory: what a variant does at a size, linear between the
-        nodes beside it and beyond the outermost; None where those were not simulated."""
+        nodes next to it and beyond the outermost; None where those were not simulated."""
         node = variant.node
         right = _node_after(variant, size)
         share = (size - node[right - 1]) / (node[right] - node[right - 1])
@@ -243,7 +243,7 @@ class Case:
     def change_everywhere(
         self, variant: Variant, size: float
     ) -> tuple[list[FloatArray], list[str]]:
-        """Return as `change_at`, the nodes beside the size simulated where they were not, and what
+        """Return as `change_at`, the nodes next to the size simulated where they were not, and what
         could not be solved."""
         right = _node_after(variant, size)
         missing = [

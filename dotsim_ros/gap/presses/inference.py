@@ -40,7 +40,7 @@ class Evidence:
     trajectory: IntArray
 
     def of(self, trajectories: Sequence[int]) -> Evidence:
-        """Return the part of some trajectories, numbered anew in the order given."""
+        """Return the part of some trajectories, numbered again in the order given."""
         parts = [np.flatnonzero(self.trajectory == t) for t in trajectories]
         rows = np.concatenate(parts)
         numbers = np.repeat(np.arange(len(parts)), [len(part) for part in parts])

@@ -62,7 +62,7 @@ def residuals_of(
 
     Args:
         case: the data.
-        recalibrated, refitted: nuisances (columns,) of the evidence, alone and beside the effects.
+        recalibrated, refitted: nuisances (columns,) of the evidence, alone and next to the effects.
         change: (F, SIZE) of each trajectory by the effects.
         noise, discrepancy: what is expected to be left.
     """

@@ -5,7 +5,7 @@
 
 That no effect is needed does not mean that simulation and measurement agree: the constants were
 fitted first. Where the file's own are off by more than the floor, it is asked which constant, with
-the stiffness free beside it, would do as well as all together.
+the stiffness free next to it, would do as well as all together.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ def made_up(search: Search, gaps: Sequence[ChannelGap]) -> MadeUp | None:
 
 
 def _text(case: Case, column: _Column, stiffness: _Column, moved: dict[int, float]) -> str:
-    """Return a constant as it was fitted, beside the stiffness."""
+    """Return a constant as it was fitted, next to the stiffness."""
     shown = dict.fromkeys((column, stiffness))
     text = " with ".join(_value(case.values, one, moved[one.place]) for one in shown)
     effect = SHOWN_BY.get(column.name)

@@ -74,7 +74,7 @@ class Screen:
     computed once.
 
     Args:
-        evidence: whose nuisances they stand beside.
+        evidence: whose nuisances they stand next to.
         segments: of any effects; there may be none.
     """
 

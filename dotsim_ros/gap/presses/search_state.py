@@ -73,7 +73,7 @@ class GapRequest:
         sensor: the calibrated twin.
         directory: of the run: solves are kept there.
         reference: folder of the commissioning; None for the absolute mode.
-        indenters: folder of the meshes; None looks beside the data.
+        indenters: folder of the meshes; None looks next to the data.
         effects: folders of the user's effects.
         channels: that are used.
         candidates: names of the effects to look for; empty for all of the library.

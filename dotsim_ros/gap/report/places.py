@@ -112,7 +112,7 @@ def _level(places: Sequence[ResidualPlace], wanted: dict[str, str]) -> tuple[flo
     whole = dict.fromkeys(_FIELDS, ALL) | wanted
     matching = [p for p in places if all(getattr(p, k) == v for k, v in wanted.items())]
     stated = [p for p in matching if all(getattr(p, k) == v for k, v in whole.items())]
-    # A sum that is there beside its parts must not be counted with them.
+    # A sum that is there next to its parts must not be counted with them.
     free = [name for name in _FIELDS if name not in wanted]
     parts = stated or _finest(matching, free)
     count = sum(place.count for place in parts)

@@ -325,7 +325,7 @@ def _remains(f: Findings) -> Section | None:
         )
         blocks.append(
             Paragraph(
-                "Not physics: a smooth correction by phase and region, fitted beside the twin's "
+                "Not physics: a smooth correction by phase and region, fitted next to the twin's "
                 f"constants where no effect fits, changes the residual of "
                 f"{'the held-out trajectories' if f.locked else 'the trajectories of the search'}: "
                 f"{closest}. It is not an effect, it is not in the overlay, and it "

@@ -23,7 +23,7 @@ class MadeUp:
 
     Attributes:
         gaps: of the channels in which it is off.
-        alone: constants of which each would do, with the stiffness beside it, as well as all
+        alone: constants of which each would do, with the stiffness next to it, as well as all
             together, in words; none where no single one would.
         protocols: what to record to tell them, by constant.
     """

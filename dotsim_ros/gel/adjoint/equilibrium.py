@@ -93,7 +93,7 @@ class EquilibriumLinearisation:
 
 @dataclass(frozen=True)
 class FinePart:
-    """B between some markers: their weights (C, F) on the refinement's nodes beside them, and the
+    """B between some markers: their weights (C, F) on the refinement's nodes next to them, and the
     compliance (3 F, 3 F) of those, m/N."""
 
     node: IndexArray

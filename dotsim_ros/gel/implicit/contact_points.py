@@ -5,7 +5,7 @@
 
 Markers lie closer together than the gel can bend, so that where an indenter's surface is flat,
 pressure hardly changes from one to the next. There a marker in three bears what its neighbours
-would; beside edges, on surfaces that are curved, and on a grid that is hardly wider than the
+would; next to edges, on surfaces that are curved, and on a grid that is hardly wider than the
 markers' distance, each bears its own.
 """
 
@@ -106,7 +106,7 @@ def _bearers(position_m: FloatArray, is_free: BoolArray, spacing_m: float) -> In
 
 
 def _is_flat(position_m: FloatArray, normals: Callable[[FloatArray], FloatArray]) -> BoolArray:
-    """Return for each of the markers (C, 3) whether the surface beside it is flat."""
+    """Return for each of the markers (C, 3) whether the surface next to it is flat."""
     here = normals(position_m)
     # Along the axis that a normal leans to least.
     axis = np.eye(3)[np.argmin(np.abs(here), axis=1)]

@@ -82,7 +82,7 @@ BORNE_WITHIN_M = 20.0e-6
 """A marker that another one bears for is still borne where it leaves the indenter by less. Without
 this it alternates between the two, and the force does not settle."""
 REGION_RADIUS_M = 2.4e-3
-"""Cells closer than this to a marker in contact are assembled anew..."""
+"""Cells closer than this to a marker in contact are assembled again..."""
 REGION_MARGIN_M = 0.8e-3
 """...or to one this close to the indenter..."""
 REGION_GRADIENT = 0.2

@@ -24,9 +24,9 @@ class Patch:
         marker: (C,) numbers of the markers.
         rest_position_m: (C, 3).
         weight: (C, N) weights of the grid's nodes.
-        node: (n,) nodes of the grid beside the markers.
+        node: (n,) nodes of the grid next to the markers.
         node_weight: (C, n) their weights once more, dense.
-        fine_node: (F,) nodes of the refinement beside the markers.
+        fine_node: (F,) nodes of the refinement next to the markers.
         fine_weight: (C, F) weights of those.
         fine_node_weight: (C, F) the same, dense.
         added_compliance: (3 F, 3 F) of the refinement by component, m/N; empty without one.
@@ -98,7 +98,7 @@ def _component_order(matrix: AnyFloatArray) -> AnyFloatArray:
 
 
 class NearMarkers:
-    """Markers in contact or close to it, and the grid's nodes beside them.
+    """Markers in contact or close to it, and the grid's nodes next to them.
 
     Args:
         patch: the patch.
@@ -107,7 +107,7 @@ class NearMarkers:
     Attributes:
         rows: as given.
         marker: (A,) their numbers.
-        node: (n,) grid nodes beside them.
+        node: (n,) grid nodes next to them.
         weight: (A, n) their weights on these.
     """
 
@@ -134,7 +134,7 @@ class NearMarkers:
         """Return (3 A, 3 A) of the gel between the markers by component, the refinement included.
 
         Args:
-            of_nodes: (3 n, 3 n) of the grid between the nodes beside them, node by node.
+            of_nodes: (3 n, 3 n) of the grid between the nodes next to them, node by node.
         """
         result = self._added.astype(of_nodes.dtype)
         _add_between(result, self.weight.astype(of_nodes.dtype), _component_order(of_nodes))

@@ -41,7 +41,7 @@ for contacts as wide as the reach."""
 
 @dataclass(frozen=True)
 class Refinement:
-    """The added compliance at the fine grid's nodes beside the skin.
+    """The added compliance at the fine grid's nodes next to the skin.
 
     Attributes:
         skin_weight: (V, F) weights of the fine nodes at the skin's markers.
@@ -177,7 +177,7 @@ def refine(
         skin_position_m,
     )
     path = cache_directory() / f"refinement-{key}.npz"
-    # The fine grid is what takes long to make: what is needed of it lies beside dG.
+    # The fine grid is what takes long to make: what is needed of it lies next to dG.
     table = _load(path)
     if table is None:
         fine = discretize(body, skin_position_m, coarse.spacing_m / 2.0)

@@ -5,7 +5,7 @@
 
 The fast one uses what a press looks like. Far from the indenter the gel barely strains, so its
 stiffness there is that of rest, whose inverse G is computed once. Near the indenter (the region R)
-the stiffness is assembled anew. The step of the region's unknowns solves the small dense system
+the stiffness is assembled again. The step of the region's unknowns solves the small dense system
 
     (G_RR^-1 + K_RR(u) - K_RR(0)) du_R = G_RR^-1 (G r)_R
 
@@ -129,7 +129,7 @@ def factor_shifted(factor: Callable[[float], Factor]) -> Factor:
 
 
 class ExactTangent:
-    """The whole stiffness, assembled and factored anew in every iteration: slow.
+    """The whole stiffness, assembled and factored again in every iteration: slow.
 
     A single precision body halves the time; it limits the step's accuracy, not the solution's.
     """

@@ -97,7 +97,7 @@ def _reason(address: str, error: BaseException) -> str:
     if "Version mismatch" in text:
         return (
             f"the cluster at {address} has another Ray or Python than this process: {text}; "
-            "expected the same on all machines: install the same, and start Ray anew"
+            "expected the same on all machines: install the same, and start Ray again"
         )
     if "raylet" in text.lower() or "node_ip_address" in text:
         return (

@@ -5,7 +5,7 @@
 
 Each worker has one task at a time, and the rest wait here, not in the cluster: a worker that dies
 takes nothing along but what it was at, which another does again. Ray would bind that task to the
-place where the same worker may start anew, and if its machine is gone there may never be one.
+place where the same worker may start again, and if its machine is gone there may never be one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from dotsim_ros.io.worker_pool.ray_worker import Expected, RayWorker
 from dotsim_ros.io.worker_pool.sharing import ArrayShelf, Packed
 
 MOST_DEATHS = 3
-"""A task that so many workers died of is not tried again, nor are workers started anew where so
+"""A task that so many workers died of is not tried again, nor are workers started again where so
 many times their number died at their beginning."""
 START_S = 120.0
 """So long no worker, and no CPU free for one: there will be none."""

@@ -74,7 +74,7 @@ class RayWorker:
 def _wrong_package(expected: Expected) -> str:
     wanted = (
         f"expected {expected.package} {expected.release} with the code of the command: install "
-        "the same into the Python that `ray start` is run with there, and start Ray anew"
+        "the same into the Python that `ray start` is run with there, and start Ray again"
     )
     try:
         from dotsim_ros import __version__

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Work as bytes, with its large arrays beside it: these are put once where all workers find them.
+"""Work as bytes, with its large arrays next to it: these are put once where all workers find them.
 
 A task is small, what it looks at may not be: the same measured press, mesh or skin is part of
 hundreds of tasks. Arrays are told apart by their content, not by their name, so that one which is

@@ -242,7 +242,7 @@ function redraw() {
   });
 }
 
-// A curve over 20 s need not be drawn anew with each frame.
+// A curve over 20 s need not be drawn again with each frame.
 function plotSoon() {
   plotSoon.timer ??= setTimeout(() => {
     plotSoon.timer = null;

@@ -44,7 +44,7 @@ def check_start(arguments: Sequence[str]) -> None:
     for argument in arguments:
         if any("\ud800" <= character <= "\udfff" for character in argument):
             raise ValueError(
-                f"the argument {value_text(argument)} is no text in UTF-8: write it anew"
+                f"the argument {value_text(argument)} is no text in UTF-8: write it again"
             )
     for argument in _foreign(arguments):
         raise ValueError(f"the argument {value_text(argument)} is none that nodes take: {HOW}")

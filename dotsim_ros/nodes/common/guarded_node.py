@@ -324,7 +324,7 @@ class GuardedNode(Node):
         if self._local is not None:
             self._local.leave(self)
         if self.participant is not None:
-            self.participant.begin_anew()
+            self.participant.restart()
 
     def before_request(self) -> None:
         """Called before a service is answered."""

@@ -18,7 +18,7 @@ from rclpy.publisher import Publisher
 from rclpy.qos import HistoryPolicy, QoSProfile
 
 Information = dict[str, int | None]
-"""What is known of a message beside it, as ROS hands it to callbacks that ask for it."""
+"""What is known of a message next to it, as ROS hands it to callbacks that ask for it."""
 
 
 class LocalTopics:

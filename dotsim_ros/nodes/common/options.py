@@ -18,7 +18,7 @@ METADATA_KEY = "option"
 
 @dataclass(frozen=True)
 class Option:
-    """What is known of a parameter beside its default.
+    """What is known of a parameter next to its default.
 
     Attributes:
         description: one sentence for the user.

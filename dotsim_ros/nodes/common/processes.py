@@ -25,7 +25,7 @@ class NodeProcess:
     Args:
         executable: its name, which is that of its module in `dotsim_ros.nodes`.
         parameters: ROS parameters, as on the command line.
-        environment: variables to set beside those of this process.
+        environment: variables to set next to those of this process.
         arguments: further ROS arguments, such as remappings.
         code: Python code to run in the module's place.
         command: a program with its arguments to run instead; ROS arguments are added.

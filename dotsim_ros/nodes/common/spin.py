@@ -415,7 +415,7 @@ def _refuse_other_clock(
     is_other = any(
         change.name == "use_sim_time" and change.value != is_simulated for change in changes
     )
-    reason = "use_sim_time is fixed once the node runs: start it anew" if is_other else ""
+    reason = "use_sim_time is fixed once the node runs: start it again" if is_other else ""
     return SetParametersResult(successful=not is_other, reason=reason)
 
 

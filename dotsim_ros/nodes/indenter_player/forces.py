@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Recorded forces that are played beside the poses. Needs no ROS."""
+"""Recorded forces that are played next to the poses. Needs no ROS."""
 
 from __future__ import annotations
 

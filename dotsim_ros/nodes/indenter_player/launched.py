@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What a launch file tells `indenter_player` of the sensor that it starts beside it.
+"""What a launch file tells `indenter_player` of the sensor that it starts next to it.
 
 Needs no more than `parameter_file`, for the same reason.
 """

@@ -66,7 +66,7 @@ class IndenterPlayer(WorkingNode):
         self._time_restart = TimeRestart()
         if self._settings.wait_for_answer:
             self.create_subscription(WrenchStamped, "wrench", self._on_answer, POSE_QOS)
-        self._begin_anew()
+        self._restart()
         self.on_clock_jump(self._follow_jump)
         self._patience_end_s = time.monotonic() + self._settings.wait_for_subscriber_s
         if self.is_simulated:
@@ -74,7 +74,7 @@ class IndenterPlayer(WorkingNode):
                 WARN_EVERY_S, self._warn_of_silence, clock=Clock(clock_type=ClockType.STEADY_TIME)
             )
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         """Let the first pose be the next one, and no answer have come."""
         self._poses = self._program_poses()
         self._next: tuple[float, Pose, FloatArray | None] | None = None
@@ -91,7 +91,7 @@ class IndenterPlayer(WorkingNode):
             self._time_restart.begin(
                 before_ns=jump.before_ns, now_ns=jump.now_ns, now_s=time.monotonic()
             )
-            self._begin_anew()
+            self._restart()
         else:
             self._start_ns += jump.shift_ns
 

@@ -86,7 +86,7 @@ class PlayerParameters:
     )
     subscriber_count: int = option(
         1,
-        "how many subscribers to wait for: 2 where a recorder listens beside the sensor",
+        "how many subscribers to wait for: 2 where a recorder listens next to the sensor",
         minimum=1,
         maximum=100,
         read_only=True,

@@ -25,8 +25,8 @@ from dotsim_ros.geometry.pose import Pose
 from dotsim_ros.live.desk import LiveDesk
 from dotsim_ros.live.moments import Picture, Scene, SkinMoment, rate_hz_of
 from dotsim_ros.nodes.common.ingest import Fault, RefusedInputError
+from dotsim_ros.nodes.tactile_sim.active_profile import Rung, ladder_of
 from dotsim_ros.nodes.tactile_sim.motion import HELD_MOTIONS, MotionOrder
-from dotsim_ros.nodes.tactile_sim.profile_in_force import Rung, ladder_of
 from dotsim_ros.nodes.tactile_sim.profiles import PROFILES, REALTIME
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
 from dotsim_ros.optics.depth import DepthConversion
@@ -157,7 +157,7 @@ class SimulatedSubject:
 
     def reset(self) -> None:
         """See `desk.Subject`."""
-        self._do(self._begin_anew)
+        self._do(self._restart)
 
     def _do(self, job: Callable[[], None]) -> None:
         with self._wake:
@@ -169,7 +169,7 @@ class SimulatedSubject:
         try:
             work()
         except Exception as error:
-            self._desk.tell_state(can_press=False, busy="the sensor failed: start anew")
+            self._desk.tell_state(can_press=False, busy="the sensor failed: start again")
             self._desk.tell(f"the sensor failed ({type(error).__name__}): {error}")
             with self._wake:
                 self._is_stopping = True
@@ -304,7 +304,7 @@ class SimulatedSubject:
         self._is_behind = self._session.behind > before
         return moment
 
-    def _begin_anew(self) -> None:
+    def _restart(self) -> None:
         self.move(None, self._number)
 
     def _rung(self, sensor: str, profile: str) -> Rung:

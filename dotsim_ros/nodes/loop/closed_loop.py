@@ -63,7 +63,7 @@ POSE_DELAY_S = 0.3
 
 @dataclass(frozen=True)
 class LoopSetup:
-    """Parameters of the nodes of a loop, beside `params/closed_loop.yaml`.
+    """Parameters of the nodes of a loop, next to `params/closed_loop.yaml`.
 
     Attributes:
         policy: folder of the policy, or a name below params/policies.
@@ -565,7 +565,7 @@ class ClosedLoop:
 
     def wait_diagnostics(self) -> None:
         """Wait for diagnostics that are newer than now."""
-        self.time.hear_anew(f"{POLICY}: control")
+        self.time.resubscribe(f"{POLICY}: control")
 
     def _trigger(self, name: str) -> None:
         answer = self.observer.call(Trigger, name)

@@ -49,7 +49,7 @@ class Controller:
         command: program and arguments that start it; ROS arguments are added.
         reads: topics that it reads.
         publishes: when it publishes on which topic: what simulated time waits for.
-        parameters: of the node, beside use_sim_time.
+        parameters: of the node, next to use_sim_time.
     """
 
     name: str
@@ -118,7 +118,7 @@ class ControllerRun:
 
 
 class ControllerLoop:
-    """The stand-ins, and the controller anew for each run; a context manager.
+    """The stand-ins, and the controller again for each run; a context manager.
 
     Args:
         controller: under test.
@@ -175,7 +175,7 @@ class ControllerLoop:
         Args:
             seconds: of simulated time.
             faults: what fails meanwhile.
-            seed: of where on the path, and how far beside it, it begins.
+            seed: of where on the path, and how far next to it, it begins.
 
         Raises:
             OSError: it does not take part in simulated time; says why.

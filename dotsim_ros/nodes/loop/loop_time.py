@@ -57,7 +57,7 @@ class LoopTime(Protocol):
     def watch(self, part: str, seconds: float, is_over: Callable[[], bool]) -> None:
         """Let time pass, less where the diagnostics of a part of a node say that it is over."""
 
-    def hear_anew(self, part: str) -> None:
+    def resubscribe(self, part: str) -> None:
         """Wait for diagnostics of a part of a node that are newer than now."""
 
 
@@ -98,8 +98,8 @@ class RealTime:
         while time.monotonic() < end_s and not is_over():
             time.sleep(POLL_S)
 
-    def hear_anew(self, part: str) -> None:
-        """See `LoopTime.hear_anew`."""
+    def resubscribe(self, part: str) -> None:
+        """See `LoopTime.resubscribe`."""
         before = self._observer.diagnostics.get(part)
         self._observer.wait(
             lambda: self._observer.diagnostics.get(part) is not before, f"diagnostics of {part}"
@@ -166,8 +166,8 @@ class SteppedTime:
             if self.stepper.time_ns - since_ns >= round(period_s * NANOSECONDS_PER_SECOND):
                 self._hear_after(part, since_ns)
 
-    def hear_anew(self, part: str) -> None:
-        """See `LoopTime.hear_anew`."""
+    def resubscribe(self, part: str) -> None:
+        """See `LoopTime.resubscribe`."""
         since_ns = self.stepper.time_ns
         self.go(self._diagnostics_period_s)
         self._hear_after(part, since_ns)

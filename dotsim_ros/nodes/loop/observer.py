@@ -54,7 +54,7 @@ class LoopTraffic:
 
 
 class LoopObserver:
-    """A node beside the loop.
+    """A node next to the loop.
 
     Args:
         topics: what to keep, by relative name.
@@ -62,7 +62,7 @@ class LoopObserver:
 
     Attributes:
         node: the node, for publishers of one's own.
-        beside: a second node, which never takes part in steps.
+        next to: a second node, which never takes part in steps.
         diagnostics: the newest status of each part of each node, by name.
         diagnostics_ns: the stamp of each.
     """

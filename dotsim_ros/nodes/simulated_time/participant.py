@@ -82,9 +82,9 @@ class StepParticipant:
         """Wait, before each step, for what was sent on the topic of this subscription."""
         self._subscriptions[subscription.topic_name] = subscription
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Take part as a node that has just started, without publishers and subscriptions: those
-        so far are destroyed, and the numbers of others of their topics begin anew."""
+        so far are destroyed, and the numbers of others of their topics begin again."""
         self._life = uuid.uuid4().hex
         for known in (self._publishers, self._told, self._subscriptions, self._newest, self._sent):
             known.clear()
@@ -123,7 +123,7 @@ class StepParticipant:
         self._step = step
         for topic, sent in step.sent.items():
             # What a publisher sent before both knew each other need not come, and the numbers of
-            # one that has started again begin anew.
+            # one that has started again begin again.
             before = self._sent.get(topic)
             if before is None or before.publisher != sent.publisher:
                 early = [number for _, held, number, _ in self._held if held == topic]

@@ -72,7 +72,7 @@ class PublicationWatch:
         actual = f"{publisher.node_namespace.rstrip('/')}/{publisher.node_name}"
         if actual != self.owner:
             return f"{self._topic} is published by {actual.lstrip('/')}, expected {name}"
-        # One that has started anew counts its messages anew.
+        # One that has started again counts its messages again.
         life = bytes(publisher.endpoint_gid).hex()
         if life == self.sent.publisher:
             is_connected = self._subscription.get_publisher_count() > 0

@@ -4,7 +4,7 @@
 """What a node does at which simulated time. Needs no ROS.
 
 Everything runs on the thread that moves the time on, in the order of the times, whatever the
-machine does meanwhile. What takes long is computed beside it and taken at a time known beforehand.
+machine does meanwhile. What takes long is computed next to it and taken at a time known beforehand.
 """
 
 from __future__ import annotations

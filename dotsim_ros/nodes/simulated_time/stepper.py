@@ -279,7 +279,7 @@ class Stepper:
         if self._anew:
             raise SteppingError(
                 f"{self._anew.lstrip('/')} left at {self._time_s:.3f} s of simulated time and has "
-                "started anew: start all participants together"
+                "started again: start all participants together"
             )
         for watch in self._watches.values():
             if watch.fault:

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""What `tactile_policy` does beside receiving: inference and control.
+"""What `tactile_policy` does next to receiving: inference and control.
 
 Needs no ROS and no clock: what they ask, publish and log goes through functions that are handed in.
 """

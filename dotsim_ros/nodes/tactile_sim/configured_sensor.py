@@ -29,12 +29,13 @@ from dotsim_ros.effects.live import specification_with_effects
 from dotsim_ros.effects.overlay import active_effects, described, read_overlay
 from dotsim_ros.geometry.indenter import load_indenter
 from dotsim_ros.nodes.common.clock_watch import ClockJump
+from dotsim_ros.nodes.common.duplicate_publishers import duplicate_publishers
 from dotsim_ros.nodes.common.ingest import FaultLog
 from dotsim_ros.nodes.common.pace import FramePace
-from dotsim_ros.nodes.common.rivals import rivals_of
 from dotsim_ros.nodes.common.spin import WorkingNode
 from dotsim_ros.nodes.common.static_frame import publish_static_frame
 from dotsim_ros.nodes.simulated_time.latency import Latency
+from dotsim_ros.nodes.tactile_sim.active_profile import ladder_of, make_active_profile
 from dotsim_ros.nodes.tactile_sim.camera_calibration import CalibrationStore
 from dotsim_ros.nodes.tactile_sim.external_wrench import ExternalWrenches, entity_message
 from dotsim_ros.nodes.tactile_sim.force_drive import ForceDrive
@@ -46,7 +47,6 @@ from dotsim_ros.nodes.tactile_sim.motion import (
 )
 from dotsim_ros.nodes.tactile_sim.motion_input import MotionInput
 from dotsim_ros.nodes.tactile_sim.parameters import BY_FORCE, REALTIME, TF, TactileSimParameters
-from dotsim_ros.nodes.tactile_sim.profile_in_force import ladder_of, make_profile_in_force
 from dotsim_ros.nodes.tactile_sim.profiles import resolve_profile
 from dotsim_ros.nodes.tactile_sim.publishers import FramePublishers
 from dotsim_ros.nodes.tactile_sim.session import SensorMoment, SensorSession
@@ -111,7 +111,7 @@ class ConfiguredSensor:
             )
         self._node.get_logger().info("warming up: the first start compiles the kernels")
         self._warm_up_s = self._session.warm_up()
-        self._profile = make_profile_in_force(
+        self._profile = make_active_profile(
             ladder,
             sensor,
             self._session,
@@ -189,7 +189,7 @@ class ConfiguredSensor:
         with self._lock:
             self._is_active = False
             self._forget_motion()
-            self._session.begin_anew()
+            self._session.restart()
 
     def _load_effects(self, sensor_name: str) -> tuple[Active, ...]:
         if not self.settings.effects:
@@ -334,7 +334,7 @@ class ConfiguredSensor:
                 maximum_lag_m=maximum_lag_m,
                 profile=self._profile.values(),
                 clock_silence=self._node.clock_silence(),
-                rivals=rivals_of(self._node, self._outputs.topics),
+                duplicate_publishers=duplicate_publishers(self._node, self._outputs.topics),
             ),
             counter=self._counter,
             faults=self._faults,
@@ -354,7 +354,7 @@ class ConfiguredSensor:
             self._frame_ns = None
             if jump.is_restart:
                 self._motions.take()
-                self._session.begin_anew()
+                self._session.restart()
                 self._input.restart(before_ns=jump.before_ns)
 
     def _on_reset(self, _request: Any, response: Any) -> Any:
@@ -390,7 +390,7 @@ class ConfiguredSensor:
         with self._lock:
             self._is_enabled = request.data
             self._forget_motion()
-            self._session.begin_anew()
+            self._session.restart()
         response.success = True
         response.message = "enabled" if request.data else "disabled: no frames"
         return response

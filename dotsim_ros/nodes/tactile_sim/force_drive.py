@@ -79,7 +79,7 @@ class ForceDrive:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew, clear of the gel, with nothing known of it: it may be another indenter."""
+        """Begin again, clear of the gel, with nothing known of it: it may be another indenter."""
         self._follower.forget()
         self._asked_n = self._reached_n = 0.0
         self._missed_count, self._is_deepest = 0, False

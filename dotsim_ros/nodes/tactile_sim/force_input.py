@@ -67,7 +67,7 @@ class ForceInput:
         self._pairing.maximum_step_s = parameters.maximum_step_s
 
     def forget(self) -> None:
-        """Begin anew: no force is known, and no pose waits for one."""
+        """Begin again: no force is known, and no pose waits for one."""
         self._heard_s = None
         self._pairing.forget()
 

@@ -87,7 +87,7 @@ Order = TypeVar("Order", MotionOrder, ForceOrder)
 
 @dataclass(frozen=True)
 class _Held(Generic[Order]):
-    """What waits, and how often time had begun anew on its topic."""
+    """What waits, and how often time had begun again on its topic."""
 
     order: Order
     epoch: int
@@ -106,7 +106,7 @@ class ForcePairing:
     messages always give the same pairs.
 
     Args:
-        maximum_step_s: stamps of forces that go back further begin anew, as those of poses do.
+        maximum_step_s: stamps of forces that go back further begin again, as those of poses do.
 
     Attributes:
         normal_n: normal force that is asked for; 0 before the first.
@@ -118,7 +118,7 @@ class ForcePairing:
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: nothing is held, and the next stamps may be any."""
+        """Begin again: nothing is held, and the next stamps may be any."""
         with self._lock:
             self._motions: deque[_Held[MotionOrder]] = deque()
             self._forces: deque[_Held[ForceOrder]] = deque(maxlen=HELD_COUNT)

@@ -42,7 +42,7 @@ class MotionOrder:
 
 
 class MotionGate:
-    """Decides whether a pose continues from the last one, starts anew, or is refused.
+    """Decides whether a pose continues from the last one, starts again, or is refused.
 
     Args:
         base_frame: the only frame that poses may be in.
@@ -132,7 +132,7 @@ def after_last(now_ns: int, last_ns: int | None, *, maximum_step_s: float) -> in
     Args:
         now_ns: of the clock, which may stand still since the last message, or have been set back.
         last_ns: stamp of that message; None for none.
-        maximum_step_s: a clock that went back further than this has begun anew.
+        maximum_step_s: a clock that went back further than this has begun again.
     """
     if last_ns is None or last_ns - now_ns > maximum_step_s * NANOSECONDS_PER_SECOND:
         return now_ns

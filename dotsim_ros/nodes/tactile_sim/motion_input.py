@@ -175,7 +175,7 @@ class MotionInput:
         return self._transforms.world_rotation()
 
     def forget(self) -> None:
-        """Start anew: the next pose may be anywhere, a velocity begins at the start pose."""
+        """Start again: the next pose may be anywhere, a velocity begins at the start pose."""
         if self._transforms is not None:
             self._transforms.forget()
         if self._forces is not None:
@@ -188,7 +188,7 @@ class MotionInput:
             self._pose = self._parameters.start_pose()
 
     def restart(self, *, before_ns: int) -> None:
-        """Start anew, since the clock has gone back: stamps of its new time are accepted.
+        """Start again, since the clock has gone back: stamps of its new time are accepted.
 
         Args:
             before_ns: the clock before.

@@ -40,7 +40,7 @@ class TactileSim(ManagedNode):
         self._configured().deactivate()
 
     def clean_up(self) -> None:
-        """Let go of the sensor; the parameters are read anew when the node is configured again."""
+        """Let go of the sensor; the parameters are read again when the node is configured again."""
         self._sensor = None
 
     def _configured(self) -> ConfiguredSensor:

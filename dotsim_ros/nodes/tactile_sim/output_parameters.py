@@ -30,7 +30,7 @@ class OutputParameters:
     )
     camera_info_topic: str = option(
         "",
-        "Topic of the intrinsics; empty: camera_info beside the images.",
+        "Topic of the intrinsics; empty: camera_info next to the images.",
         fixed_while_configured=True,
     )
     camera_info_url: str = option(

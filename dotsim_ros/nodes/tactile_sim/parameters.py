@@ -201,7 +201,7 @@ class TactileSimParameters(OutputParameters):
     idle_image: str = option(
         "",
         "Image of the real sensor at rest, to be carried by the gel; a YAML file of its name "
-        "beside it may describe it. Empty: the sensor's own.",
+        "next to it may describe it. Empty: the sensor's own.",
         is_path=True,
         fixed_while_configured=True,
     )

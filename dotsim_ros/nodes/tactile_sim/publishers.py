@@ -314,7 +314,7 @@ class FramePublishers:
 
 
 def _beside(node: Node, topic: str, name: str) -> str:
-    """Return the topic of a name beside another, unless the user has renamed it on its own."""
+    """Return the topic of a name next to another, unless the user has renamed it on its own."""
     given = node.resolve_topic_name(name)
     is_renamed = given != node.resolve_topic_name(name, only_expand=True)
     return given if is_renamed else f"{topic.rpartition('/')[0]}/{name}"

@@ -306,17 +306,17 @@ class SensorSession:
         return (stamp_ns - self._last_stamp_ns) / NANOSECONDS_PER_SECOND
 
     def reset(self) -> None:
-        """Bring the gel to rest, with no indenter near it; a session of effects begins anew."""
+        """Bring the gel to rest, with no indenter near it; a session of effects begins again."""
         self._effects.restart()
-        self.begin_anew()
+        self.restart()
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Bring the gel to rest, with no indenter near it; the time of the session goes on."""
         self._forget_motion()
         self._rest(None)
 
     def relax(self) -> SensorMoment:
-        """Bring the gel to rest beside an indenter that does not touch it; return what is seen.
+        """Bring the gel to rest next to an indenter that does not touch it; return what is seen.
 
         Where it is and where it is led to stay as they are; the time of the session goes on.
         """
@@ -349,7 +349,7 @@ class SensorSession:
             ValueError: the sensor refuses it; the one before stays.
         """
         self._sensor.set_indenter(indenter)
-        self.begin_anew()
+        self.restart()
 
     def change_solver(
         self, solver: SolverSpecification, *, limit_m: float, largest_jump_m: float

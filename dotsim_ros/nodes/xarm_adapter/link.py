@@ -25,7 +25,7 @@ from msg_adapters import RobotState
 
 VELOCITY_MODE = 5
 READY_STATES = (0, 1, 2)
-STATE_NAMES = {3: "paused", 4: "stopped", 5: "set up anew and not ready"}
+STATE_NAMES = {3: "paused", 4: "stopped", 5: "set up again and not ready"}
 
 
 class Hindrance(StrEnum):

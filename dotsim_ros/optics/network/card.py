@@ -137,6 +137,6 @@ def check_card(card: NetworkCard, *, sensor: str, camera: Camera, source: Path) 
         raise ValueError(
             f"{source} was trained for another camera of {sensor!r} (hash "
             f"{value_text(card.camera)}, this camera's is {camera_hash(camera)}): its direction, "
-            "lens or place has changed since; train the network anew with dotsim_ros train-optics, "
+            "lens or place has changed since; train the network again with dotsim_ros train-optics "
             "or leave camera.residual empty"
         )

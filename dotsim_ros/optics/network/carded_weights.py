@@ -4,7 +4,7 @@
 """Weights of a network and the card that describes them: a folder of three files.
 
 - `weights.safetensors`: the weights; its header carries the card.
-- `network.onnx`: the network's graph, whose weights are those of the file beside it.
+- `network.onnx`: the network's graph, whose weights are those of the file next to it.
 - `card.json`: the same card, for people to read.
 """
 
@@ -98,31 +98,31 @@ def card_from(text: str, path: Path, kind: CardKind[AnyCard]) -> AnyCard:
     except ValueError as error:
         raise ValueError(
             f"{path} has no card that can be read ({shortened(error)}); copy it again or train the "
-            f"{kind.noun} anew"
+            f"{kind.noun} again"
         ) from error
     version = record["version"]
     if version != kind.version:
         raise ValueError(
             f"{path} is of version {value_text(version)}, expected {kind.version}; train the "
-            f"{kind.noun} anew with this version of the package: {kind.command} --help"
+            f"{kind.noun} again with this version of the package: {kind.command} --help"
         )
     known = {entry.name for entry in fields(kind.card)}
     if set(record) != known:
         raise ValueError(
             f"{path}: its card has the entries {value_text(sorted(record))}, expected "
-            f"{sorted(known)}; train the {kind.noun} anew"
+            f"{sorted(known)}; train the {kind.noun} again"
         )
     for name, hint in get_type_hints(kind.card).items():
         expected = _misfit(record[name], hint)
         if expected:
             raise ValueError(
                 f"{path}: {name} of its card is {value_text(record[name])}, expected {expected}; "
-                f"train the {kind.noun} anew"
+                f"train the {kind.noun} again"
             )
     try:
         return kind.card(**record)
     except ValueError as error:
-        raise ValueError(f"{path}: its card: {error}; train the {kind.noun} anew") from error
+        raise ValueError(f"{path}: its card: {error}; train the {kind.noun} again") from error
 
 
 def _misfit(value: Any, hint: Any) -> str:
@@ -161,7 +161,7 @@ def read_weights(folder: Path, kind: CardKind[AnyCard]) -> tuple[AnyCard, dict[s
                 f"{needed} has {size} bytes, expected at most {LARGEST_FILE_BYTES}; it is no "
                 f"{kind.noun} that {kind.command} wrote"
             )
-    again = f"again or train the {kind.noun} anew"
+    again = f"again or train the {kind.noun} again"
     try:
         with safe_open(path, framework="numpy") as content:
             text = (content.metadata() or {}).get(CARD_KEY, "null")

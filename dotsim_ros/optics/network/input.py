@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""The input of an image network: geometry and warped image of a frame, beside those at rest.
+"""The input of an image network: geometry and warped image of a frame, next to those at rest.
 
 Three arrays, channels first, all values of order one:
 

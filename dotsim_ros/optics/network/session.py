@@ -23,7 +23,7 @@ class Network:
     """A graph of one output, all arrays of which are single precision.
 
     Args:
-        graph: the file; its weights lie beside it.
+        graph: the file; its weights lie next to it.
         inputs: shapes of all that can be given, by name; the graph may take fewer.
         output: shape of what it gives.
         thread_count: of the network.
@@ -80,14 +80,14 @@ class Network:
         return np.asarray(self.session.run(None, given)[0])
 
     def _refusal(self, words: str) -> ValueError:
-        return ValueError(f"{self._graph} {words}; copy or train the {self._noun} anew")
+        return ValueError(f"{self._graph} {words}; copy or train the {self._noun} again")
 
 
 def open_session(graph: Path, thread_count: int, noun: str) -> onnxruntime.InferenceSession:
     """Return ONNX Runtime's session of a graph.
 
     Raises:
-        ValueError: it is no graph, or names weights that are not beside it.
+        ValueError: it is no graph, or names weights that are not next to it.
     """
     options: Any = onnxruntime.SessionOptions()
     options.intra_op_num_threads = thread_count
@@ -100,7 +100,7 @@ def open_session(graph: Path, thread_count: int, noun: str) -> onnxruntime.Infer
     except Exception as error:
         raise ValueError(
             f"{graph} is no network that can be opened ({_words(error)}); copy or train the "
-            f"{noun} anew"
+            f"{noun} again"
         ) from error
 
 

@@ -1,7 +1,7 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Models of the image to compare with: Tacto's, Taxim's, DiffTactile's and FOTS's, written anew.
+"""Models of the image to compare with: Tacto's, Taxim's, DiffTactile's and FOTS's, written again.
 
 Each is fitted on the same frames as ours and predicts the images of a press. All of them add what
 they predict to the idle image. Taxim, DiffTactile and FOTS get the depth and the normals of this

@@ -5,7 +5,7 @@
 
 Wang, Lambeta, Chou, Calandra: "TACTO: A Fast, Flexible, and Open-Source Simulator for
 High-Resolution Vision-Based Tactile Sensors", RA-L 7(2), 2022 (arXiv 2012.08456). A renderer lights
-the object that has sunk into the gel, and the gel beside it, by a few coloured point lights on a
+the object that has sunk into the gel, and the gel next to it, by a few coloured point lights on a
 ring; the rendering without contact is subtracted, and the difference added to the real sensor's
 image without contact. Light is calibrated by hand there; here by least squares.
 

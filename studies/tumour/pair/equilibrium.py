@@ -53,7 +53,7 @@ class PairSettings:
         contact_stiffness: of the contact, in units of the layer's Young's modulus over 1.2 mm.
         tolerance_m: a step that moves no node farther is the last.
         iterations: at most, for each step of the layer.
-        fresh: the stiffness is assembled anew while a step moves a node farther than this, m.
+        fresh: the stiffness is assembled again while a step moves a node farther than this, m.
     """
 
     contact_stiffness: float = 120.0
@@ -88,7 +88,7 @@ class PairState:
 
 
 class _Stiffness:
-    """The factored stiffness of one body, made anew when asked to."""
+    """The factored stiffness of one body, recreated when asked to."""
 
     def __init__(self, body: ElasticBody) -> None:
         self._body = body

@@ -76,7 +76,7 @@ def frame_time_s(sensor: TactileSensor, dt_s: float) -> float:
     return float(np.median(spent_s))
 
 
-class ProfileInForce:
+class ActiveProfile:
     """Tells a session's profile and, with a keeper, changes it between two frames.
 
     Args:
@@ -183,7 +183,7 @@ def _why_one(asked: str, sensor: TactileSensor) -> str:
     return "by the clock" if asked == BY_CLOCK else "as set"
 
 
-def make_profile_in_force(
+def make_active_profile(
     ladder: Sequence[Rung],
     sensor: TactileSensor,
     session: SensorSession,
@@ -191,7 +191,7 @@ def make_profile_in_force(
     asked: str,
     period_s: float,
     tell: Callable[[str], None],
-) -> ProfileInForce:
+) -> ActiveProfile:
     """Return the profile of a session, whose gels are made and timed where there are several.
 
     Args:
@@ -206,7 +206,7 @@ def make_profile_in_force(
         why = _why_one(asked, sensor)
         if asked == AUTO:
             tell(f"profile {ladder[0].profile.name}: {why}")
-        return ProfileInForce(ladder, session, keeper=None, why=why, tell=tell)
+        return ActiveProfile(ladder, session, keeper=None, why=why, tell=tell)
     begun_s = time.monotonic()
     spent_s = {}
     for rung in ladder:
@@ -222,4 +222,4 @@ def make_profile_in_force(
         f"profile {keeper.name} of auto: a frame takes {times}; made and timed in "
         f"{time.monotonic() - begun_s:.1f} s"
     )
-    return ProfileInForce(ladder, session, keeper=keeper, why="", tell=tell)
+    return ActiveProfile(ladder, session, keeper=keeper, why="", tell=tell)

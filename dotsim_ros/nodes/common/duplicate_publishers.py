@@ -14,7 +14,7 @@ ADVICE = (
 )
 
 
-def rivals_of(node: Node, topics: Sequence[str]) -> str:
+def duplicate_publishers(node: Node, topics: Sequence[str]) -> str:
     """Return who else publishes a node's topics, in one line; empty where nobody does.
 
     Args:
