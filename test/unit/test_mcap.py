@@ -16,7 +16,9 @@ import mcap.writer
 import numpy as np
 import pytest
 from backports import zstd
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
+from mcap.records import Chunk
 from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
@@ -25,7 +27,7 @@ import msg_adapters
 from dotsim_ros.data.bag import BAG_TYPES, TYPESTORE, BagFile, BagReader
 from dotsim_ros.data.mcap import reader as reader_module
 from dotsim_ros.data.mcap.reader import Tolerance
-from dotsim_ros.data.mcap.records import HEAD, MAGIC, Opcode, record
+from dotsim_ros.data.mcap.records import HEAD, MAGIC, pack
 from dotsim_ros.data.trajectory import decode_colour, read_trajectory
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
@@ -255,11 +257,15 @@ def test_cut_file_is_refused_and_read_up_to_its_end_when_asked(copy, whole, answ
 
 def chunk_of(size, packed, compression=""):
     """Return a chunk that says that it unpacks to `size`."""
-    head = struct.pack("<QQQI", 0, 1, size, 0)
-    name = compression.encode()
-    return record(
-        Opcode.CHUNK,
-        head + struct.pack("<I", len(name)) + name + struct.pack("<Q", len(packed)) + packed,
+    return pack(
+        Chunk(
+            compression=compression,
+            data=packed,
+            message_end_time=1,
+            message_start_time=0,
+            uncompressed_crc=0,
+            uncompressed_size=size,
+        )
     )
 
 
