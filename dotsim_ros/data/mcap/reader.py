@@ -1,10 +1,11 @@
 # Copyright 2026 The dotsim_ros authors
 # SPDX-License-Identifier: Apache-2.0
 
-"""Reads MCAP files, finished or broken off, and lets no damage pass unseen.
+"""Reads MCAP files, finished or broken off, and reports all damage.
 
-Nothing that a file says about lengths is believed before it is compared with the file's own length
-and with bounds, so that a damaged or hostile file costs neither time nor memory.
+A length that a file states is compared with that of the file and with bounds before it is used, so
+that a damaged or hostile file costs neither time nor memory. PyPI's `mcap` parses single records;
+its readers unpack chunks without bounds, and end at the first damage.
 """
 
 from __future__ import annotations
@@ -12,11 +13,11 @@ from __future__ import annotations
 import os
 import stat
 import zlib
-from collections import Counter, OrderedDict, deque
+from collections import Counter, OrderedDict
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 from enum import IntEnum
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from pathlib import Path
 
 import lz4.frame
@@ -119,46 +120,37 @@ class McapFile:
                 damaged.
         """
         wanted = frozenset(channels)
-        coming = deque(
-            sorted(
-                (part.message_start_time, number)
-                for number, part in enumerate(self._parts)
-                if not wanted.isdisjoint(part.message_index_offsets)
-            )
-        )
-        contents = _Kept(KEPT_BYTES)
-        pending: list[tuple[int, int, int, int]] = []
+        # Log time, part, start and end of a message in it; an end of 0 stands for the part itself.
+        queue = [
+            (part.message_start_time, number, 0, 0)
+            for number, part in enumerate(self._parts)
+            if not wanted.isdisjoint(part.message_index_offsets)
+        ]
+        heapify(queue)
+        contents = _Contents(self._content, KEPT_BYTES)
         found: Counter[int] = Counter()
-        while coming or pending:
-            while coming and (not pending or coming[0][0] <= pending[0][0]):
-                number = coming.popleft()[1]
-                part = self._parts[number]
-                try:
-                    content = self._content(part)
-                    places = list(self._places(content))
-                    if any(not _is_within(part, log_time_ns) for _, log_time_ns, *_ in places):
-                        raise DamagedError("holds messages of other times than its index says")
-                except DamagedError as error:
-                    self._spoilt(
-                        f"is damaged in the chunk at byte {part.chunk_start_offset} (log times "
-                        f"{1e-9 * part.message_start_time:.3f} s to "
-                        f"{1e-9 * part.message_end_time:.3f} s): {error}"
-                    )
-                    continue
-                contents.keep(number, content)
-                for channel, log_time_ns, start, end in places:
-                    if channel in wanted:
-                        heappush(pending, (log_time_ns, number, start, end))
-            if not pending:
-                break
-            _, number, start, end = heappop(pending)
-            kept = contents.get(number)
-            if kept is None:
-                kept = self._content(self._parts[number])
-                contents.keep(number, kept)
-            channel, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(kept, start)
+        while queue:
+            _, number, start, end = heappop(queue)
+            part = self._parts[number]
+            try:
+                content = contents.get(number)
+                places = self._places_within(part, content, wanted) if end == 0 else []
+            except DamagedError as error:
+                self._spoilt(
+                    f"is damaged in the chunk at byte {part.chunk_start_offset} (log times "
+                    f"{1e-9 * part.message_start_time:.3f} s to "
+                    f"{1e-9 * part.message_end_time:.3f} s): {error}"
+                )
+                continue
+            for log_time_ns, message_start, message_end in places:
+                heappush(queue, (log_time_ns, number, message_start, message_end))
+            if end == 0:
+                continue
+            channel, sequence, log_time_ns, publish_time_ns = MESSAGE_HEAD.unpack_from(
+                content, start
+            )
             found[channel] += 1
-            data = bytes(kept[start + MESSAGE_HEAD.size : end])
+            data = bytes(content[start + MESSAGE_HEAD.size : end])
             yield Message(channel, log_time_ns, data, publish_time_ns, sequence)
         missing = sum(max(0, self.counts[channel] - found[channel]) for channel in wanted)
         if missing and not self.damage:
@@ -364,8 +356,9 @@ class McapFile:
             raise DamagedError("no chunk of that length is there")
         return parse(Chunk, content, LARGEST_CHUNK_BYTES)
 
-    def _content(self, part: ChunkIndex) -> memoryview:
+    def _content(self, number: int) -> memoryview:
         """Return the records of a part, their checksum checked."""
+        part = self._parts[number]
         chunk = self._chunk(part.chunk_start_offset, part.chunk_length)
         head = (chunk.compression, len(chunk.data), chunk.uncompressed_size)
         if head != (part.compression, part.compressed_size, part.uncompressed_size):
@@ -384,29 +377,32 @@ class McapFile:
                 raise DamagedError(f"holds messages of an unknown topic {channel}")
             yield channel, log_time_ns, end - len(inner), end
 
+    def _places_within(
+        self, part: ChunkIndex, content: memoryview, wanted: Collection[int]
+    ) -> list[tuple[int, int, int]]:
+        """Return log time, start and end of a part's messages of the wanted channels."""
+        places = list(self._places(content))
+        for _, log_time_ns, *_ in places:
+            if not part.message_start_time <= log_time_ns <= part.message_end_time:
+                raise DamagedError("holds messages of other times than its index says")
+        return [(time, start, end) for channel, time, start, end in places if channel in wanted]
 
-def _is_within(part: ChunkIndex, log_time_ns: int) -> bool:
-    return part.message_start_time <= log_time_ns <= part.message_end_time
 
+class _Contents:
+    """What parts hold; that of those used last is kept, within a number of bytes."""
 
-class _Kept:
-    """Unpacked chunks, those used last, within a number of bytes."""
+    def __init__(self, read: Callable[[int], memoryview], largest_bytes: int) -> None:
+        self._read, self._largest, self._size = read, largest_bytes, 0
+        self._kept: OrderedDict[int, memoryview] = OrderedDict()
 
-    def __init__(self, largest_bytes: int) -> None:
-        self._largest = largest_bytes
-        self._size = 0
-        self._contents: OrderedDict[int, memoryview] = OrderedDict()
-
-    def keep(self, number: int, content: memoryview) -> None:
-        self._contents[number] = content
+    def get(self, number: int) -> memoryview:
+        if number in self._kept:
+            self._kept.move_to_end(number)
+            return self._kept[number]
+        content = self._kept[number] = self._read(number)
         self._size += len(content)
-        while self._size > self._largest and len(self._contents) > 1:
-            self._size -= len(self._contents.popitem(last=False)[1])
-
-    def get(self, number: int) -> memoryview | None:
-        content = self._contents.get(number)
-        if content is not None:
-            self._contents.move_to_end(number)
+        while self._size > self._largest and len(self._kept) > 1:
+            self._size -= len(self._kept.popitem(last=False)[1])
         return content
 
 
