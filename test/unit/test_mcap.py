@@ -255,6 +255,13 @@ def test_no_flipped_bit_of_what_holds_a_bag_together_passes_unseen(copy, whole, 
         assert found in (None, expected), f"bit {place} changed the content unseen"
 
 
+def test_time_in_the_head_of_a_chunk_is_compared_with_the_index(copy):
+    bag, file = copy
+    octets = file.read_bytes()
+    file.write_bytes(flipped(octets, 8 * (45 + HEAD.size)))
+    assert "its head differs from the index" in refusal(bag)
+
+
 @pytest.mark.fault("bags and data sets", "a bag's file cut short")
 def test_cut_file_is_refused_and_read_up_to_its_end_when_asked(copy, whole, answered):
     bag, file = copy

@@ -173,13 +173,13 @@ class McapFile:
         except DamagedError as error:
             self._spoilt(f"has no header that can be read ({error})")
             start = None
-        footer, is_indexed = None, False
+        footer, self._is_indexed = None, False
         try:
             footer = self._footer()
-            is_indexed = footer is not None and self._read_summary(footer)
+            self._is_indexed = footer is not None and self._read_summary(footer)
         except DamagedError as error:
             self._spoilt(str(error))
-        if not is_indexed and start is not None:
+        if not self._is_indexed and start is not None:
             # Where a file was not finished, a break in it is its end.
             self._scan(start, Tolerance.DAMAGED if footer else Tolerance.UNFINISHED)
 
@@ -359,9 +359,11 @@ class McapFile:
     def _content(self, number: int) -> memoryview:
         """Return the records of a part, their checksum checked."""
         part = self._parts[number]
-        chunk = self._chunk(part.chunk_start_offset, part.chunk_length)
-        head = (chunk.compression, len(chunk.data), chunk.uncompressed_size)
-        if head != (part.compression, part.compressed_size, part.uncompressed_size):
+        start, length = part.chunk_start_offset, part.chunk_length
+        chunk = self._chunk(start, length)
+        offsets, index_length = part.message_index_offsets, part.message_index_length
+        found = chunk_index(chunk, start, length, offsets, index_length)
+        if self._is_indexed and found != part:
             raise DamagedError("its head differs from the index")
         return _unpacked(chunk)
 
